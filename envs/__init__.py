@@ -1,0 +1,85 @@
+"""The worlds: gymnasium environments that policies are trained and compared in.
+
+errors.py           EnvError
+gait.py             the central pattern generator
+terrain.py          rough ground
+disturbances.py     randomised bodies and pushes
+robot.py            the hexapod (hexapod.xml), its servos and sensors
+hexapod.py          walk straight ahead at 0.4 m/s
+hexapod_command.py  follow a commanded speed and turn rate
+camera.py           pictures of them
+rollout.py          one episode of a controller, recorded
+
+A new environment is one file and one line in ENVS.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+
+from envs.errors import EnvError
+
+
+@dataclass(frozen=True)
+class EnvSpec:
+    """What is known of an environment before it is loaded.
+
+    short    key in ENVS, as the command line takes it
+    id       gymnasium's identifier
+    target   "module:class"
+    summary  one line for people
+    """
+
+    short: str
+    id: str
+    target: str
+    summary: str
+
+
+ENVS: dict[str, EnvSpec] = {
+    spec.short: spec
+    for spec in (
+        EnvSpec(
+            "hexapod",
+            "spikedeploy/Hexapod-v0",
+            "envs.hexapod:HexapodEnv",
+            "walk straight ahead at 0.4 m/s over 3 cm bumps",
+        ),
+        EnvSpec(
+            "hexapod-command",
+            "spikedeploy/HexapodCommand-v0",
+            "envs.hexapod_command:HexapodCommandEnv",
+            "follow commanded speed and turn rate over 5-9 cm bumps",
+        ),
+    )
+}
+
+
+def spec(name: str) -> EnvSpec:
+    """Return the entry with this short name or id."""
+    for entry in ENVS.values():
+        if name in (entry.short, entry.id):
+            return entry
+    known = [text for entry in ENVS.values() for text in (entry.short, entry.id)]
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(ENVS)}"
+    raise EnvError(f"unknown environment {name!r}; {hint}")
+
+
+def make(name: str, **options: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
+    """Build the environment with this short name or id, with its options."""
+    return gymnasium.make(spec(name).id, **options)
+
+
+def register() -> None:
+    """Tell gymnasium of every environment; a second call changes nothing."""
+    for entry in ENVS.values():
+        if entry.id not in gymnasium.registry:
+            gymnasium.register(entry.id, entry_point=entry.target)
+
+
+register()

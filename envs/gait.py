@@ -1,0 +1,58 @@
+"""The central pattern generator: a tripod gait of six phase-locked sines."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
+JOINTS = ("coxa", "femur", "tibia")
+
+# Tripods RF-RR-LM and RM-LF-LR step in antiphase: a half turn of phase flips the sign of both
+# sine and cosine, so one sign per leg is the whole coupling.
+_TRIPOD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+
+
+class Gait:
+    """Open-loop tripod gait.
+
+    phase      [rad], in [0, 2 pi)
+    frequency  [Hz]
+    yaw        [action unit] swing of the coxa, backward to forward
+    lift       [action unit] rise of the femur while the leg swings
+    extend     [action unit] stretch of the tibia while the leg swings
+    """
+
+    def __init__(
+        self,
+        frequency: float = 1.25,
+        yaw: float = 0.35,
+        lift: float = 0.45,
+        extend: float = 0.20,
+    ) -> None:
+        self.frequency = frequency
+        self.yaw = yaw
+        self.lift = lift
+        self.extend = extend
+        self.phase = 0.0
+
+    def reset(self, phase: float) -> None:
+        """Start at this phase [rad]."""
+        self.phase = phase % math.tau
+
+    def advance(self, dt: float) -> None:
+        """Move on by dt [s]."""
+        self.phase = (self.phase + math.tau * self.frequency * dt) % math.tau
+
+    def command(self) -> NDArray[np.float64]:
+        """(18,) leg after leg coxa, femur, tibia [action unit] at the present phase."""
+        sine = _TRIPOD * math.sin(self.phase)
+        swing = np.maximum(sine, 0.0)
+        command = np.empty(18)
+        # coxa = -yaw cos(phase): forward while sin(phase) > 0, when the foot is in the air
+        command[0::3] = (-self.yaw * math.cos(self.phase)) * _TRIPOD
+        command[1::3] = self.lift * swing
+        command[2::3] = self.extend * swing
+        return command

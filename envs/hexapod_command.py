@@ -1,0 +1,136 @@
+"""HexapodCommand-v0: follow a commanded forward speed and turn rate over rougher ground."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+
+from envs.disturbances import PushTable, Range
+from envs.hexapod import BODY, CONTROL_DT, SMOOTHING, FloatArray, HexapodEnv, layout
+from envs.robot import Motion
+from envs.terrain import Field
+
+STAND = 0.15  # probability that a command is to stand still
+SPEED = (-0.25, 0.45)  # [m/s]
+TURN = 0.8  # [rad/s] at most
+OUTER_SPEED = 0.5  # [m/s] that the outer legs can reach
+HALF_TRACK = 0.2  # [m] from the body's centre to the outer feet
+HOLD = (100, 200)  # [control steps] that a command lasts
+SPEED_KERNEL = 0.12  # [m/s]
+TURN_KERNEL = 0.3  # [rad/s]
+
+
+def kernel(error: float, width: float) -> float:
+    """Score in [-1, 1] of a tracking error: 1 at none, 0 at the width, then a quarter as steep."""
+    excess = abs(error) / width
+    # k(e) = 1 - e/s up to s; -(e/s - 1)/4 beyond, at least -1
+    return 1.0 - excess if excess <= 1.0 else max(-1.0, -0.25 * (excess - 1.0))
+
+
+def draw_command(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw forward speed [m/s] and turn rate [rad/s] that the legs can follow together."""
+    stand = rng.random() < STAND
+    speed = rng.uniform(*SPEED)
+    # |turn| <= (outer speed - |speed|) / half track
+    most = min(TURN, (OUTER_SPEED - abs(speed)) / HALF_TRACK)
+    turn = most * rng.uniform(-1.0, 1.0)
+    return (0.0, 0.0) if stand else (speed, turn)
+
+
+class HexapodCommandEnv(HexapodEnv):
+    """Follow a speed and a turn rate that change every 2 to 4 s, on 5 to 9 cm bumps.
+
+    The same body, gait, action pipeline and options as HexapodEnv, with three differences:
+    the residual has an authority of 0.9 on the six coxae, without which the gait cannot be
+    reversed; kicks are 0.25 to 0.5 m/s; the ground is rougher. 15 % of the commands are to stand.
+
+    Observation (77,): turn_error, speed_error and command (speed, turn) take the places of
+    heading, speed, lateral and lateral_velocity. So a real robot needs no odometer of position
+    or heading; it still has to estimate the body's velocity (leg kinematics with an inertial unit)
+    and its height over the ground, and it is given the command. The rest its servos, inertial unit
+    and foot sensors measure.
+
+    Reward: 1 + 2.5 kernel(speed error, 0.12 m/s) + 2 kernel(turn error, 0.3 rad/s), less sideways
+    motion and the regularisers of HexapodEnv; at most 5.5 a step. The kernel is peaked because a broad
+    one lets a gait modulator that feels nothing score like a policy. An episode succeeds when it
+    does not fall (up axis below 0.5, height below 0.035 m) and its return passes SUCCESS_RETURN.
+    """
+
+    ENTRIES: ClassVar[tuple[Any, ...]] = tuple(
+        ("turn_error", 1, 0.0, 0.8) if entry[0] == "heading" else entry  # [rad/s] command - smoothed
+        for entry in BODY
+    ) + (
+        ("speed_error", 1, 0.0, 0.4),  # [m/s] command - smoothed
+        ("command", 2, 0.0, (0.45, 0.8)),  # [m/s], [rad/s] forward speed and turn rate
+        ("load", 1, 0.0, 24.0),  # [N] all feet together
+    )
+    OBSERVATION: ClassVar[dict[str, slice]] = layout(ENTRIES)
+    FIELD: ClassVar[Field] = Field(length=18.0, width=18.0, start=(0.0, 0.0))
+    PUSHES: ClassVar[PushTable] = PushTable(kick=(0.25, 0.5), spin=1.0, interval=(75, 200))
+    START_HEADING: ClassVar[float] = math.pi
+    LOWEST_HEIGHT: ClassVar[float] = 0.035
+    CROUCH_HEIGHT: ClassVar[float] = 0.085
+    AUTHORITY: ClassVar[FloatArray] = np.tile([0.9, 0.5, 0.5], 6)
+
+    def __init__(self, *, terrain: Range = (0.05, 0.09), **options: Any) -> None:  # noqa: ANN401
+        super().__init__(terrain=terrain, **options)
+
+    def _begin(self) -> None:
+        self._turn = 0.0
+        self._command = draw_command(self.np_random)
+        self._change = self._hold()
+
+    def _prepare(self) -> None:
+        if self._step >= self._change:
+            self._command = draw_command(self.np_random)
+            self._change = self._step + self._hold()
+
+    def _hold(self) -> int:
+        shortest, longest = HOLD
+        return int(self.np_random.integers(shortest, longest + 1))
+
+    def _track(self, motion: Motion) -> None:
+        """Follow the smoothed speed along the body, the turn rate and the length of the path."""
+        forward, _ = _planar(motion)
+        self._speed += SMOOTHING * (forward - self._speed)
+        self._turn += SMOOTHING * (motion.angular_velocity[2] - self._turn)
+        self._distance += abs(self._speed) * CONTROL_DT
+
+    def _task_terms(self, motion: Motion) -> dict[str, float]:
+        """Terms for being alive, following both commands and not drifting sideways."""
+        speed, turn = self._command
+        _, sideways = _planar(motion)
+        return {
+            "alive": 1.0,
+            "speed": 2.5 * kernel(speed - self._speed, SPEED_KERNEL),
+            "turn": 2.0 * kernel(turn - self._turn, TURN_KERNEL),
+            "sideways": -0.5 * min(abs(sideways), 0.5),
+        }
+
+    def _task_observation(self, values: FloatArray, motion: Motion) -> None:
+        place = self.OBSERVATION
+        speed, turn = self._command
+        values[place["turn_error"]] = turn - self._turn
+        values[place["speed_error"]] = speed - self._speed
+        values[place["command"]] = speed, turn
+
+    def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
+        """What happened in this step, with the command in force during it."""
+        speed, turn = self._command
+        return super()._info(motion, terms, fall) | {
+            "command_speed": speed,
+            "command_turn": turn,
+            "speed_error": speed - self._speed,
+            "turn_error": turn - self._turn,
+        }
+
+
+def _planar(motion: Motion) -> tuple[float, float]:
+    """Forward and leftward speed [m/s] in the horizontal plane, relative to the heading."""
+    vx, vy, _ = motion.velocity
+    cosine, sine = math.cos(motion.heading), math.sin(motion.heading)
+    return vx * cosine + vy * sine, vy * cosine - vx * sine
+
+
