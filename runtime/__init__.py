@@ -20,7 +20,7 @@ EXPORTS = {
     # the chip
 }
 
-__all__ = sorted(EXPORTS)  # noqa: PLE0605
+__all__ = sorted(EXPORTS)
 
 
 def __getattr__(name: str) -> object:

@@ -1,4 +1,4 @@
-"""The errors that the product raises on purpose; each names the thing, what was found, and what to do.
+"""The errors raised on purpose: each names the thing, what was found and what to do.
 
 The command line prints them without a traceback. Anything else that is raised is a bug.
 """
@@ -13,7 +13,7 @@ class ArtifactError(SpikedeployError):
 
 
 class ConventionError(SpikedeployError):
-    """A dt, reset, integrator, delay or state that is unknown, missing or impossible."""
+    """A dt, reset, integrator, delay or state that is unknown or impossible."""
 
 
 class ChipError(SpikedeployError):

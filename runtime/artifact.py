@@ -1,0 +1,196 @@
+"""The artifact: one `.nir` file that is all a robot needs. The only reader and writer of `.nir`."""
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import nir
+import numpy as np
+
+from runtime.codec import Codec
+from runtime.convention import Convention, Integrator, Reset
+from runtime.discrete import NEURONS, discretise
+from runtime.errors import ArtifactError, ConventionError
+from runtime.origin import Origin
+from runtime.record import Record, Tree
+from runtime.soundness import check_graph
+from runtime.timestep import inferred_convention, timestep
+
+SCHEMA = 1
+KEY = "spikedeploy"
+
+
+@dataclass(frozen=True, eq=False)
+class Artifact:
+    """A network with everything that NIR leaves open.
+
+    graph: standard NIR nodes, which any NIR tool can open.
+    codec: observation to spikes and output to action; None in files of other tools.
+    convention: how the graph is stepped; inferred or given for files of other tools.
+    origin: who made it; None in files of other tools.
+    """
+
+    graph: nir.NIRGraph
+    codec: Codec | None
+    convention: Convention
+    origin: Origin | None = None
+
+    def __post_init__(self) -> None:
+        check_graph(self.graph)
+        for name in sorted(self.graph.nodes):
+            if isinstance(self.graph.nodes[name], NEURONS):
+                discretise(name, self.graph.nodes[name], self.convention)
+        if self.codec is not None:
+            _check_width(self.graph, self.codec)
+
+
+def save(artifact: Artifact, path: str | Path) -> None:
+    """Write the artifact: same artifact, same bytes; interrupted, the old file stays as it was."""
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        nir.write(part, _stamped(artifact))
+        part.replace(path)
+    except (OSError, TypeError, ValueError) as error:
+        raise ArtifactError(
+            f"cannot write {path}: {error}. Check the folder and the metadata of the graph."
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load(
+    path: str | Path,
+    dt: float | None = None,
+    reset: Reset | None = None,
+    integrator: Integrator | None = None,
+    delay: int | None = None,
+) -> Artifact:
+    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says."""
+    options = {"dt": dt, "reset": reset, "integrator": integrator, "delay": delay}
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        graph = _read(Path(path))
+        if KEY in graph.metadata:
+            return _ours(graph, given)
+        return Artifact(graph, None, inferred_convention(graph, given))
+    except (ArtifactError, ConventionError) as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def digest(graph: nir.NIRGraph) -> str:
+    """SHA-256 of the nodes, their parameters and the edges, whatever their order."""
+    sha = hashlib.sha256()
+    for name, node in sorted(graph.nodes.items()):
+        sha.update(f"{name} {type(node).__name__}".encode())
+        for field, value in sorted(vars(node).items()):
+            if isinstance(value, np.ndarray):
+                sha.update(f"{field} {value.dtype.str} {value.shape}".encode())
+                sha.update(np.ascontiguousarray(value).tobytes())
+    sha.update(repr(sorted(tuple(edge) for edge in graph.edges)).encode())
+    return sha.hexdigest()
+
+
+def _stamped(artifact: Artifact) -> nir.NIRGraph:
+    """The graph in a fixed order, with the metadata that makes it an artifact."""
+    record: Tree = {"schema": SCHEMA, "convention": artifact.convention.to_record()}
+    if artifact.codec is not None:
+        record["codec"] = artifact.codec.to_record()
+    if artifact.origin is not None:
+        origin = replace(artifact.origin, sha256=digest(artifact.graph))
+        record["origin"] = origin.to_record()
+    return nir.NIRGraph(
+        nodes=dict(sorted(artifact.graph.nodes.items())),
+        edges=sorted(artifact.graph.edges),
+        metadata={**artifact.graph.metadata, KEY: record},
+        type_check=False,
+    )
+
+
+def _read(path: Path) -> nir.NIRGraph:
+    """The graph in the file, sound."""
+    if not path.is_file():
+        raise ArtifactError("there is no such file. Check the path.")
+    if not h5py.is_hdf5(path):
+        raise ArtifactError(
+            "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
+            "NIR tool wrote; if it is that one, its download or copy was cut short."
+        )
+    try:
+        graph = nir.read(path, type_check=False)
+    # nir and h5py raise nearly anything when a file is not what they expect
+    except Exception as error:
+        raise ArtifactError(
+            f"cannot be read as NIR: {type(error).__name__}: {error}. The file is truncated, "
+            "damaged or something else; copy or export it again."
+        ) from error
+    if not isinstance(graph, nir.NIRGraph):
+        raise ArtifactError(
+            f"holds a single {type(graph).__name__} node, not a graph. Wrap it in a NIRGraph."
+        )
+    check_graph(graph)
+    return graph
+
+
+def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
+    """The artifact of a graph with our metadata."""
+    record = Record(graph.metadata, "file").record(KEY)
+    _check_schema(record)
+    convention = _stated_convention(record.record("convention"))
+    _check_timestep(graph, convention)
+    codec = Codec.from_record(record.record("codec")) if "codec" in record else None
+    origin = Origin.from_record(record.record("origin")) if "origin" in record else None
+    if origin is not None:
+        _check_digest(graph, origin)
+    del graph.metadata[KEY]
+    return Artifact(graph, codec, convention.given(given), origin)
+
+
+def _stated_convention(record: Record) -> Convention:
+    try:
+        return Convention.from_record(record)
+    except ConventionError as error:
+        raise ArtifactError(f"metadata {record.where}: {error}") from error
+
+
+def _check_schema(record: Record) -> None:
+    record.only("schema", "convention", "codec", "origin")
+    if (schema := record.whole("schema")) != SCHEMA:
+        raise ArtifactError(
+            f"metadata {record.where}.schema is {schema}; this version reads {SCHEMA}. "
+            "Update spikedeploy, or export the policy again."
+        )
+
+
+def _check_timestep(graph: nir.NIRGraph, convention: Convention) -> None:
+    """Refuse a dt that the gains of the same file contradict."""
+    evidence = timestep(graph)
+    if evidence.dt is None or not evidence.confirmed:
+        return
+    if not np.isclose(evidence.dt, convention.dt, rtol=1e-3):
+        raise ArtifactError(
+            f"the metadata say dt = {convention.dt:g} s, the nodes {evidence.dt:g} s "
+            f"({evidence.reason}). Export the policy again."
+        )
+
+
+def _check_digest(graph: nir.NIRGraph, origin: Origin) -> None:
+    if (found := digest(graph)) != origin.sha256:
+        raise ArtifactError(
+            f"the network is not the one that was exported: its SHA-256 is {found[:12]}…, the "
+            f"origin says {origin.sha256[:12]}…. Export the policy again; if the change is "
+            f"meant, delete metadata/{KEY}/origin from the file."
+        )
+
+
+def _check_width(graph: nir.NIRGraph, codec: Codec) -> None:
+    for name, node in graph.inputs.items():
+        width = int(np.prod(node.input_type["input"]))
+        if width != codec.encoder.width:
+            raise ArtifactError(
+                f"the codec makes {codec.encoder.width} spike trains, node {name!r} takes {width}. "
+                "Export the policy again."
+            )

@@ -1,0 +1,94 @@
+"""The difference equation that a NIR neuron becomes under a convention.
+
+    I[t] = a I[t-1] + gain x[t]          a = 1 - dt/tau_syn  or  exp(-dt/tau_syn)
+    V[t] = b V[t-1] + I[t] + leak        b = 1 - dt/tau_mem  or  exp(-dt/tau_mem)
+    gain = (1-a) w_in (1-b) r            leak = (1-b) v_leak
+    spike where V[t] > threshold, then V[t] = v_reset  or  V[t] - (threshold - v_reset)
+
+The gain of the membrane, (1-b) r, is moved to the input, where it costs once and not per timestep;
+neurons without a synapse have a = 0, and integrators without a leak have b = 1 and (1-b) r = dt r.
+"""
+
+from dataclasses import dataclass
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.convention import Convention
+from runtime.errors import ConventionError
+
+Array = NDArray[np.float64]
+
+LEAKY = (nir.LIF, nir.LI)
+CURRENT_BASED = (nir.CubaLIF, nir.CubaLI)
+INTEGRATORS = (nir.IF, nir.I)
+SPIKING = (nir.LIF, nir.CubaLIF, nir.IF)
+NEURONS = (*LEAKY, *CURRENT_BASED, *INTEGRATORS)
+
+# Exporters write r = tau/dt and w_in = tau/dt so that the gain is 1; it comes back as 1 within the
+# rounding of the file's number type. It is then taken as exactly 1, so that every simulator that
+# leaves the multiplication out gets the same bits.
+ROUNDING = {8: 1e-9, 4: 1e-5, 2: 1e-2}
+
+
+@dataclass(frozen=True, eq=False)
+class Discrete:
+    """One layer of neurons, ready to be stepped.
+
+    current_decay: (N,) a, or None where the input itself is the current.
+    membrane_decay: (N,) b.
+    gain: (N,) of the input.
+    leak: (N,) added to the membrane in every timestep.
+    threshold: (N,), or None where neurons do not spike and the membrane is the output.
+    v_reset: (N,) membrane after a spike.
+    """
+
+    current_decay: Array | None
+    membrane_decay: Array
+    gain: Array
+    leak: Array
+    threshold: Array | None
+    v_reset: Array
+
+
+def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete:
+    """The difference equation of one of NEURONS; `name` is for messages."""
+    current_decay = None
+    gain = _array(node.r)
+    leak = np.zeros_like(gain)
+    if isinstance(node, INTEGRATORS):
+        membrane_decay = np.ones_like(gain)
+        gain = convention.dt * gain
+    else:
+        tau = "tau" if isinstance(node, LEAKY) else "tau_mem"
+        membrane_decay, share = _decay(name, node, tau, convention)
+        leak = share * _array(node.v_leak)
+        gain = share * gain
+    if isinstance(node, CURRENT_BASED):
+        current_decay, share = _decay(name, node, "tau_syn", convention)
+        gain = share * _array(node.w_in) * gain
+    gain[np.abs(gain - 1) <= ROUNDING[node.r.dtype.itemsize]] = 1.0
+    threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
+    v_reset = _array(node.v_reset) if isinstance(node, SPIKING) else np.zeros_like(gain)
+    return Discrete(current_decay, membrane_decay, gain, leak, threshold, v_reset)
+
+
+def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> tuple[Array, Array]:
+    """What stays after one timestep, and 1 minus it without cancellation."""
+    step = convention.dt / _array(getattr(node, field))
+    if convention.integrator == "exponential":
+        return np.exp(-step), -np.expm1(-step)
+    # 1 - dt/tau may come out a hair below 0 where tau was written as dt
+    if step.max() > 1 + ROUNDING[4]:
+        raise ConventionError(
+            f"node {name!r}: dt = {convention.dt:g} s is longer than {field} = "
+            f"{convention.dt / step.max():g} s, and forward Euler would overshoot. "
+            "Choose a shorter dt, or the exponential integrator."
+        )
+    step = np.minimum(step, 1.0)
+    return 1 - step, step
+
+
+def _array(values: NDArray[np.generic]) -> Array:
+    return values.astype(np.float64)

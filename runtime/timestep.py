@@ -1,0 +1,84 @@
+"""The timestep that a file was written with, where NIR leaves it out but the gains betray it.
+
+Tools that discretise by forward Euler write r = tau_mem/dt and w_in = tau_syn/dt, so that all gains
+are 1; then dt = tau_mem/r in every neuron, and w_in dt / tau_syn = 1 confirms it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.convention import Convention
+from runtime.discrete import CURRENT_BASED, INTEGRATORS, NEURONS, ROUNDING
+from runtime.errors import ArtifactError
+
+USUAL = "the file does not say: NIR's usual"
+
+
+@dataclass(frozen=True)
+class Timestep:
+    """What the gains of a graph say about dt.
+
+    dt: [s], or None where they say nothing or contradict each other.
+    reason: a clause for people that says from what, or why not.
+    confirmed: whether a second equation, that of w_in, agrees.
+    """
+
+    dt: float | None
+    reason: str
+    confirmed: bool = False
+
+
+def timestep(graph: nir.NIRGraph) -> Timestep:
+    """The dt for which every gain of the graph is 1, if there is one."""
+    neurons = {n: node for n, node in sorted(graph.nodes.items()) if isinstance(node, NEURONS)}
+    if not neurons:
+        return Timestep(None, "no node of the graph has a time constant")
+    if any((node.r <= 0).any() for node in neurons.values()):
+        return Timestep(None, "a gain r is not above 0")
+    candidates = {name: _candidates(node) for name, node in neurons.items()}
+    every = np.concatenate(list(candidates.values()))
+    dt = _rounded(float(np.median(every)))
+    tolerance = max(ROUNDING[node.r.dtype.itemsize] for node in neurons.values())
+    for name, node in neurons.items():
+        found = candidates[name]
+        if np.abs(found / dt - 1).max() > tolerance:
+            return Timestep(None, f"tau/r is {found.min():g} s in node {name!r} and not {dt:g} s")
+        if not isinstance(node, INTEGRATORS) and (node.r <= 1).any():
+            return Timestep(None, f"r of node {name!r} is {node.r.min():g}, a gain and not tau/dt")
+        if isinstance(node, CURRENT_BASED):
+            gain = dt * node.w_in / node.tau_syn
+            if np.abs(gain - 1).max() > tolerance:
+                return Timestep(None, f"w_in dt/tau_syn of node {name!r} is {gain.max():g}, not 1")
+    confirmed = any(isinstance(node, CURRENT_BASED) for node in neurons.values())
+    return Timestep(dt, f"dt = tau/r in {', '.join(neurons)}", confirmed)
+
+
+def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Convention:
+    """NIR's usual discretisation, with the dt of the gains unless it is given."""
+    if "dt" in given:
+        return Convention(given["dt"], source=USUAL).given(given)
+    evidence = timestep(graph)
+    if evidence.dt is None:
+        raise ArtifactError(
+            f"the file does not say its timestep and it cannot be inferred: {evidence.reason}. "
+            "Give dt in seconds, as the tool that wrote the file used it."
+        )
+    return Convention(evidence.dt, source=f"{evidence.reason}; {USUAL}").given(given)
+
+
+def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
+    """The dt of each neuron for which the gain of its membrane is 1."""
+    if isinstance(node, INTEGRATORS):
+        return np.ravel(1 / node.r)
+    tau = node.tau_mem if isinstance(node, CURRENT_BASED) else node.tau
+    return np.ravel(tau / node.r)
+
+
+def _rounded(dt: float) -> float:
+    """The same dt without the rounding noise of the file's number type."""
+    return float(f"{dt:.4g}") if abs(float(f"{dt:.4g}") / dt - 1) < ROUNDING[4] else dt
