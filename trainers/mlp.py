@@ -1,0 +1,63 @@
+"""The float policy: a multilayer perceptron, down to a linear map."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from trainers.features import Features
+from trainers.normalizer import Normalizer
+from trainers.policy import Latent, Policy, full_precision
+
+
+class MlpPolicy(Policy):
+    """A float network with ReLU; without hidden layers, a linear policy.
+
+    hidden: widths of the hidden layers
+    features: what it looks at; None is every observation
+    layers: the nn.Linear of each hidden layer, then that of the mean
+    """
+
+    kind = "mlp"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: Sequence[int] = (512, 512),
+        features: Features | None = None,
+        clip: float = 4.0,
+    ) -> None:
+        super().__init__()
+        self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
+        self.features = features or Features("all", observations, [], [])
+        self.normalizer = Normalizer(self.features.size, clip)
+        widths = (self.features.size, *hidden, actions)
+        self.layers = nn.ModuleList(
+            nn.Linear(*pair) for pair in zip(widths[:-1], widths[1:], strict=True)
+        )
+        self.latent_size = widths[-2]
+
+    def seen(self, observation: Tensor) -> Tensor:
+        """Return the features (B, F) of raw observations."""
+        features: Tensor = self.features(observation)
+        return features
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return mean and last hidden activities."""
+        hidden = self.normalizer(self.seen(observation))
+        for layer in self.layers[:-1]:
+            hidden = torch.relu(layer(hidden))
+        return Latent(full_precision(self.layers[-1], hidden), hidden)
+
+    def spec(self) -> dict[str, Any]:
+        """Return what `build` needs to make an equal policy, for JSON."""
+        return {
+            "kind": self.kind,
+            "observations": self.observations,
+            "actions": self.actions,
+            "hidden": list(self.hidden),
+            "features": self.features.spec(),
+            "clip": self.normalizer.clip,
+        }

@@ -1,0 +1,63 @@
+"""What a policy is: the deployable part of what is trained, observation in, action out."""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from trainers.normalizer import Normalizer
+
+
+@dataclass(frozen=True)
+class Latent:
+    """What a policy computes before it squashes.
+
+    mean: (B, act) action before tanh
+    hidden: (B, H) last activities, from which an algorithm may read more than the action
+    rates: mean firing rate of each spiking layer, none in a float network [spikes / timestep]
+    """
+
+    mean: Tensor
+    hidden: Tensor
+    rates: tuple[Tensor, ...] = ()
+
+
+class Policy(nn.Module):
+    """Observation (B, obs) in, deterministic action (B, act) in [-1, 1] out.
+
+    observations, actions: their numbers
+    normalizer: shift, scale and clip of the observations, part of the policy
+    latent_size: width H of `Latent.hidden`
+    """
+
+    kind: str
+    observations: int
+    actions: int
+    latent_size: int
+    normalizer: Normalizer
+
+    @abstractmethod
+    def latent(self, observation: Tensor) -> Latent:
+        """Return the state before squashing."""
+
+    @abstractmethod
+    def spec(self) -> dict[str, Any]:
+        """Return what `build` needs to make an equal policy, for JSON."""
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return the deterministic action (B, act)."""
+        return torch.tanh(self.latent(observation).mean)
+
+    def seen(self, observation: Tensor) -> Tensor:
+        """Return what the normaliser sees (B, F) of raw observations."""
+        return observation
+
+
+def full_precision(layer: nn.Module, hidden: Tensor) -> Tensor:
+    """Return the layer's output, computed outside of any autocast."""
+    # bfloat16 keeps 8 bits: enough inside a network, too few for what it says
+    with torch.autocast("cpu", enabled=False):
+        output: Tensor = layer(hidden.float() if hidden.dtype == torch.bfloat16 else hidden)
+    return output

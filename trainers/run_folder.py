@@ -1,0 +1,161 @@
+"""The run folder: everything that one training run leaves behind.
+
+<runs>/<recipe>-s<seed>-<date>-<time>/
+    config.json      the resolved configuration
+    versions.json    of Python, of the packages, and of this tree
+    metrics.csv      one row for each logging interval
+    curve.png        the learning curve
+    replay.safetensors            while training goes on
+    checkpoints/{last,best}.safetensors, and a .json beside each for people
+"""
+
+import json
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from runtime.errors import ConfigError
+from trainers.atomic import replacing
+from trainers.config import C, RunConfig, validated
+from trainers.policies import build
+from trainers.policy import Policy
+from trainers.versions import versions
+
+POLICY = "policy."
+
+
+class RunFolder:
+    """One run on disk.
+
+    path: the folder
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    @classmethod
+    def create(cls, runs: str | Path, config: RunConfig) -> "RunFolder":
+        """Return a new folder that holds the configuration and the versions."""
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+        name = f"{config.recipe}-s{config.seed}-{stamp}"
+        run = cls(_unused(Path(runs) / name))
+        (run.path / "checkpoints").mkdir(parents=True)
+        run.write_config(config)
+        _write_json(run.path / "versions.json", versions())
+        return run
+
+    @classmethod
+    def find(cls, name: str | Path, runs: str | Path = "runs", recipe: str = "") -> "RunFolder":
+        """Return a run by path, by its name under `runs`, or the newest of a recipe for "last"."""
+        if str(name) == "last":
+            return cls(_newest(Path(runs), recipe))
+        for path in (Path(name), Path(runs) / name):
+            if (path / "config.json").is_file():
+                return cls(path)
+        raise ConfigError(f"'{name}' is no run folder: no config.json in it, nor in {runs}/{name}")
+
+    def config(self, model: type[C]) -> C:
+        """Return the configuration."""
+        return validated(model, _read_json(self.path / "config.json"), str(self.path))
+
+    def write_config(self, config: RunConfig) -> None:
+        """Write the configuration."""
+        _write_json(self.path / "config.json", config.model_dump(mode="json"))
+
+    def checkpoint(self, name: str) -> Path:
+        """Return the path of a checkpoint's tensors, whether or not it exists."""
+        return self.path / "checkpoints" / f"{name}.safetensors"
+
+    @property
+    def metrics(self) -> Path:
+        """Path of the metrics."""
+        return self.path / "metrics.csv"
+
+    @property
+    def replay(self) -> Path:
+        """Path of the replay buffer."""
+        return self.path / "replay.safetensors"
+
+    def save(
+        self,
+        name: str,
+        policy: Policy,
+        state: Mapping[str, Any],
+        tensors: Mapping[str, Tensor] | None = None,
+    ) -> None:
+        """Write a checkpoint: the policy, numbers for JSON, and more tensors."""
+        record = {"policy": policy.spec(), **state}
+        weights = {POLICY + key: value for key, value in policy.state_dict().items()}
+        everything = {
+            key: value.contiguous() for key, value in {**weights, **(tensors or {})}.items()
+        }
+        path = self.checkpoint(name)
+        with replacing(path) as temporary:
+            # the numbers travel in the same file, so that they can never belong to another one
+            save_file(everything, temporary, metadata={"state": json.dumps(record)})
+        _write_json(path.with_suffix(".json"), record)
+
+    def load(self, name: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """Return the numbers and the tensors of a checkpoint."""
+        path = self.checkpoint(name)
+        if not path.is_file():
+            raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
+        try:
+            with safe_open(path, "pt") as file:
+                state = json.loads(file.metadata()["state"])
+                return state, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        except (SafetensorError, KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"{path} is not a checkpoint of ours, or broken: {error}") from error
+
+    def policy(self, name: str = "best") -> Policy:
+        """Return the trained policy of a checkpoint, ready to act."""
+        state, tensors = self.load(name)
+        policy = build(state["policy"])
+        policy.load_state_dict(
+            {key.removeprefix(POLICY): t for key, t in tensors.items() if key.startswith(POLICY)}
+        )
+        return policy.eval().requires_grad_(False)
+
+
+def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "runs") -> Policy:
+    """Return a run's policy: the checkpoint named, else the best, else the last."""
+    folder = RunFolder.find(run, runs)
+    if name is None:
+        name = "best" if folder.checkpoint("best").is_file() else "last"
+    return folder.policy(name)
+
+
+def _unused(path: Path) -> Path:
+    """Return the path, or one with a number behind it when it is taken."""
+    candidates = (path.with_name(f"{path.name}-{k}") if k else path for k in range(1000))
+    return next(candidate for candidate in candidates if not candidate.exists())
+
+
+def _newest(runs: Path, recipe: str) -> Path:
+    """Return the folder of the newest run, of one recipe if given."""
+    found = [file.parent for file in runs.glob("*/config.json")]
+    if recipe:
+        found = [path for path in found if _read_json(path / "config.json")["recipe"] == recipe]
+    if not found:
+        raise ConfigError(
+            f"no run{f' of recipe {recipe}' if recipe else ''} in {runs}/ to continue"
+        )
+    return max(found, key=lambda path: (path / "config.json").stat().st_mtime_ns)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return data
+
+
+def _write_json(path: Path, data: Mapping[str, Any]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,144 @@
+"""The networks of soft actor-critic and one gradient update of them (Haarnoja et al. 2018)."""
+
+import copy
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor, nn
+
+from trainers.actor import GaussianActor
+from trainers.buffers import Batch
+from trainers.config import SacConfig
+from trainers.critic import TwinCritic, follow
+from trainers.normalizer import Normalizer
+from trainers.policy import Latent, Policy
+
+
+class SacLearner:
+    """Actor, twin critics, their targets and optimisers.
+
+    normalizer: of the critics' observations; the actor's travels with its policy
+    """
+
+    def __init__(self, config: SacConfig, policy: Policy) -> None:
+        self._config = config
+        sizes = policy.observations, policy.actions
+        self.actor = GaussianActor(policy, config.epsilon)
+        self.critic = TwinCritic(*sizes, config.critic_hidden)
+        self.target = copy.deepcopy(self.critic).requires_grad_(False)
+        self.normalizer = Normalizer(policy.observations, config.normaliser.clip)
+        # fused: four times as fast as the other implementations on one core
+        self.actor_optimizer = _adam(self.actor, config.learning_rate)
+        self.critic_optimizer = _adam(self.critic, config.learning_rate)
+
+    def update(self, batch: Batch, temperature: float) -> dict[str, Tensor]:
+        """Take one gradient step and return the losses."""
+        observation = self.normalizer(batch.observation)
+        with self._autocast():
+            goal = self._goal(batch, temperature)
+        # a context of its own for each: it keeps low-precision copies of weights until it ends
+        with self._autocast():
+            critic_loss = self._critic_loss(observation, batch.action, goal)
+        _descend(critic_loss, self.critic, self.critic_optimizer)
+        with self._autocast():
+            actor_loss, entropy = self._actor_loss(observation, batch, temperature)
+        _descend(actor_loss, self.actor, self.actor_optimizer)
+        follow(self.target, self.critic, self._config.tau)
+        losses = {"critic_loss": critic_loss, "actor_loss": actor_loss, "entropy": entropy}
+        return {name: loss.detach() for name, loss in losses.items()}
+
+    @torch.no_grad()
+    def _goal(self, batch: Batch, temperature: float) -> Tensor:
+        """Return what the critics should say (B,)."""
+        action, log_prob, _ = self.actor(batch.following)
+        value = torch.minimum(*self.target(self.normalizer(batch.following), action))
+        # y = r + gamma (1 - terminated) (min Q'(s', a') - temperature log p(a'))
+        value = value - temperature * log_prob
+        return batch.reward + self._config.gamma * (1 - batch.terminated) * value
+
+    def _critic_loss(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
+        first, second = self.critic(observation, action)
+        return nn.functional.mse_loss(first, goal) + nn.functional.mse_loss(second, goal)
+
+    def _actor_loss(
+        self, observation: Tensor, batch: Batch, temperature: float
+    ) -> tuple[Tensor, Tensor]:
+        """Return the actor's loss and the policy's entropy."""
+        action, log_prob, latent = self.actor(batch.observation)
+        value = torch.minimum(*self.critic(observation, action))
+        loss = (temperature * log_prob - value).mean() + self._penalty(latent)
+        return loss, -log_prob.detach().mean()
+
+    def _penalty(self, latent: Latent) -> Tensor:
+        """Return what saturated actions and busy neurons cost."""
+        # a large mean saturates tanh, and the gait becomes bang-bang
+        penalty = self._config.mean_penalty * latent.mean.square().sum(-1).mean()
+        for rate in latent.rates if self._config.rate_penalty else ():
+            penalty = penalty + self._config.rate_penalty * (rate - self._config.rate_target).relu()
+        return penalty
+
+    def _autocast(self) -> torch.autocast:
+        enabled = self._config.precision == "bfloat16"
+        return torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what a checkpoint needs beside the policy."""
+        tensors = {}
+        for name, module in self._modules().items():
+            tensors.update({f"{name}.{key}": value for key, value in module.state_dict().items()})
+        for name, optimizer in self._optimizers().items():
+            tensors.update({f"{name}.{key}": value for key, value in _moments(optimizer)})
+        return tensors
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Take over the tensors of a checkpoint."""
+        for name, module in self._modules().items():
+            module.load_state_dict(_under(name, tensors))
+        for name, optimizer in self._optimizers().items():
+            _load_moments(optimizer, _under(name, tensors))
+
+    def _modules(self) -> dict[str, nn.Module]:
+        return {
+            "policy": self.actor.policy,
+            "log_std": self.actor.log_std,
+            "critic": self.critic,
+            "target": self.target,
+            "normalizer": self.normalizer,
+        }
+
+    def _optimizers(self) -> dict[str, torch.optim.Adam]:
+        return {"actor_adam": self.actor_optimizer, "critic_adam": self.critic_optimizer}
+
+
+def _adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
+    return torch.optim.Adam(module.parameters(), lr=learning_rate, fused=True)
+
+
+def _descend(loss: Tensor, module: nn.Module, optimizer: torch.optim.Adam) -> None:
+    """Take one step down the loss, in the module's own parameters only."""
+    parameters = list(module.parameters())
+    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+        parameter.grad = gradient
+    optimizer.step()
+
+
+def _under(name: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return the tensors below a prefix, without it."""
+    prefix = f"{name}."
+    return {key[len(prefix) :]: t for key, t in tensors.items() if key.startswith(prefix)}
+
+
+def _moments(optimizer: torch.optim.Adam) -> Iterable[tuple[str, Tensor]]:
+    """Yield Adam's state as named tensors; nothing before its first step."""
+    for index, state in optimizer.state_dict()["state"].items():
+        for key, value in state.items():
+            yield f"{index}.{key}", value
+
+
+def _load_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor]) -> None:
+    """Take over Adam's state."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        index, key = name.split(".")
+        state.setdefault(int(index), {})[key] = value
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})

@@ -1,0 +1,84 @@
+"""Validation: deterministic episodes without hoist, which choose the best checkpoint."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+import envs
+from trainers.config import EnvConfig, ValidationConfig
+from trainers.policy import Policy
+
+MEANS = {"speed": "eval_speed"}
+SQUARES = {"speed_error": "eval_speed_rmse", "turn_error": "eval_turn_rmse"}
+LASTS = {"cot": "eval_cot", "fall": "eval_falls"}
+
+
+@dataclass
+class _Episode:
+    """One episode as it runs."""
+
+    env: Any
+    observation: Any
+    total: float = 0.0
+    infos: list[dict[str, Any]] = field(default_factory=list)
+
+    def step(self, action: Any) -> bool:  # noqa: ANN401
+        """Step, and return whether the episode goes on."""
+        self.observation, reward, terminated, truncated, info = self.env.step(action)
+        self.total += reward
+        self.infos.append(info)
+        return not (terminated or truncated)
+
+
+class Validator:
+    """Runs a policy on the validation seeds, all episodes as one batch."""
+
+    def __init__(self, env: EnvConfig, config: ValidationConfig) -> None:
+        self._config = config
+        self._envs = [envs.make(env.name, **env.options) for _ in range(config.episodes)]
+
+    @torch.no_grad()
+    def __call__(self, policy: Policy) -> dict[str, float]:
+        """Return the metrics: mean return, speed, cost of transport, falls, errors, sparsity."""
+        episodes = [
+            _Episode(env, env.reset(seed=self._config.first_seed + k)[0])
+            for k, env in enumerate(self._envs)
+        ]
+        rates = []
+        running = episodes
+        while running:
+            observation = np.stack([episode.observation for episode in running])
+            latent = policy.latent(torch.from_numpy(observation).float())
+            actions = torch.tanh(latent.mean).double().numpy()
+            rates.append([float(rate) for rate in latent.rates])
+            running = [
+                episode
+                for episode, action in zip(running, actions, strict=True)
+                if episode.step(action) and len(episode.infos) != self._config.limit
+            ]
+        return {**_metrics(episodes), **_sparsity(rates)}
+
+
+def _metrics(episodes: list[_Episode]) -> dict[str, float]:
+    """Return the metrics over the episodes, of whatever the environment reports."""
+    result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
+    steps = [info for episode in episodes for info in episode.infos]
+    ends = [episode.infos[-1] for episode in episodes]
+    for name, column in MEANS.items():
+        if name in ends[0]:
+            result[column] = float(np.mean([info[name] for info in steps]))
+    for name, column in SQUARES.items():
+        if name in ends[0]:
+            result[column] = float(np.sqrt(np.mean([info[name] ** 2 for info in steps])))
+    for name, column in LASTS.items():
+        if name in ends[0]:
+            result[column] = float(np.mean([info[name] for info in ends]))
+    return result
+
+
+def _sparsity(rates: list[list[float]]) -> dict[str, float]:
+    """Return the share of silent neuron timesteps of each spiking layer."""
+    means = np.mean(rates, axis=0)
+    return {f"sparsity_lif{k}": 1.0 - float(rate) for k, rate in enumerate(means, start=1)}
