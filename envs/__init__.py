@@ -5,6 +5,8 @@ gait.py             the central pattern generator
 terrain.py          rough ground
 disturbances.py     randomised bodies and pushes
 robot.py            the hexapod (hexapod.xml), its servos and sensors
+observation.py      what policies are shown of it
+reward.py           what they are paid for
 hexapod.py          walk straight ahead at 0.4 m/s
 hexapod_command.py  follow a commanded speed and turn rate
 camera.py           pictures of them
@@ -16,12 +18,18 @@ A new environment is one file and one line in ENVS.
 from __future__ import annotations
 
 import difflib
+import os
+import sys
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 
 from envs.errors import EnvError
+
+if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    # MuJoCo reads it once, at its import: without a display, draw through EGL
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from envs.disturbances import PushTable, Range
-from envs.hexapod import BODY, CONTROL_DT, SMOOTHING, FloatArray, HexapodEnv, layout
+from envs.hexapod import CONTROL_DT, SMOOTHING, HexapodEnv
+from envs.observation import BODY, LOAD, Entry, FloatArray, layout
+from envs.reward import command_terms
 from envs.robot import Motion
 from envs.terrain import Field
 
@@ -18,15 +20,15 @@ TURN = 0.8  # [rad/s] at most
 OUTER_SPEED = 0.5  # [m/s] that the outer legs can reach
 HALF_TRACK = 0.2  # [m] from the body's centre to the outer feet
 HOLD = (100, 200)  # [control steps] that a command lasts
-SPEED_KERNEL = 0.12  # [m/s]
-TURN_KERNEL = 0.3  # [rad/s]
 
-
-def kernel(error: float, width: float) -> float:
-    """Score in [-1, 1] of a tracking error: 1 at none, 0 at the width, then a quarter as steep."""
-    excess = abs(error) / width
-    # k(e) = 1 - e/s up to s; -(e/s - 1)/4 beyond, at least -1
-    return 1.0 - excess if excess <= 1.0 else max(-1.0, -0.25 * (excess - 1.0))
+COMMANDED_BODY = tuple(
+    Entry("turn_error", 1, 0.0, 0.8) if entry.name == "heading" else entry  # [rad/s]
+    for entry in BODY
+)
+COMMAND = (
+    Entry("speed_error", 1, 0.0, 0.4),  # [m/s] commanded - smoothed, as turn_error
+    Entry("command", 2, 0.0, (0.45, 0.8)),  # [m/s], [rad/s] forward speed and turn rate
+)
 
 
 def draw_command(rng: np.random.Generator) -> tuple[float, float]:
@@ -53,19 +55,16 @@ class HexapodCommandEnv(HexapodEnv):
     and foot sensors measure.
 
     Reward: 1 + 2.5 kernel(speed error, 0.12 m/s) + 2 kernel(turn error, 0.3 rad/s), less sideways
-    motion and the regularisers of HexapodEnv; at most 5.5 a step. The kernel is peaked because a broad
-    one lets a gait modulator that feels nothing score like a policy. An episode succeeds when it
-    does not fall (up axis below 0.5, height below 0.035 m) and its return passes SUCCESS_RETURN.
+    motion and the regularisers of HexapodEnv; at most 5.5 a step. The kernel is peaked because a
+    broad one lets a gait modulator that feels nothing score like a policy.
+
+    A fall is an up axis below 0.5 or a height below 0.035 m. An episode succeeds when it does not
+    fall and its return passes SUCCESS_RETURN; the gait alone earns about 900. The info adds
+    command_speed, command_turn, speed_error and turn_error (commanded - smoothed) to HexapodEnv's;
+    its speed is along the body and its distance the length of the path.
     """
 
-    ENTRIES: ClassVar[tuple[Any, ...]] = tuple(
-        ("turn_error", 1, 0.0, 0.8) if entry[0] == "heading" else entry  # [rad/s] command - smoothed
-        for entry in BODY
-    ) + (
-        ("speed_error", 1, 0.0, 0.4),  # [m/s] command - smoothed
-        ("command", 2, 0.0, (0.45, 0.8)),  # [m/s], [rad/s] forward speed and turn rate
-        ("load", 1, 0.0, 24.0),  # [N] all feet together
-    )
+    ENTRIES: ClassVar[tuple[Entry, ...]] = (*COMMANDED_BODY, *COMMAND, LOAD)
     OBSERVATION: ClassVar[dict[str, slice]] = layout(ENTRIES)
     FIELD: ClassVar[Field] = Field(length=18.0, width=18.0, start=(0.0, 0.0))
     PUSHES: ClassVar[PushTable] = PushTable(kick=(0.25, 0.5), spin=1.0, interval=(75, 200))
@@ -99,15 +98,9 @@ class HexapodCommandEnv(HexapodEnv):
         self._distance += abs(self._speed) * CONTROL_DT
 
     def _task_terms(self, motion: Motion) -> dict[str, float]:
-        """Terms for being alive, following both commands and not drifting sideways."""
         speed, turn = self._command
         _, sideways = _planar(motion)
-        return {
-            "alive": 1.0,
-            "speed": 2.5 * kernel(speed - self._speed, SPEED_KERNEL),
-            "turn": 2.0 * kernel(turn - self._turn, TURN_KERNEL),
-            "sideways": -0.5 * min(abs(sideways), 0.5),
-        }
+        return command_terms(speed - self._speed, turn - self._turn, sideways)
 
     def _task_observation(self, values: FloatArray, motion: Motion) -> None:
         place = self.OBSERVATION
@@ -132,5 +125,3 @@ def _planar(motion: Motion) -> tuple[float, float]:
     vx, vy, _ = motion.velocity
     cosine, sine = math.cos(motion.heading), math.sin(motion.heading)
     return vx * cosine + vy * sine, vy * cosine - vx * sine
-
-

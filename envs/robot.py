@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
-import os
-import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.gait import LEGS
 from envs.terrain import BASE, CEILING, Field
-
-if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # read once, when mujoco is imported
-import mujoco
 
 mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)  # instead of MUJOCO_LOG.TXT
 
@@ -78,7 +74,7 @@ class Robot:
         self.data = mujoco.MjData(self.model)
         self.hoist = 0.0
         self._torso = self.model.body("torso").id
-        self._feet = [i for i in range(self.model.ngeom) if self.model.geom(i).name.endswith("_foot")]
+        self._feet = [self.model.geom(f"{leg}_foot").id for leg in LEGS]
         self._mass = self.model.body_mass.copy()
         self._inertia = self.model.body_inertia.copy()
         self._gain = self.model.actuator_gainprm[:, 0].copy()
@@ -87,7 +83,7 @@ class Robot:
         self._powers = [0.0] * SUBSTEPS
 
     def rebuild(self, mass: float, payload: float, friction: float, servo_gain: float) -> None:
-        """Set mass factor [1], payload on the torso [kg], friction of the feet and servo gain [1]."""
+        """Set this episode's factor on all masses, payload [kg], foot friction and servo gain."""
         model = self.model
         model.body_mass[:] = mass * self._mass
         model.body_inertia[:] = mass * self._inertia

@@ -75,7 +75,8 @@ class Terrain:
         item = self.mean.item
         low = (1.0 - u) * item(i, j) + u * item(i, j + 1)
         high = (1.0 - u) * item(i + 1, j) + u * item(i + 1, j + 1)
-        return (1.0 - v) * low + v * high
+        height: float = (1.0 - v) * low + v * high
+        return height
 
 
 def _bumps(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -106,6 +107,8 @@ def _box_mean(height: NDArray[np.float64], half: int) -> NDArray[np.float64]:
     side = 2 * half + 1
     padded = np.pad(height, half, mode="edge")
     total = np.pad(padded.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    square = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    square = (
+        total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    )
     mean: NDArray[np.float64] = square / side**2
     return mean

@@ -1,0 +1,90 @@
+"""Pictures of a simulation: frames without a display, or a window."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.errors import EnvError
+from envs.robot import Robot
+
+WIDTH, HEIGHT = 640, 480  # [pixels]
+
+
+class Camera:
+    """Frames of a robot, from the camera of its model that follows it."""
+
+    def __init__(self, subject: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
+        self._model, self._data = subject.model, subject.data
+        try:
+            self._gl = mujoco.GLContext(width, height)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:  # each GL library raises its own
+            raise EnvError(
+                f"no OpenGL to draw with ({error}); on Debian: apt-get install libegl1 libgl1"
+            ) from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=200)
+        self._view = mujoco.MjvCamera()
+        self._view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._view.fixedcamid = self._model.camera("chase").id
+        self._option = mujoco.MjvOption()
+        self._frame = mujoco.MjrRect(0, 0, width, height)
+
+    def renew(self) -> None:
+        """Take over ground that has changed."""
+        self._gl.make_current()
+        mujoco.mjr_uploadHField(self._model, self._context, 0)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """(H, W, 3) of the present state."""
+        self._gl.make_current()
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._view, everything, self._scene
+        )
+        mujoco.mjr_render(self._frame, self._scene, self._context)
+        pixels = np.empty((self._frame.height, self._frame.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, self._frame, self._context)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+
+class Window:
+    """MuJoCo's viewer, kept to real time."""
+
+    def __init__(self, subject: Robot, period: float) -> None:
+        import mujoco.viewer as viewer  # needs a display, so only when a window is wanted
+
+        try:
+            self._viewer: Any = viewer.launch_passive(subject.model, subject.data)
+        except Exception as error:  # each windowing library raises its own
+            raise EnvError(f"no window ({error}); render_mode='rgb_array' needs none") from error
+        self._viewer.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._viewer.cam.fixedcamid = subject.model.camera("chase").id
+        self._period = period
+        self._due = time.monotonic()
+
+    def renew(self) -> None:
+        """Take over ground that has changed."""
+        self._viewer.update_hfield(0)
+
+    def picture(self) -> None:
+        """Show the present state when its time has come."""
+        self._due = max(self._due + self._period, time.monotonic() - self._period)
+        time.sleep(max(0.0, self._due - time.monotonic()))
+        self._viewer.sync()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._viewer.close()

@@ -1,0 +1,182 @@
+"""One episode of a controller in an environment, recorded step by step."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.errors import EnvError
+
+FloatArray = NDArray[np.float64]
+Frame = NDArray[np.uint8]
+VERSION = 1  # of the file's layout
+
+
+class Controller(Protocol):
+    """Anything that turns observations into actions."""
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode; the seed is for controllers that draw at random."""
+
+    def act(self, observation: FloatArray) -> FloatArray:
+        """Return the action (act,) for an observation (obs,)."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What the world saw of one episode of S control steps.
+
+    env_id       gymnasium's identifier
+    seed         of the episode
+    observation  (S + 1, obs)
+    action       (S, act) as the controller gave it
+    reward       (S,)
+    terminated   ended by a fall
+    truncated    ended by the clock
+    info         (S,) each: the numbers in the step infos; reward terms as "reward/<name>"
+    """
+
+    env_id: str
+    seed: int
+    observation: FloatArray
+    action: FloatArray
+    reward: FloatArray
+    terminated: bool
+    truncated: bool
+    info: dict[str, FloatArray]
+
+    @property
+    def steps(self) -> int:
+        """Control steps S."""
+        return len(self.reward)
+
+    @property
+    def total(self) -> float:
+        """Return, the sum of the rewards."""
+        return float(self.reward.sum())
+
+    @property
+    def success(self) -> bool:
+        """Whether the environment called the episode a success at its last step."""
+        return bool(self.info["success"][-1])
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a .npz; the name appears only when the file is whole."""
+        target = Path(path)
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
+        arrays: dict[str, Any] = {f"info/{name}": values for name, values in self.info.items()}
+        arrays["observation"], arrays["action"], arrays["reward"] = (
+            self.observation,
+            self.action,
+            self.reward,
+        )
+        arrays["header"] = np.array([self.seed, self.terminated, self.truncated, VERSION])
+        arrays["env_id"] = np.array(self.env_id)
+        try:
+            with partial.open("wb") as file:
+                np.savez_compressed(file, **arrays)
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Rollout:
+        """Read what save wrote."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = dict(file)
+        except FileNotFoundError:
+            raise EnvError(f"{path}: no such rollout") from None
+        except Exception as error:  # zipfile, zlib and numpy each have their own for a broken file
+            raise EnvError(f"{path}: not a whole rollout file ({error})") from error
+        return cls._parse(arrays, path)
+
+    @classmethod
+    def _parse(cls, arrays: dict[str, Any], path: str | os.PathLike[str]) -> Rollout:
+        missing = {"observation", "action", "reward", "header", "env_id"} - arrays.keys()
+        if missing:
+            raise EnvError(f"{path}: not a rollout file, {', '.join(sorted(missing))} missing")
+        seed, terminated, truncated, version = arrays["header"].tolist()
+        if version != VERSION:
+            raise EnvError(f"{path}: layout version {version}, this program reads {VERSION}")
+        infos = {name: values for name, values in arrays.items() if name.startswith("info/")}
+        return cls(
+            env_id=str(arrays["env_id"]),
+            seed=seed,
+            observation=arrays["observation"],
+            action=arrays["action"],
+            reward=arrays["reward"],
+            terminated=bool(terminated),
+            truncated=bool(truncated),
+            info={name.removeprefix("info/"): values for name, values in infos.items()},
+        )
+
+
+def rollout(
+    env: gymnasium.Env[Any, Any],
+    controller: Controller,
+    seed: int,
+    on_frame: Callable[[Frame], None] | None = None,
+) -> Rollout:
+    """Run one episode; on_frame is given a picture (H, W, 3) at reset and after every step."""
+    observation, _ = env.reset(seed=seed)
+    controller.reset(seed)
+    observations = [_finite("observation", observation, env.observation_space, 0)]
+    actions: list[FloatArray] = []
+    rewards: list[float] = []
+    infos: list[dict[str, float]] = []
+    terminated = truncated = False
+    _show(env, on_frame)
+    while not (terminated or truncated):
+        step = len(actions)
+        action = _finite("action", controller.act(observations[-1]), env.action_space, step)
+        observation, reward, terminated, truncated, info = env.step(action)
+        observations.append(_finite("observation", observation, env.observation_space, step + 1))
+        actions.append(action)
+        rewards.append(float(reward))
+        infos.append(_numbers(info))
+        _show(env, on_frame)
+    return Rollout(
+        env_id=env.spec.id if env.spec else type(env.unwrapped).__name__,
+        seed=seed,
+        observation=np.stack(observations),
+        action=np.stack(actions),
+        reward=np.array(rewards),
+        terminated=bool(terminated),
+        truncated=bool(truncated),
+        info={name: np.array([numbers[name] for numbers in infos]) for name in infos[-1]},
+    )
+
+
+def _finite(what: str, value: object, space: gymnasium.Space[Any], step: int) -> FloatArray:
+    """Copy a vector in float64, or say at which step it has the wrong shape or is not a number."""
+    vector = np.array(value, dtype=np.float64)
+    if vector.shape != space.shape:
+        raise EnvError(f"{what} of step {step}: shape {vector.shape} instead of {space.shape}")
+    if not np.isfinite(vector).all():
+        where = np.flatnonzero(~np.isfinite(vector)).tolist()
+        raise EnvError(f"{what} of step {step}: not a finite number at {where}")
+    return vector
+
+
+def _numbers(info: Mapping[str, Any]) -> dict[str, float]:
+    """The numeric scalars of a step info, reward terms as reward/<name>."""
+    scalars = {name: value for name, value in info.items() if isinstance(value, (bool, int, float))}
+    terms = {f"reward/{name}": value for name, value in info.get("reward_terms", {}).items()}
+    return {name: float(value) for name, value in (scalars | terms).items()}
+
+
+def _show(env: gymnasium.Env[Any, Any], on_frame: Callable[[Frame], None] | None) -> None:
+    if on_frame is None:
+        return
+    frame: Any = env.render()
+    if not isinstance(frame, np.ndarray):
+        raise EnvError('on_frame needs an environment made with render_mode="rgb_array"')
+    on_frame(frame)
