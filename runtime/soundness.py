@@ -25,13 +25,21 @@ def check_graph(graph: nir.NIRGraph) -> None:
 
 
 def _check_edges(graph: nir.NIRGraph) -> None:
-    for source, target in graph.edges:
-        for name in (source, target):
+    for edge in graph.edges:
+        if not (isinstance(edge, tuple) and len(edge) == 2):
+            raise ArtifactError(f"edge {edge!r} is not a pair (source, target). {REMEDY}")
+        source, target = edge
+        for name in edge:
             if name not in graph.nodes:
                 raise ArtifactError(
                     f"edge {source!r} -> {target!r}: there is no node {name!r}; the nodes are "
                     f"{', '.join(sorted(graph.nodes))}. Correct the edge or add the node."
                 )
+        if isinstance(graph.nodes[target], nir.Input):
+            raise ArtifactError(
+                f"edge {source!r} -> {target!r} goes into an Input node. Point it at the node that "
+                "follows."
+            )
     doubles = sorted({edge for edge in graph.edges if graph.edges.count(edge) > 1})
     if doubles:
         source, target = doubles[0]

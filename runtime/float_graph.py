@@ -1,0 +1,124 @@
+"""The float twin: a NIR graph computed in floating point, as its convention says.
+
+This is the reference that quantised programs are compared with. It knows nothing of policies: it
+walks the edges, sums what arrives at a node, and calls the node.
+"""
+
+import nir
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from runtime.artifact import Artifact
+from runtime.discrete import SPIKING
+from runtime.errors import ArtifactError, ObservationError
+from runtime.float_nodes import Array, Neurons, build
+from runtime.order import Edge, order, sources
+
+Trace = dict[str, NDArray[np.generic]]
+
+
+class FloatGraph:
+    """A running network: `run` goes on from the state before where the convention keeps it.
+
+    Without loops every node is computed for all timesteps at once; with loops all nodes are
+    computed for one timestep after the other.
+    """
+
+    def __init__(self, artifact: Artifact, dtype: DTypeLike = np.float64) -> None:
+        self.graph = artifact.graph
+        self.convention = artifact.convention
+        self.dtype = np.dtype(dtype)
+        self.input = _only(self.graph.inputs, "Input")
+        self.output = _only(self.graph.outputs, "Output")
+        self.spiking = _spiking(self.graph)
+        late = _into_dense(self.graph) if self.convention.delay else set()
+        ordered = order(self.graph)
+        self.loops = bool(ordered.late)
+        self.names = order(self.graph, late).names if self.loops else ordered.names
+        self.late = order(self.graph, late).late
+        self.sources = {name: sources(self.graph, name) for name in self.names}
+        self.nodes = {
+            name: build(name, self.graph.nodes[name], self.convention, self.dtype)
+            for name in self.names
+        }
+        # what each node put out in the timestep before, (B, 1, *shape)
+        self.before: dict[str, Array] = {}
+
+    def reset(self) -> None:
+        """Begin again: currents and membranes are 0, and nothing is on its way."""
+        self.before = {}
+        for node in self.nodes.values():
+            if isinstance(node, Neurons):
+                node.reset()
+
+    def run(self, raster: ArrayLike) -> Trace:
+        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, act)."""
+        x = self._checked(raster)
+        if self.convention.state == "reset":
+            self.reset()
+        parts = np.split(x, x.shape[1], axis=1) if self.loops else [x]
+        steps = [self._advance(part) for part in parts]
+        values = {
+            name: np.concatenate([step[name] for step in steps], axis=1)
+            for name in (*self.spiking, self.output)
+        }
+        trace: Trace = {name: values[name].astype(np.uint8) for name in self.spiking}
+        trace["output"] = values[self.output]
+        return trace
+
+    def _advance(self, x: Array) -> dict[str, Array]:
+        """Output (B, T, *shape) of every node for the next T timesteps."""
+        values: dict[str, Array] = {}
+        for name in self.names:
+            arriving = [self._along((source, name), values, x) for source in self.sources[name]]
+            values[name] = self.nodes[name](sum(arriving[1:], arriving[0]) if arriving else x)
+        self.before = {name: value[:, -1:] for name, value in values.items()}
+        return values
+
+    def _along(self, edge: Edge, values: dict[str, Array], x: Array) -> Array:
+        """What arrives over an edge: what its source puts out now, or what it did before."""
+        source = edge[0]
+        if edge not in self.late:
+            return values[source]
+        shape = self.graph.nodes[source].output_type["output"]
+        nothing = np.zeros((len(x), 1, *shape), self.dtype)
+        before = self.before.get(source, nothing)
+        if x.shape[1] == 1:
+            return before
+        return np.concatenate([before, values[source][:, :-1]], axis=1)
+
+    def _checked(self, raster: ArrayLike) -> Array:
+        x = np.asarray(raster, dtype=self.dtype)
+        shape = tuple(int(n) for n in self.graph.nodes[self.input].input_type["input"])
+        if x.ndim < 2 or x.shape[2:] != shape or not x.size:
+            wanted = ", ".join(["B", "T", *map(str, shape)])
+            raise ObservationError(
+                f"the raster has shape {x.shape}; node {self.input!r} takes ({wanted}), with at "
+                "least one timestep. Add the missing axis or give the raster of this network."
+            )
+        if not np.isfinite(x).all():
+            raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
+        return x
+
+
+def _only(found: dict[str, nir.NIRNode], kind: str) -> str:
+    if len(found) != 1:
+        raise ArtifactError(
+            f"the graph has {len(found)} {kind} nodes ({', '.join(sorted(found))}); exactly one is "
+            "supported. Join them in the tool that wrote the file."
+        )
+    return next(iter(found))
+
+
+def _spiking(graph: nir.NIRGraph) -> list[str]:
+    kinds = (*SPIKING, nir.Threshold)
+    names = sorted(name for name, node in graph.nodes.items() if isinstance(node, kinds))
+    if "output" in names:
+        raise ArtifactError("node 'output' spikes, but that name is the readout's. Rename it.")
+    return names
+
+
+def _into_dense(graph: nir.NIRGraph) -> set[Edge]:
+    return {
+        edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], (nir.Affine, nir.Linear))
+    }

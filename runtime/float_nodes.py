@@ -1,0 +1,126 @@
+"""What each kind of NIR node does to its input, in floating point.
+
+Every node is called with T timesteps in a row, which may be one. Neurons go on from the state that
+the call before left; the other kinds have none.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import nir
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from runtime.convention import Convention
+from runtime.discrete import NEURONS, discretise
+from runtime.errors import ArtifactError, ObservationError
+
+Array: TypeAlias = NDArray[np.floating[Any]]
+
+# output (B, T, *shape) for the input x (B, T, *shape)
+Node: TypeAlias = Callable[[Array], Array]
+
+
+class Neurons:
+    """A layer of neurons; its output are spikes where it has thresholds, else membranes."""
+
+    def __init__(
+        self, name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
+    ) -> None:
+        layer = discretise(name, node, convention)
+        self.name = name
+        self.subtract = convention.reset == "subtract"
+        self.a = None if layer.current_decay is None else layer.current_decay.astype(dtype)
+        self.b = layer.membrane_decay.astype(dtype)
+        self.gain = layer.gain.astype(dtype)
+        self.leak = layer.leak.astype(dtype)
+        self.threshold = None if layer.threshold is None else layer.threshold.astype(dtype)
+        self.v_reset = layer.v_reset.astype(dtype)
+        self.current: Array | None = None
+        self.membrane: Array | None = None
+
+    def reset(self) -> None:
+        """Currents and membranes are 0 again."""
+        self.current = self.membrane = None
+
+    def __call__(self, x: Array) -> Array:
+        """Spikes or membranes (B, T, *N)."""
+        output = np.empty_like(x)
+        current, membrane = self._state(x[:, 0])
+        # gain and leak are constants of discrete.py
+        drive = x * self.gain
+        for t in range(x.shape[1]):
+            # I = a I + gain x
+            current = drive[:, t] if self.a is None else self.a * current + drive[:, t]
+            # V = b V + I + leak
+            membrane = self.b * membrane + current + self.leak
+            output[:, t], membrane = self._fire(membrane)
+        self.current, self.membrane = current, membrane
+        return output
+
+    def _fire(self, membrane: Array) -> tuple[NDArray[Any], Array]:
+        """Output of this timestep, and the membrane after the reset."""
+        if self.threshold is None:
+            return membrane, membrane
+        spikes = membrane > self.threshold
+        if self.subtract:
+            return spikes, membrane - spikes * (self.threshold - self.v_reset)
+        return spikes, np.where(spikes, self.v_reset, membrane)
+
+    def _state(self, like: Array) -> tuple[Array, Array]:
+        if self.current is None or self.membrane is None:
+            return np.zeros_like(like), np.zeros_like(like)
+        if self.membrane.shape != like.shape:
+            raise ObservationError(
+                f"node {self.name!r} holds the state of {len(self.membrane)} networks, the raster "
+                f"is for {len(like)}. Call reset() between batches of different size."
+            )
+        return self.current, self.membrane
+
+
+def build(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
+    """The node, ready to be computed; kinds that are not supported are refused by name."""
+    if isinstance(node, (nir.Affine, nir.Linear)):
+        return _dense(name, node, dtype)
+    if isinstance(node, NEURONS):
+        return Neurons(name, node, convention, dtype)
+    if isinstance(node, (nir.Input, nir.Output)):
+        return lambda x: x
+    if isinstance(node, nir.Scale):
+        scale = node.scale.astype(dtype)
+        return lambda x: x * scale
+    if isinstance(node, nir.Threshold):
+        threshold = node.threshold.astype(dtype)
+        return lambda x: (x > threshold).astype(dtype)
+    if isinstance(node, nir.Flatten):
+        shape = tuple(int(n) for n in node.output_type["output"])
+        return lambda x: x.reshape(*x.shape[:2], *shape)
+    raise ArtifactError(
+        f"node {name!r}: {type(node).__name__} is not supported here. Supported are Input, Output, "
+        "Affine, Linear, Scale, Flatten, Threshold, LIF, CubaLIF, IF, LI, CubaLI and I; write a "
+        "convolution or a pool as an Affine."
+    )
+
+
+def _dense(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
+    """Affine or Linear: all timesteps in one multiplication."""
+    if node.weight.ndim != 2:
+        raise ArtifactError(
+            f"node {name!r}: weight has shape {node.weight.shape}; only (N, M) is supported. "
+            "Write stacked weights as separate nodes."
+        )
+    # (M, N) in C order: BLAS multiplies it in half the time
+    weight = np.ascontiguousarray(node.weight.T, dtype=dtype)
+    bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
+
+    def dense(x: Array) -> Array:
+        rows = x.reshape(-1, x.shape[2])
+        # inputs that are silent all the time add nothing: half the time at batch 1
+        (active,) = rows.any(axis=0).nonzero()
+        few = 2 * len(active) < len(weight)
+        # y = W x + b
+        y = rows.take(active, axis=1) @ weight.take(active, axis=0) if few else rows @ weight
+        y = y.reshape(*x.shape[:2], -1)
+        return y if bias is None else y + bias
+
+    return dense
