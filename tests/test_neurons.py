@@ -74,7 +74,9 @@ def test_state_is_float32_when_the_drive_is_bfloat16():
 
 
 def test_one_spike_worked_out_by_hand():
-    # x = 0.3, 0.3, 0, 0 ; I = 0.3, 0.57, 0.513, 0.4617 ; V = 0.3, 0.81 (spike, 0), 0.513 (spike), 0.4617
+    # x = 0.3   0.3          0              0
+    # I = 0.3   0.57         0.513          0.4617
+    # V = 0.3   0.81 spikes  0.513 spikes   0.4617
     drive = torch.tensor([0.3, 0.3, 0.0, 0.0], dtype=torch.float64).reshape(4, 1, 1)
     spikes = cuba_lif(drive, 0.9, 0.8, 0.5, surrogate("atan"))
     assert spikes.flatten().tolist() == [0, 1, 1, 0]

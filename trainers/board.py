@@ -14,7 +14,7 @@ class Board:
         if find_spec("tensorboard") is not None:
             from torch.utils.tensorboard import SummaryWriter
 
-            self._writer = SummaryWriter(str(folder))  # type: ignore[no-untyped-call]
+            self._writer = SummaryWriter(str(folder))
 
     def add(self, step: int, row: Mapping[str, float]) -> None:
         """Add one point to the curve of each column."""

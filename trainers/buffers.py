@@ -62,7 +62,7 @@ class ReplayBuffer:
     def sample(self, count: int, rng: np.random.Generator) -> Batch:
         """Return transitions drawn uniformly with replacement."""
         rows = torch.from_numpy(self.rows[rng.integers(self.size, size=count)])
-        observation, action, reward, terminated, following = rows.split(self.widths, dim=1)
+        observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
         return Batch(observation, action, reward[:, 0], terminated[:, 0], following)
 
     def save(self, path: Path) -> None:

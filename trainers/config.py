@@ -14,7 +14,7 @@ from trainers.recipes import RECIPES, merged
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 Positive = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
@@ -185,11 +185,12 @@ def known(name: str, names: Iterable[str], kind: str) -> str:
 def read_toml(file: str | Path) -> dict[str, Any]:
     """Return the tables of a TOML file."""
     try:
-        return tomllib.loads(Path(file).read_text(encoding="utf-8"))
+        tables: dict[str, Any] = tomllib.loads(Path(file).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot read the configuration file {file}: {error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} is not valid TOML: {error}") from error
+    return tables
 
 
 def parse_override(text: str) -> dict[str, Any]:
@@ -229,8 +230,10 @@ def validated(model: type[C], settings: Mapping[str, Any], source: str) -> C:
     try:
         return model.model_validate(settings)
     except ValidationError as error:
-        lines = [
-            f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}, got {fault['input']!r}"
-            for fault in error.errors()
-        ]
-        raise ConfigError(f"{source}: " + "; ".join(lines)) from error
+        faults = "; ".join(_fault(**fault) for fault in error.errors())
+        raise ConfigError(f"{source}: {faults}") from error
+
+
+def _fault(loc: tuple[int | str, ...], msg: str, input: object, **_: object) -> str:
+    """Return one fault that pydantic found as `a.b: what is wrong, got x`."""
+    return f"{'.'.join(map(str, loc))}: {msg}, got {input!r}"

@@ -1,6 +1,7 @@
 """The twin critics: two estimates of the return, of which the smaller is believed."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -14,7 +15,7 @@ class Critic(nn.Module):
     def __init__(self, size: int, hidden: Sequence[int]) -> None:
         super().__init__()
         widths = (size, *hidden)
-        pairs = zip(widths[:-1], widths[1:], strict=True)
+        pairs = pairwise(widths)
         self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairs)
         self.value = nn.Linear(widths[-1], 1)
 

@@ -29,5 +29,6 @@ def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
     axes.grid(alpha=0.3)
     axes.legend()
     with replacing(picture) as temporary:
-        FigureCanvasAgg(figure).print_png(str(temporary))
+        FigureCanvasAgg(figure)
+        figure.savefig(temporary, format="png", dpi=120)
     return True

@@ -1,6 +1,7 @@
 """The float policy: a multilayer perceptron, down to a linear map."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -34,9 +35,7 @@ class MlpPolicy(Policy):
         self.features = features or Features("all", observations, [], [])
         self.normalizer = Normalizer(self.features.size, clip)
         widths = (self.features.size, *hidden, actions)
-        self.layers = nn.ModuleList(
-            nn.Linear(*pair) for pair in zip(widths[:-1], widths[1:], strict=True)
-        )
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
         self.latent_size = widths[-2]
 
     def seen(self, observation: Tensor) -> Tensor:

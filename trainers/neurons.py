@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from runtime.errors import ConfigError
 
@@ -84,36 +85,33 @@ class _CubaLif(torch.autograd.Function):
     ) -> Tensor:
         state = torch.float32 if drive.dtype in LOW_PRECISION else drive.dtype
         membrane = torch.empty(drive.shape, dtype=state)  # before the reset, of every timestep
-        spikes = torch.empty(drive.shape, dtype=torch.bool)
         current = torch.zeros(drive.shape[1:], dtype=state)
         kept = torch.zeros(drive.shape[1:], dtype=state)
-        for t in range(drive.shape[0]):
+        for x, v in zip(drive.to(state), membrane, strict=True):
             # I = alpha I + x ; V = beta V + I ; s = V > threshold ; V = (1 - s) V
-            current.mul_(alpha).add_(drive[t])
-            torch.add(kept.mul_(beta), current, out=membrane[t])
-            torch.gt(membrane[t], threshold, out=spikes[t])
-            kept = membrane[t].masked_fill(spikes[t], 0.0)
-        ctx.save_for_backward(membrane, spikes)
+            current.mul_(alpha).add_(x)
+            torch.add(kept.mul_(beta), current, out=v)
+            # subtracting what is above the threshold is twice as fast as a masked fill
+            torch.sub(v, functional.threshold(v, threshold, 0.0), out=kept)
+        ctx.save_for_backward(membrane)
         ctx.constants = alpha, beta, threshold, gradient
-        return spikes.to(drive.dtype)
+        return (membrane > threshold).to(drive.dtype)
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]  # noqa: ANN401
-        membrane, spikes = ctx.saved_tensors
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        (membrane,) = ctx.saved_tensors
         alpha, beta, threshold, gradient = ctx.constants
-        slope = gradient(membrane - threshold)
+        excess = membrane - threshold
+        silent = (excess <= 0).to(excess.dtype)
+        slope = gradient(excess)
         # dV'/dV = (1 - s) - V ds/dV: what the gradient of the membrane after the reset keeps
-        passed = torch.addcmul((~spikes).to(slope.dtype), membrane, slope, value=-1.0)
-        fired = upstream.to(slope.dtype) * slope
-        result = torch.empty_like(upstream)
-        to_current = torch.zeros_like(membrane[0])
-        to_kept = torch.zeros_like(membrane[0])
-        for t in range(len(membrane) - 1, -1, -1):
-            to_membrane = torch.addcmul(fired[t], to_kept, passed[t])
-            torch.add(to_membrane, to_current, alpha=alpha, out=to_current)
-            result[t] = to_current
-            torch.mul(to_membrane, beta, out=to_kept)
-        return result, None, None, None, None
+        passed = silent.addcmul_(membrane, slope, value=-1.0)
+        result = slope.mul_(upstream)  # filled in place, from the last timestep to the first
+        to_current, to_kept = torch.zeros_like(membrane[0]), torch.zeros_like(membrane[0])
+        for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
+            torch.mul(g.addcmul_(to_kept, share), beta, out=to_kept)
+            to_current = g.add_(to_current, alpha=alpha)
+        return result.to(upstream.dtype), None, None, None, None
 
 
 def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:
@@ -146,5 +144,5 @@ class _IntegrateAndFire(torch.autograd.Function):
         return spikes
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]  # noqa: ANN401
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
         return upstream.sum(0), None, None

@@ -1,6 +1,7 @@
 """The spiking policy: population encoder, layers of CuBa-LIF neurons, learned decoder."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -45,9 +46,7 @@ class PopsanPolicy(Policy):
         self.normalizer = Normalizer(observations, clip)
         self.encoder = PopulationEncoder(observations, populations)
         widths = (observations * populations, *hidden, actions * populations)
-        self.layers = nn.ModuleList(
-            nn.Linear(*pair) for pair in zip(widths[:-1], widths[1:], strict=True)
-        )
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
         bound = populations**-0.5
         self.decoder_weight = nn.Parameter(
             torch.empty(actions, populations).uniform_(-bound, bound)
@@ -66,7 +65,7 @@ class PopsanPolicy(Policy):
 
     def decode(self, rates: Tensor) -> Tensor:
         """Return the action before tanh (B, act) from output rates (B, act·P)."""
-        grouped = rates.unflatten(1, (self.actions, self.populations))
+        grouped = rates.view(-1, self.actions, self.populations)
         return (grouped * self.decoder_weight).sum(-1) + self.decoder_bias
 
     def latent(self, observation: Tensor) -> Latent:

@@ -54,7 +54,8 @@ class SacLearner:
         value = torch.minimum(*self.target(self.normalizer(batch.following), action))
         # y = r + gamma (1 - terminated) (min Q'(s', a') - temperature log p(a'))
         value = value - temperature * log_prob
-        return batch.reward + self._config.gamma * (1 - batch.terminated) * value
+        goal: Tensor = batch.reward + self._config.gamma * (1 - batch.terminated) * value
+        return goal
 
     def _critic_loss(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
         first, second = self.critic(observation, action)
