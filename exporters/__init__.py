@@ -1,0 +1,28 @@
+"""The exporters: a trained policy in, one portable file out.
+
+Each exporter is a function `(policy, origin, path, ...) -> Path`, named in the table below. A new
+format is one new file and one new line here.
+"""
+
+from collections.abc import Callable
+from difflib import get_close_matches
+from importlib import import_module
+from pathlib import Path
+
+from runtime.errors import ConfigError
+
+EXPORTERS = {
+    "nir": "exporters.to_nir:to_nir",
+    "onnx": "exporters.to_onnx:to_onnx",
+}
+
+
+def exporter(name: str) -> Callable[..., Path]:
+    """The exporter called `name`, imported now."""
+    if name not in EXPORTERS:
+        near = get_close_matches(name, EXPORTERS, n=1, cutoff=0.3)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ConfigError(f"no exporter {name!r}{hint} known: {', '.join(EXPORTERS)}")
+    module, function = EXPORTERS[name].split(":")
+    loaded: Callable[..., Path] = getattr(import_module(module), function)
+    return loaded

@@ -1,0 +1,33 @@
+"""Parity: a written file is read back and must do what the policy does when it sees the same."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from exporters.check import Check
+from exporters.nir_parity import nir_checks
+from exporters.onnx_parity import onnx_checks
+from runtime.errors import ConfigError, ObservationError
+from trainers.policies import Policy
+
+__all__ = ["CHECKS", "Check", "check"]
+
+Checks = Callable[[Policy, Path, NDArray[np.float64]], list[Check]]
+
+CHECKS: dict[str, Checks] = {".nir": nir_checks, ".onnx": onnx_checks}
+
+
+def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[Check]:
+    """Return what comparing the file with the policy on observations (n, obs) has shown."""
+    path = Path(path)
+    if path.suffix not in CHECKS:
+        raise ConfigError(f"{path}: parity knows files that end in {' or '.join(CHECKS)}")
+    recorded = np.asarray(observations, dtype=np.float64)
+    if recorded.ndim != 2 or recorded.shape[1] != policy.observations or not len(recorded):
+        raise ObservationError(
+            f"parity needs observations of shape (n, {policy.observations}), at least one; "
+            f"found {recorded.shape}"
+        )
+    return CHECKS[path.suffix](policy, path, recorded)

@@ -1,0 +1,123 @@
+"""Writes a float policy as one ONNX file that carries its own normaliser and says who made it.
+
+observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
+"""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from torch import Tensor
+
+from exporters.onnx_graph import ACTION, OBSERVATION, OnnxGraph
+from runtime.errors import ConfigError
+from runtime.origin import Origin
+from trainers.atomic import replacing
+from trainers.features import Features
+from trainers.policies import MlpPolicy, Policy
+
+KINDS = ("ann", "control")
+
+
+def to_onnx(policy: Policy, origin: Origin, path: str | Path, kind: str = "ann") -> Path:
+    """Write the policy to `path` and return it; `kind` says what comparisons call it."""
+    if not isinstance(policy, MlpPolicy):
+        raise ConfigError(
+            f"a policy of kind {policy.kind!r} spikes, and an ONNX file would not say how: "
+            "export it with --to nir"
+        )
+    if kind not in KINDS:
+        raise ConfigError(f"kind {kind!r} is unknown; it is one of {', '.join(KINDS)}")
+    path = Path(path)
+    model = _model(policy, origin, path.stem, kind)
+    with replacing(path) as temporary:
+        temporary.write_bytes(model.SerializeToString(deterministic=True))
+    return path
+
+
+def macs(policy: MlpPolicy) -> int:
+    """Multiply-accumulates of one inference: one for each weight."""
+    return sum(layer.get_parameter("weight").numel() for layer in policy.layers)
+
+
+def _model(policy: MlpPolicy, origin: Origin, name: str, kind: str) -> onnx.ModelProto:
+    graph = OnnxGraph()
+    _layers(graph, policy, _normalised(graph, policy, _features(graph, policy.features)))
+    properties = {
+        "env": origin.env,
+        "recipe": origin.recipe,
+        "seed": str(origin.seed),
+        "steps": str(origin.steps),
+        "kind": kind,
+        "name": name,
+        "macs": str(macs(policy)),
+        "created": origin.created,
+        "version": origin.version,
+        "sha256": graph.sha256(),
+    }
+    return graph.model(policy.observations, policy.actions, properties)
+
+
+def _features(graph: OnnxGraph, features: Features) -> str:
+    """Add what the policy looks at; return its name."""
+    if features.name == "all":
+        return OBSERVATION
+    if features.name == "phase":
+        columns = graph.constant("phase_index", features.phase)
+        return graph.node("Gather", [OBSERVATION, columns], "features", axis=1)
+    if features.name == "bilinear":
+        return _products(graph, features)
+    raise ConfigError(f"features {features.name!r} have no ONNX form; teach it to {__name__}")
+
+
+def _products(graph: OnnxGraph, features: Features) -> str:
+    """Add {1, sin, cos, sin 2, cos 2} x {1, commands} without the constant; return its name."""
+    waves = _waves(graph, *features.phase)
+    groups = [waves]
+    for number, index in enumerate(features.command, start=1):
+        command = graph.column(index, f"command{number}")
+        groups += [command, graph.node("Mul", [command, waves], f"modulated{number}")]
+    return graph.node("Concat", groups, "features", axis=1)
+
+
+def _waves(graph: OnnxGraph, sine_index: int, cosine_index: int) -> str:
+    """Add sine and cosine of the phase and of its double (B, 4); return its name."""
+    sine, cosine = graph.column(sine_index, "sine"), graph.column(cosine_index, "cosine")
+    # sin 2p = 2 sin p cos p ; cos 2p = cos^2 p - sin^2 p
+    half = graph.node("Mul", [sine, cosine], "half_sine2")
+    sine2 = graph.node("Add", [half, half], "sine2")
+    squares = [graph.node("Mul", [wave, wave], f"{wave}_squared") for wave in (cosine, sine)]
+    cosine2 = graph.node("Sub", squares, "cosine2")
+    return graph.node("Concat", [sine, cosine, sine2, cosine2], "waves", axis=1)
+
+
+def _normalised(graph: OnnxGraph, policy: MlpPolicy, features: str) -> str:
+    """Add the normaliser; return the name of what it makes."""
+    normalizer = policy.normalizer
+    mean = graph.constant("mean", _array(normalizer.mean))
+    std = graph.constant("std", _array(normalizer.std))
+    limits = [
+        graph.constant("lowest", -normalizer.clip),
+        graph.constant("highest", normalizer.clip),
+    ]
+    # x = clip((obs - mean) / std)
+    shifted = graph.node("Sub", [features, mean], "shifted")
+    scaled = graph.node("Div", [shifted, std], "scaled")
+    return graph.node("Clip", [scaled, *limits], "normalised")
+
+
+def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
+    """Add the network, up to the action."""
+    for number, layer in enumerate(policy.layers, start=1):
+        weight = graph.constant(f"weight{number}", _array(layer.get_parameter("weight")))
+        bias = graph.constant(f"bias{number}", _array(layer.get_parameter("bias")))
+        hidden = graph.node("Gemm", [hidden, weight, bias], f"affine{number}", transB=1)
+        if number < len(policy.layers):
+            hidden = graph.node("Relu", [hidden], f"hidden{number}")
+    graph.node("Tanh", [hidden], ACTION)
+
+
+def _array(tensor: Tensor) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = tensor.detach().cpu().float().numpy()
+    return array
