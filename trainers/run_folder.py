@@ -59,9 +59,13 @@ class RunFolder:
                 return cls(path)
         raise ConfigError(f"'{name}' is no run folder: no config.json in it, nor in {runs}/{name}")
 
+    def settings(self) -> dict[str, Any]:
+        """Return the configuration as it was written, whatever the algorithm."""
+        return _read_json(self.path / "config.json")
+
     def config(self, model: type[C]) -> C:
         """Return the configuration."""
-        return validated(model, _read_json(self.path / "config.json"), str(self.path))
+        return validated(model, self.settings(), str(self.path))
 
     def write_config(self, config: RunConfig) -> None:
         """Write the configuration."""
