@@ -124,13 +124,9 @@ def _read(path: Path) -> nir.NIRGraph:
     # nir and h5py raise nearly anything when a file is not what they expect
     except Exception as error:
         raise ArtifactError(
-            f"cannot be read as NIR: {type(error).__name__}: {error}. The file is truncated, "
-            "damaged or something else; copy or export it again."
+            f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
+            "truncated, damaged or something else; copy or export it again."
         ) from error
-    if not isinstance(graph, nir.NIRGraph):
-        raise ArtifactError(
-            f"holds a single {type(graph).__name__} node, not a graph. Wrap it in a NIRGraph."
-        )
     check_graph(graph)
     return graph
 

@@ -119,7 +119,7 @@ def _dense(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
         (active,) = rows.any(axis=0).nonzero()
         few = 2 * len(active) < len(weight)
         # y = W x + b
-        y = rows.take(active, axis=1) @ weight.take(active, axis=0) if few else rows @ weight
+        y: Array = rows.take(active, axis=1) @ weight.take(active, axis=0) if few else rows @ weight
         y = y.reshape(*x.shape[:2], -1)
         return y if bias is None else y + bias
 

@@ -8,9 +8,12 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.discrete import CURRENT_BASED, LEAKY
+from runtime.discrete import CURRENT_BASED, LEAKY, NEURONS
 from runtime.errors import ArtifactError
 
+# kinds whose every field is an array of numbers, except for what nir derives
+NUMERIC = (nir.Affine, nir.Linear, nir.Scale, nir.Threshold, *NEURONS)
+DERIVED = ("input_type", "output_type", "metadata")
 REMEDY = "Export the network again, or correct the node."
 
 
@@ -63,7 +66,7 @@ def _check_node(name: str, node: nir.NIRNode) -> None:
             f"node {name!r}: graphs inside graphs are not supported. Flatten the graph first."
         )
     for field, value in sorted(vars(node).items()):
-        if isinstance(value, np.ndarray):
+        if isinstance(value, np.ndarray) or (isinstance(node, NUMERIC) and field not in DERIVED):
             _check_values(name, field, value)
     if isinstance(node, nir.Affine):
         _same_shape(name, "bias", node.bias.shape, node.weight.shape[:-1])
@@ -74,19 +77,18 @@ def _check_node(name: str, node: nir.NIRNode) -> None:
         _check_time_constant(name, field, getattr(node, field))
 
 
-def _check_values(name: str, field: str, value: NDArray[np.generic]) -> None:
-    if value.dtype.kind not in "fiu":
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {value.dtype} values, not numbers. {REMEDY}"
-        )
-    if value.ndim == 0:
+def _check_values(name: str, field: str, value: object) -> None:
+    found = np.asarray(value)
+    if found.dtype.kind not in "fiu":
+        raise ArtifactError(f"node {name!r}: {field} holds {found.dtype}, not numbers. {REMEDY}")
+    if found.ndim == 0:
         raise ArtifactError(
             f"node {name!r}: {field} is a single number without a shape. Give one value per neuron."
         )
-    if not np.isfinite(value).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
+    if not np.isfinite(found).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
         raise ArtifactError(
-            f"node {name!r}: {field} holds {value[index]} at index {index}; every value must be "
+            f"node {name!r}: {field} holds {found[index]} at index {index}; every value must be "
             f"finite. {REMEDY}"
         )
 

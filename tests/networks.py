@@ -1,0 +1,62 @@
+"""Small networks that several tests build; `popsan` has the layout that the exporter writes."""
+
+from itertools import pairwise
+
+import nir
+import numpy as np
+
+from runtime.artifact import Artifact
+from runtime.codec import Codec, Normaliser, PopulationEncoder
+from runtime.convention import Convention
+from runtime.origin import Origin
+
+ORIGIN = Origin("spikedeploy/Hexapod-v0", "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z")
+
+
+def cuba(size, alpha=0.9, beta=0.8, dt=1e-3, threshold=0.5, dtype=np.float64):
+    """CuBa-LIF neurons whose gains are 1 at dt."""
+    tau_syn, tau_mem = dt / (1 - alpha), dt / (1 - beta)
+    values = (tau_syn, tau_mem, tau_mem / dt, 0.0, threshold)
+    full = [np.full(size, value, dtype) for value in values]
+    w_in = np.full(size, tau_syn / dt, dtype)
+    return nir.CubaLIF(*full, v_reset=np.zeros(size, dtype), w_in=w_in)
+
+
+def lif(size, tau=0.01, r=10.0, threshold=1.0, v_leak=0.0):
+    return nir.LIF(*(np.full(size, float(v)) for v in (tau, r, v_leak, threshold)))
+
+
+def graph(edges, **nodes):
+    """A graph from "a->b, b->c" and its nodes."""
+    pairs = [tuple(edge.strip().split("->")) for edge in edges.split(",")]
+    return nir.NIRGraph(nodes, pairs)
+
+
+def chain(*nodes, width, act):
+    """input -> n1 -> n2 ... -> output."""
+    named = {f"n{i}": node for i, node in enumerate(nodes, start=1)}
+    names = ["input", *named, "output"]
+    ends = {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
+    return nir.NIRGraph({**ends, **named}, list(pairwise(names)))
+
+
+def codec(obs, populations=10, timesteps=5, squash="tanh"):
+    rng = np.random.default_rng(obs)
+    centres = np.tile(np.linspace(-3, 3, populations), (obs, 1))
+    widths = np.full((obs, populations), 0.15**0.5)
+    normaliser = Normaliser(rng.normal(size=obs), rng.uniform(0.5, 2, obs), 5.0)
+    return Codec(normaliser, PopulationEncoder(centres, widths), timesteps, squash)
+
+
+def popsan(obs=3, act=2, hidden=(16, 12), populations=10, seed=0, dt=1e-3):
+    """A spiking policy with random weights."""
+    rng = np.random.default_rng(seed)
+    sizes = [obs * populations, *hidden, act * populations]
+    nodes = []
+    for fan_in, size in pairwise(sizes):
+        weight = 2 * rng.normal(size=(size, fan_in)) / fan_in**0.5
+        nodes += [nir.Affine(weight, 0.1 * rng.normal(size=size)), cuba(size, dt=dt)]
+    readout = np.kron(np.eye(act), rng.normal(size=(1, populations)))
+    nodes.append(nir.Affine(readout, rng.normal(size=act)))
+    network = chain(*nodes, width=sizes[0], act=act)
+    return Artifact(network, codec(obs, populations), Convention(dt), ORIGIN)
