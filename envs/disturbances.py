@@ -19,15 +19,16 @@ def sample(value: Range, rng: np.random.Generator) -> float:
     return float(value)
 
 
-def check(name: str, value: Range, lowest: float, highest: float) -> Range:
-    """Return the option as it was, or say what is wrong with it."""
-    low, high = value if isinstance(value, tuple) else (value, value)
-    if not lowest <= low <= high <= highest:
+def check(name: str, value: object, lowest: float, highest: float) -> Range:
+    """Return the option as numbers, or say what is wrong with it."""
+    pair = value if isinstance(value, (tuple, list)) else (value, value)
+    numbers = [float(end) for end in pair if isinstance(end, (int, float)) and end is not True]
+    if len(pair) != 2 or len(numbers) != 2 or not lowest <= numbers[0] <= numbers[1] <= highest:
         raise EnvError(
             f"option {name}: {value!r} is neither a number from {lowest:g} to {highest:g} "
             f"nor a pair (low, high) of such numbers in order"
         )
-    return value
+    return (numbers[0], numbers[1]) if isinstance(value, (tuple, list)) else numbers[0]
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,10 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             "friction": check("friction", friction, 0.01, 5.0),
             "servo_gain": check("servo_gain", servo_gain, 0.1, 5.0),
         }
-        check("pushes", pushes, 0.0, 10.0)
-        self._pushes = Pushes(self.PUSHES, pushes)
+        scale = check("pushes", pushes, 0.0, 10.0)
+        if isinstance(scale, tuple):
+            raise EnvError(f"option pushes: {pushes!r} is a pair; one number scales every push")
+        self._pushes = Pushes(self.PUSHES, scale)
         self._robot = Robot(self.FIELD)
         self._terrain = Terrain(self.FIELD, self._robot.model)
         self._gait = Gait()

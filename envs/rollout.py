@@ -90,8 +90,8 @@ class Rollout:
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
         """Read what save wrote."""
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+                arrays = dict(archive)
         except FileNotFoundError:
             raise EnvError(f"{path}: no such rollout") from None
         except Exception as error:  # zipfile, zlib and numpy each have their own for a broken file
