@@ -37,7 +37,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, capacity: int, observations: int, actions: int) -> None:
-        self.widths = (observations, actions, 1, 1, observations)
+        self.widths = [observations, actions, 1, 1, observations]
         # zeros are not touched until written: memory grows with what is held
         self.rows = np.zeros((capacity, sum(self.widths)), np.float32)
         self.size = 0
@@ -74,6 +74,8 @@ class ReplayBuffer:
 
     def load(self, path: Path) -> None:
         """Take over the transitions of a file; more than fit lose the oldest."""
+        if not path.is_file():
+            raise ConfigError(f"{path} is missing: without its replay, a run cannot go on")
         held = load_file(path)["rows"]
         if held.shape[1] != self.rows.shape[1]:
             raise ConfigError(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from runtime.errors import ConfigError
 from trainers.recipes import RECIPES, merged
@@ -140,6 +140,12 @@ class SacConfig(RunConfig):
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     log_every: Positive = 1_000
     checkpoint_every: Positive = 25_000
+
+    @model_validator(mode="after")
+    def _sees_everything(self) -> "SacConfig":
+        if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
+            raise ValueError("sac learns from all observations: distil policies that see less")
+        return self
 
 
 C = TypeVar("C", bound=RunConfig)

@@ -64,10 +64,7 @@ class Sac:
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
         self.learner = SacLearner(config, self.policy)
         self._buffer = ReplayBuffer(min(config.buffer, config.steps), *sizes)
-        self._moments = {
-            "seen": Moments.empty(len(self.policy.normalizer.mean)),
-            "raw": Moments.empty(sizes[0]),
-        }
+        self._moments = Moments.empty(sizes[0])
         self.env_steps = self.updates = self.episodes = 0
         self.best = -np.inf
         self._losses: Mapping[str, Tensor] = {}
@@ -78,6 +75,8 @@ class Sac:
             self._resume()
             journal.rewind(self.env_steps)
         self._clock = time.perf_counter(), self.env_steps
+        if self.env_steps >= self._config.steps:
+            return
         while self.env_steps < self._config.steps and not stopped():
             self._collect()
             self._update()
@@ -104,7 +103,8 @@ class Sac:
             steps.observation, steps.action, steps.reward, steps.terminated, steps.following
         )
         if self.env_steps < self._config.normaliser.finish:
-            self._observe(steps.observation)
+            self._moments.add(steps.observation)
+            self.policy.normalizer.adopt(self._moments)
         self.env_steps += len(self._envs)
 
     @torch.no_grad()
@@ -115,14 +115,6 @@ class Sac:
         observation = torch.from_numpy(self._envs.observation).float()
         action: Tensor = self.learner.actor(observation)[0]
         return action.double().numpy()
-
-    @torch.no_grad()
-    def _observe(self, observation: NDArray[np.float64]) -> None:
-        """Refine the observation statistics of the policy and of the critics."""
-        self._moments["raw"].add(observation)
-        self._moments["seen"].add(self.policy.seen(torch.from_numpy(observation)).numpy())
-        self.learner.normalizer.adopt(self._moments["raw"])
-        self.policy.normalizer.adopt(self._moments["seen"])
 
     def _update(self) -> None:
         """Catch up with the updates that the steps so far call for."""
@@ -168,12 +160,12 @@ class Sac:
 
     def _checkpoint(self) -> None:
         """Write everything that going on needs; at the end the replay is no longer needed."""
-        moments = {
-            f"moments.{name}.{key}": torch.from_numpy(getattr(moments, key))
-            for name, moments in self._moments.items()
-            for key in ("mean", "square")
+        tensors = {
+            **self.learner.tensors(),
+            "moments.mean": torch.from_numpy(self._moments.mean),
+            "moments.square": torch.from_numpy(self._moments.square),
+            "torch_rng": torch.get_rng_state(),
         }
-        tensors = {**self.learner.tensors(), **moments, "torch_rng": torch.get_rng_state()}
         finished = self.env_steps >= self._config.steps
         if finished:
             self._run.replay.unlink(missing_ok=True)
@@ -183,7 +175,7 @@ class Sac:
             **self._counters(),
             "best": self.best if np.isfinite(self.best) else None,
             "finished": finished,
-            "observed": self._moments["raw"].count,
+            "observed": self._moments.count,
             "rng": self._rng.bit_generator.state,
         }
         self._run.save("last", self.policy, state, tensors)
@@ -192,14 +184,13 @@ class Sac:
         """Take over the last checkpoint; episodes that were under way begin anew."""
         state, tensors = self._run.load("last")
         self.learner.load(tensors)
-        for name, moments in self._moments.items():
-            for key in ("mean", "square"):
-                setattr(moments, key, tensors[f"moments.{name}.{key}"].numpy())
-            moments.count = state["observed"]
+        self._moments = Moments(
+            tensors["moments.mean"].numpy(), tensors["moments.square"].numpy(), state["observed"]
+        )
         self.env_steps, self.updates = state["env_steps"], state["updates"]
         self.episodes = state["episodes"]
         self.best = -np.inf if state["best"] is None else state["best"]
         self._rng.bit_generator.state = state["rng"]
         torch.set_rng_state(tensors["torch_rng"])
-        if not state["finished"]:
+        if self.env_steps < self._config.steps:
             self._buffer.load(self._run.replay)

@@ -10,15 +10,11 @@ from trainers.actor import GaussianActor
 from trainers.buffers import Batch
 from trainers.config import SacConfig
 from trainers.critic import TwinCritic, follow
-from trainers.normalizer import Normalizer
 from trainers.policy import Latent, Policy
 
 
 class SacLearner:
-    """Actor, twin critics, their targets and optimisers.
-
-    normalizer: of the critics' observations; the actor's travels with its policy
-    """
+    """Actor, twin critics, their targets and optimisers, behind the policy's normaliser."""
 
     def __init__(self, config: SacConfig, policy: Policy) -> None:
         self._config = config
@@ -26,14 +22,14 @@ class SacLearner:
         self.actor = GaussianActor(policy, config.epsilon)
         self.critic = TwinCritic(*sizes, config.critic_hidden)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
-        self.normalizer = Normalizer(policy.observations, config.normaliser.clip)
+        self._normalizer = policy.normalizer
         # fused: four times as fast as the other implementations on one core
         self.actor_optimizer = _adam(self.actor, config.learning_rate)
         self.critic_optimizer = _adam(self.critic, config.learning_rate)
 
     def update(self, batch: Batch, temperature: float) -> dict[str, Tensor]:
         """Take one gradient step and return the losses."""
-        observation = self.normalizer(batch.observation)
+        observation = self._normalizer(batch.observation)
         with self._autocast():
             goal = self._goal(batch, temperature)
         # a context of its own for each: it keeps low-precision copies of weights until it ends
@@ -51,7 +47,7 @@ class SacLearner:
     def _goal(self, batch: Batch, temperature: float) -> Tensor:
         """Return what the critics should say (B,)."""
         action, log_prob, _ = self.actor(batch.following)
-        value = torch.minimum(*self.target(self.normalizer(batch.following), action))
+        value = torch.minimum(*self.target(self._normalizer(batch.following), action))
         # y = r + gamma (1 - terminated) (min Q'(s', a') - temperature log p(a'))
         value = value - temperature * log_prob
         goal: Tensor = batch.reward + self._config.gamma * (1 - batch.terminated) * value
@@ -104,7 +100,6 @@ class SacLearner:
             "log_std": self.actor.log_std,
             "critic": self.critic,
             "target": self.target,
-            "normalizer": self.normalizer,
         }
 
     def _optimizers(self) -> dict[str, torch.optim.Adam]:
