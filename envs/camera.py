@@ -71,8 +71,10 @@ class Window:
             self._viewer: Any = viewer.launch_passive(subject.model, subject.data)
         except Exception as error:  # each windowing library raises its own
             raise EnvError(f"no window ({error}); render_mode='rgb_array' needs none") from error
-        self._viewer.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._viewer.cam.fixedcamid = subject.model.camera("chase").id
+        view = self._viewer.cam  # follows the robot; the mouse turns it
+        view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        view.trackbodyid = subject.model.body("torso").id
+        view.distance, view.azimuth, view.elevation = 1.0, 55.0, -25.0
         self._period = period
         self._due = time.monotonic()
 

@@ -153,15 +153,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Move on by one control step of 20 ms."""
         action = self._accept(action)
-        push = self._pushes.at(self._step, self.np_random)
-        if push is not None:
-            self._robot.push(push.kick, push.spin)
-        # filtered = 0.6 (gait + authority x action) + 0.4 filtered
-        command = self._gait.command() + self.AUTHORITY * action
-        self._filtered = FILTER * command + (1.0 - FILTER) * self._filtered
-        self._robot.drive(self._filtered)
-        self._gait.advance(CONTROL_DT)
-        motion = self._robot.sense()
+        motion = self._move(action)
         height = self._height(motion)
         self._step += 1
         self._energy += motion.mean_power * CONTROL_DT
@@ -203,6 +195,18 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise EnvError(f"action of step {self._step}: not finite: {action}")
         return np.minimum(np.maximum(action, -1.0), 1.0)
 
+    def _move(self, action: FloatArray) -> Motion:
+        """Push the robot if it is time, drive its servos, and measure what came of it."""
+        push = self._pushes.at(self._step, self.np_random)
+        if push is not None:
+            self._robot.push(push.kick, push.spin)
+        # filtered = 0.6 (gait + authority x action) + 0.4 filtered
+        command = self._gait.command() + self.AUTHORITY * action
+        self._filtered = FILTER * command + (1.0 - FILTER) * self._filtered
+        self._robot.drive(self._filtered)
+        self._gait.advance(CONTROL_DT)
+        return self._robot.sense()
+
     def _height(self, motion: Motion) -> float:
         x, y, z = motion.position
         return z - self._terrain.ground(x, y)
@@ -211,7 +215,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Observation (77,) of the state that the robot is in now."""
         place = self.OBSERVATION
         values = np.empty(len(self._centre))
-        values[0] = height
+        values[place["height"]] = height
         values[place["gravity"]] = motion.gravity
         values[place["velocity"]] = motion.body_velocity
         values[place["angular_velocity"]] = motion.angular_velocity
@@ -224,8 +228,6 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._task_observation(values, motion)
         values -= self._centre
         values /= self._spread
-        if not np.isfinite(values).all():
-            raise EnvError(f"step {self._step}: the physics diverged; soften options or actions")
         observation: FloatArray = np.minimum(np.maximum(values, -LIMIT), LIMIT)
         return observation
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.errors import EnvError
 from envs.gait import LEGS
 from envs.terrain import BASE, CEILING, Field
 
@@ -123,6 +124,11 @@ class Robot:
     def sense(self) -> Motion:
         """Measure everything that observations and rewards are made of."""
         qpos, qvel, sensors = self.data.qpos, self.data.qvel, self.data.sensordata
+        if not np.isfinite(qvel).all():
+            raise EnvError(
+                f"the simulation diverged {self.data.time:.3f} s into the episode: "
+                f"use gentler pushes or options nearer to their defaults"
+            )
         px, py, pz, w, x, y, z = qpos[:7].tolist()
         vx, vy, vz, *angular = qvel[:6].tolist()
         # rows of the rotation matrix, body to world
