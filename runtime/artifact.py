@@ -16,7 +16,7 @@ from runtime.discrete import NEURONS, discretise
 from runtime.errors import ArtifactError, ConventionError
 from runtime.origin import Origin
 from runtime.record import Record, Tree
-from runtime.soundness import check_graph
+from runtime.soundness import DERIVED, check_graph
 from runtime.timestep import inferred_convention, timestep
 
 SCHEMA = 1
@@ -81,33 +81,52 @@ def load(
         raise type(error)(f"{path}: {error}") from error
 
 
-def digest(graph: nir.NIRGraph) -> str:
-    """SHA-256 of the nodes, their parameters and the edges, whatever their order."""
+def digest(artifact: Artifact) -> str:
+    """SHA-256 of all that decides what the policy does: network, codec and convention."""
     sha = hashlib.sha256()
-    for name, node in sorted(graph.nodes.items()):
-        sha.update(f"{name} {type(node).__name__}".encode())
-        for field, value in sorted(vars(node).items()):
-            if isinstance(value, np.ndarray):
-                sha.update(f"{field} {value.dtype.str} {value.shape}".encode())
-                sha.update(np.ascontiguousarray(value).tobytes())
-    sha.update(repr(sorted(tuple(edge) for edge in graph.edges)).encode())
+    nodes = {name: _parameters(node) for name, node in artifact.graph.nodes.items()}
+    edges = repr(sorted(artifact.graph.edges))
+    _feed(sha, "", {**_record(artifact), "nodes": nodes, "edges": edges})
     return sha.hexdigest()
+
+
+def _parameters(node: nir.NIRNode) -> dict[str, object]:
+    values = {field: value for field, value in vars(node).items() if field not in DERIVED}
+    return {**values, "type": type(node).__name__}
+
+
+def _feed(sha: "hashlib._Hash", path: str, tree: Mapping[str, object]) -> None:
+    """Hash names and values in the order of the names; numbers as they lie in memory."""
+    for name, value in sorted(tree.items()):
+        here = f"{path}/{name}"
+        if isinstance(value, dict):
+            _feed(sha, here, value)
+        elif isinstance(value, str):
+            sha.update(f"{here} {value}".encode())
+        else:
+            numbers = np.ascontiguousarray(value)
+            sha.update(f"{here} {numbers.dtype.str} {numbers.shape}".encode() + numbers.tobytes())
 
 
 def _stamped(artifact: Artifact) -> nir.NIRGraph:
     """The graph in a fixed order, with the metadata that makes it an artifact."""
-    record: Tree = {"schema": SCHEMA, "convention": artifact.convention.to_record()}
-    if artifact.codec is not None:
-        record["codec"] = artifact.codec.to_record()
+    record = _record(artifact)
     if artifact.origin is not None:
-        origin = replace(artifact.origin, sha256=digest(artifact.graph))
-        record["origin"] = origin.to_record()
+        record["origin"] = replace(artifact.origin, sha256=digest(artifact)).to_record()
     return nir.NIRGraph(
         nodes=dict(sorted(artifact.graph.nodes.items())),
         edges=sorted(artifact.graph.edges),
         metadata={**artifact.graph.metadata, KEY: record},
         type_check=False,
     )
+
+
+def _record(artifact: Artifact) -> Tree:
+    """The metadata without the origin."""
+    record: Tree = {"schema": SCHEMA, "convention": artifact.convention.to_record()}
+    if artifact.codec is not None:
+        record["codec"] = artifact.codec.to_record()
+    return record
 
 
 def _read(path: Path) -> nir.NIRGraph:
@@ -139,10 +158,11 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     _check_timestep(graph, convention)
     codec = Codec.from_record(record.record("codec")) if "codec" in record else None
     origin = Origin.from_record(record.record("origin")) if "origin" in record else None
-    if origin is not None:
-        _check_digest(graph, origin)
     del graph.metadata[KEY]
-    return Artifact(graph, codec, convention.given(given), origin)
+    stated = Artifact(graph, codec, convention, origin)
+    if origin is not None:
+        _check_digest(stated, origin)
+    return replace(stated, convention=convention.given(given))
 
 
 def _stated_convention(record: Record) -> Convention:
@@ -173,10 +193,10 @@ def _check_timestep(graph: nir.NIRGraph, convention: Convention) -> None:
         )
 
 
-def _check_digest(graph: nir.NIRGraph, origin: Origin) -> None:
-    if (found := digest(graph)) != origin.sha256:
+def _check_digest(artifact: Artifact, origin: Origin) -> None:
+    if (found := digest(artifact)) != origin.sha256:
         raise ArtifactError(
-            f"the network is not the one that was exported: its SHA-256 is {found[:12]}…, the "
+            f"the policy is not the one that was exported: its SHA-256 is {found[:12]}…, the "
             f"origin says {origin.sha256[:12]}…. Export the policy again; if the change is "
             f"meant, delete metadata/{KEY}/origin from the file."
         )

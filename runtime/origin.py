@@ -15,7 +15,7 @@ class Origin:
     steps: environment steps that it was trained for.
     created: UTC time of the export, ISO 8601.
     version: of spikedeploy that wrote the file.
-    sha256: of the network's weights; `save` writes it and `load` checks it.
+    sha256: of network, codec and convention; `save` writes it and `load` checks it.
     """
 
     env: str
