@@ -3,6 +3,7 @@
 import functools
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -12,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 import envs
 from envs.errors import EnvError
 
+ROOT = Path(__file__).parents[1]
 everyone = pytest.mark.parametrize("name", envs.ENVS)
 TASK_INFO = {"reward_terms", "episode_return", "success", "fall"}
 
@@ -170,4 +172,4 @@ def test_registering_twice_changes_nothing():
 
 def test_the_table_is_read_without_loading_the_physics():
     code = "import sys, envs; envs.spec('hexapod'); sys.exit('mujoco' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=".", check=False).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
