@@ -97,6 +97,12 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, world):
         train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
 
 
+def test_a_run_of_another_recipe_is_not_resumed(tmp_path, world):
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    with pytest.raises(ConfigError, match="is a run of 'smoke', not of 'smoke-popsan'"):
+        train("smoke-popsan", resume=run, runs=tmp_path, quiet=True)
+
+
 def test_best_is_the_best_of_the_validations(tmp_path, world):
     run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     returns = [row["eval_return"] for row in read(run / "metrics.csv") if "eval_return" in row]

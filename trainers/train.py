@@ -1,6 +1,6 @@
 """Training: a recipe's name in, a run folder out.
 
-An algorithm is a class named in `trainers.ALGORITHMS` with three members:
+An algorithm is a class named in `trainers.ALGORITHMS` with four members:
 
     Config                    class attribute, the model of its configuration, a `RunConfig`
     columns(config)           names of its metrics, the first of which is the step
@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Protocol, cast
 
 import torch
 
+from runtime.errors import ConfigError
 from trainers import ALGORITHMS
 from trainers.config import RunConfig, amended, known, resolve
 from trainers.curve import draw_curve
@@ -71,6 +72,8 @@ def train(
         run = RunFolder.create(runs, config)
     else:
         run = RunFolder.find(resume, runs, recipe)
+        if (recipe_of_run := run.settings()["recipe"]) != recipe:
+            raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
         config = amended(run.config(kind.Config), file=config_file, overrides=overrides)
         run.write_config(config)
     _learn(kind, config, run, quiet)
