@@ -1,0 +1,141 @@
+"""The datasheet of a chip: widths, rounding, overflow, limits, delays."""
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from importlib import import_module
+from typing import Any, Literal
+
+from runtime.chips import CHIPS
+from runtime.errors import ChipError
+from runtime.fixed import Register
+
+__all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
+
+SignMode = Literal["split", "mixed"]
+StepRounding = Literal["floor", "zero"]
+
+
+@dataclass(frozen=True)
+class FixedPoint:
+    """The integer CuBa-LIF arithmetic of a chip.
+
+    weight_bits: stored bits of a weight's magnitude; fewer than the widest drop low bits.
+    weight_bits_allowed: what may be chosen.
+    sign_mode: "split" keeps excitatory and inhibitory weights in lists of their own, all bits
+        magnitude; "mixed" spends one bit on the sign, so the weight's step doubles.
+    step_rounding: where a mixed weight goes that is no multiple of the step; the emulators
+        differ for negative ones. Split weights go toward zero in all of them.
+    mantissa_shift: weights and thresholds are multiplied by 2**this to meet the states.
+    threshold_max: largest threshold mantissa.
+    bias_mantissa_max, bias_exponent_max: a voltage bias is mantissa * 2**exponent.
+    decay_bits: a decay is a fraction of 2**this.
+    current_decay_offset: added to the current's decay register by the hardware.
+    membrane_decay_offset: likewise for the membrane.
+    accumulator: sum of the weights that arrive in a timestep, after the shift.
+    current, membrane: the two states.
+    refractory: timesteps from a spike to the next possible one; 1 is none.
+    """
+
+    weight_bits: int
+    weight_bits_allowed: tuple[int, ...]
+    sign_mode: SignMode
+    step_rounding: StepRounding
+    mantissa_shift: int
+    threshold_max: int
+    bias_mantissa_max: int
+    bias_exponent_max: int
+    decay_bits: int
+    current_decay_offset: int
+    membrane_decay_offset: int
+    accumulator: Register
+    current: Register
+    membrane: Register
+    refractory: int
+
+    def __post_init__(self) -> None:
+        if self.weight_bits not in self.weight_bits_allowed:
+            raise ChipError(
+                f"weight_bits is {self.weight_bits}; the chip stores one of "
+                f"{', '.join(map(str, self.weight_bits_allowed))}."
+            )
+        if self.sign_mode not in ("split", "mixed"):
+            raise ChipError(f"sign_mode {self.sign_mode!r} is unknown. Choose 'split' or 'mixed'.")
+        if self.step_rounding not in ("floor", "zero"):
+            raise ChipError(
+                f"step_rounding {self.step_rounding!r} is unknown. Choose 'floor' or 'zero'."
+            )
+        if self.refractory < 1:
+            raise ChipError(f"refractory is {self.refractory}; the least is 1, which is none.")
+
+    @property
+    def weight_step(self) -> int:
+        """Distance between two neighbouring weights, a power of two."""
+        dropped = max(self.weight_bits_allowed) - self.weight_bits
+        return 1 << (dropped + (self.sign_mode == "mixed"))
+
+    @property
+    def weight_max(self) -> int:
+        """Largest weight of either sign."""
+        widest = 1 << max(self.weight_bits_allowed)
+        return int((widest - 1) // self.weight_step * self.weight_step)
+
+    @property
+    def decay_one(self) -> int:
+        """The decay that leaves nothing."""
+        return 1 << self.decay_bits
+
+
+@dataclass(frozen=True)
+class Chip:
+    """Everything about a chip that decides what a network does on it.
+
+    name: as in the table CHIPS.
+    summary: one line.
+    fixed: its integer arithmetic; None computes in float64.
+    resets: what a spike may do to the membrane, as in Convention.
+    delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
+        convention.
+    delay_max: [timesteps] longest delay that a synapse can add up to.
+    energy_tables: names of the tables in runtime.energy that price its events.
+    sources: field name to where its value comes from and how sure it is.
+    """
+
+    name: str
+    summary: str
+    fixed: FixedPoint | None
+    resets: tuple[str, ...]
+    delay: int
+    delay_max: int
+    energy_tables: tuple[str, ...]
+    sources: Mapping[str, str] = field(compare=False)
+
+
+def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
+    """The chip called `name`, with some fields of it or of its arithmetic replaced."""
+    if name not in CHIPS:
+        raise ChipError(
+            f"there is no chip {name!r}{_like(name, CHIPS)}. Known: {', '.join(CHIPS)}."
+        )
+    module, attribute = CHIPS[name].split(":")
+    datasheet: Chip = getattr(import_module(module), attribute)
+    return _overridden(datasheet, overrides)
+
+
+def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
+    own = {f.name for f in fields(Chip)}
+    arithmetic = {f.name for f in fields(FixedPoint)} if datasheet.fixed else set()
+    for key in overrides:
+        if key not in own | arithmetic:
+            raise ChipError(
+                f"chip {datasheet.name!r} has no option {key!r}{_like(key, own | arithmetic)}."
+            )
+    inner = {key: value for key, value in overrides.items() if key in arithmetic}
+    outer = {key: value for key, value in overrides.items() if key in own}
+    fixed = replace(datasheet.fixed, **inner) if datasheet.fixed else None
+    return replace(datasheet, **{"fixed": fixed, **outer})
+
+
+def _like(name: str, known: Any) -> str:  # noqa: ANN401
+    close = difflib.get_close_matches(name, known, n=2)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""

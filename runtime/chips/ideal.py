@@ -1,0 +1,19 @@
+"""No chip at all: the compiled path in float64, to tell compiling from rounding."""
+
+from runtime.chip import Chip
+
+IDEAL = Chip(
+    name="ideal",
+    summary="float64 through the compiled path: no rounding, no limits",
+    fixed=None,
+    resets=("zero", "subtract"),
+    delay=0,
+    delay_max=1,
+    energy_tables=(),
+    sources={
+        "fixed": "by definition",
+        "resets": "by definition: both that a convention can name",
+        "delay": "by definition: the convention decides",
+        "delay_max": "by definition: recurrent connections take one timestep",
+    },
+)

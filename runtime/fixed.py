@@ -1,0 +1,67 @@
+"""Integer arithmetic as chips do it: arrays of int64 in, arrays of int64 out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Integers = NDArray[np.int64]
+Overflow = Literal["none", "wrap", "wrap-once", "clip"]
+
+
+def decay(x: Integers, keep: Integers, bits: int) -> Integers:
+    """What is left of x after a timestep: keep / 2**bits of it, rounded toward zero."""
+    # y = sign(x) * ((|x| * keep) >> bits)
+    return cast("Integers", np.sign(x) * (np.abs(x) * keep >> bits))
+
+
+@dataclass(frozen=True)
+class Register:
+    """A signed register of the chip and what happens to a number that does not fit.
+
+    bits: width with the sign.
+    overflow: "none" is not modelled; "wrap" is two's complement; "wrap-once" is lava's current
+        (lava PyLifModelBitAcc): the width is added or subtracted once, and the two edges are
+        read as +2**(bits - 1); "clip" saturates at the largest magnitude on both sides.
+    """
+
+    bits: int
+    overflow: Overflow
+
+    @property
+    def limit(self) -> int:
+        """Largest magnitude that fits whatever the overflow: 2**(bits - 1) - 1."""
+        return (1 << (self.bits - 1)) - 1
+
+    def fit(self, x: Integers) -> Integers:
+        """The numbers x as the register holds them."""
+        return _OVERFLOWS[self.overflow](x, self.bits)
+
+
+def _unchanged(x: Integers, bits: int) -> Integers:
+    return x
+
+
+def _wrap(x: Integers, bits: int) -> Integers:
+    half = 1 << (bits - 1)
+    return (x + half) % (2 * half) - half
+
+
+def _wrap_once(x: Integers, bits: int) -> Integers:
+    half = 1 << (bits - 1)
+    return np.asarray(x - 2 * half * (x > half) + 2 * half * (x <= -half))
+
+
+def _clip(x: Integers, bits: int) -> Integers:
+    limit = (1 << (bits - 1)) - 1
+    return np.asarray(np.clip(x, -limit, limit))
+
+
+_OVERFLOWS: dict[Overflow, Callable[[Integers, int], Integers]] = {
+    "none": _unchanged,
+    "wrap": _wrap,
+    "wrap-once": _wrap_once,
+    "clip": _clip,
+}

@@ -1,0 +1,174 @@
+"""The interpreter: the arithmetic of the chips as its specification, in chip time.
+
+Short and slow on purpose. Integers are int64 (float64 on `ideal`). Everything fast is tested to be
+equal to this in every current, membrane and spike.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.chip import FixedPoint
+from runtime.fixed import Register, decay
+from runtime.program import Layer, Program
+
+Numbers = NDArray[Any]
+Bits = NDArray[np.bool_]
+
+
+@dataclass(eq=False)
+class State:
+    """What a layer remembers between timesteps.
+
+    current: (B, N) [state units].
+    membrane: (B, N) [state units].
+    silent: (B, N) timesteps of refractory left.
+    """
+
+    current: Numbers
+    membrane: Numbers
+    silent: NDArray[np.int64]
+
+    @classmethod
+    def zero(cls, layer: Layer, batch: int) -> "State":
+        """The state of a layer that was just reset."""
+        shape = (batch, layer.size)
+        dtype = np.float64 if layer.threshold.dtype.kind == "f" else np.int64
+        return cls(np.zeros(shape, dtype), np.zeros(shape, dtype), np.zeros(shape, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """What a layer did in one timestep.
+
+    spikes: (B, N).
+    busy: (B, N) where there was a membrane, a current or a bias to add up.
+    overflows: (B, N) how many of accumulator, current and membrane did not fit.
+    """
+
+    spikes: Bits
+    busy: Bits
+    overflows: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class LayerTrace:
+    """Everything that a layer did in its window, after each timestep, resets included.
+
+    current: (B, T, N) [state units].
+    membrane: (B, T, N) [state units].
+    spikes: (B, T, N).
+    busy: (B, T, N) as in Tick.
+    overflows: (B, T, N) as in Tick.
+    """
+
+    current: Numbers
+    membrane: Numbers
+    spikes: NDArray[np.uint8]
+    busy: Bits
+    overflows: NDArray[np.int64]
+
+
+def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
+    """What every layer does with the raster (B, T, M), from zero states."""
+    return Interpreter(program, raster.shape[0]).run(raster)
+
+
+class Interpreter:
+    """A program running, one chip timestep after another."""
+
+    def __init__(self, program: Program, batch: int) -> None:
+        self.program = program
+        self.states = {layer.name: State.zero(layer, batch) for layer in program.layers}
+        # last rows of the inference before: synapses with a lag still have to deliver them
+        self._memory = max(lag for lags in program.lags for lag in lags)
+        self._tails = {
+            name: np.zeros((batch, self._memory, size), np.uint8)
+            for name, size in program.sizes.items()
+        }
+
+    def run(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
+        """One inference; states go on from the one before."""
+        program, timesteps = self.program, raster.shape[1]
+        emitted = {name: _lengthened(tail, timesteps) for name, tail in self._tails.items()}
+        emitted[program.input][:, self._memory :] = raster
+        history: dict[str, list[tuple[Numbers, Numbers, Tick]]] = {
+            layer.name: [] for layer in program.layers
+        }
+        for step in range(program.steps(timesteps)):
+            for layer in program.layers:
+                if not layer.start <= step < layer.start + timesteps:
+                    continue
+                state = self.states[layer.name]
+                tick = update(program, layer, self._drive(layer, step, emitted), state)
+                emitted[layer.name][:, self._memory + step - layer.start] = tick.spikes
+                history[layer.name].append((state.current, state.membrane, tick))
+        self._tails = {name: rows[:, timesteps:] for name, rows in emitted.items()}
+        return {name: _stacked(ticks) for name, ticks in history.items()}
+
+    def _drive(self, layer: Layer, step: int, emitted: dict[str, NDArray[np.uint8]]) -> Numbers:
+        """Weights (B, N) that arrive at a layer in a chip timestep, those of the bias included."""
+        total = layer.bias.astype(layer.threshold.dtype)
+        for synapses in layer.synapses:
+            of = synapses.source
+            start = 0 if of == self.program.input else self.program.layer(of).start
+            row = self._memory + step - synapses.delay - start
+            total = total + emitted[of][:, row].astype(total.dtype) @ synapses.weight.astype(
+                total.dtype
+            )
+        return total
+
+
+def update(program: Program, layer: Layer, weights: Numbers, state: State) -> Tick:
+    """Advance a layer by one timestep; the sum of the weights (B, N) arrives in it."""
+    before = state.membrane
+    current, membrane, overflows = _integrate(program.chip.fixed, layer, weights, state)
+    held = state.silent > 0
+    spikes = (membrane > layer.threshold) & ~held
+    after = membrane - layer.threshold if program.convention.reset == "subtract" else 0
+    refractory = program.chip.fixed.refractory if program.chip.fixed else 1
+    state.current = current
+    state.membrane = np.where(held, 0, np.where(spikes, after, membrane))
+    state.silent = np.where(spikes, refractory - 1, np.maximum(state.silent - 1, 0))
+    busy = (before != 0) | (current != 0) | (layer.voltage_bias != 0)
+    return Tick(spikes, busy, overflows)
+
+
+def _integrate(
+    fixed: FixedPoint | None, layer: Layer, weights: Numbers, state: State
+) -> tuple[Numbers, Numbers, NDArray[np.int64]]:
+    """The new current and membrane before any spike, and how many numbers overflowed."""
+    if fixed is None:
+        # I = a I + W s      V = b V + I + bias
+        current = layer.current_keep * state.current + weights
+        membrane = layer.membrane_keep * state.membrane + current + layer.voltage_bias
+        return current, membrane, np.zeros(membrane.shape, np.int64)
+    # u = keep_u u + (W s << 6)      v = keep_v v + u + bias      each as its register holds it
+    drive, lost = _fit(fixed.accumulator, weights << fixed.mantissa_shift)
+    kept = decay(state.current, layer.current_keep, fixed.decay_bits)
+    current, wrapped = _fit(fixed.current, kept + drive)
+    kept = decay(state.membrane, layer.membrane_keep, fixed.decay_bits)
+    membrane, clipped = _fit(fixed.membrane, kept + current + layer.voltage_bias)
+    return current, membrane, lost + wrapped + clipped
+
+
+def _fit(register: Register, x: Numbers) -> tuple[Numbers, NDArray[np.int64]]:
+    fitted = register.fit(x)
+    return fitted, (fitted != x).astype(np.int64)
+
+
+def _lengthened(tail: NDArray[np.uint8], timesteps: int) -> NDArray[np.uint8]:
+    batch, _, size = tail.shape
+    return np.concatenate([tail, np.zeros((batch, timesteps, size), np.uint8)], axis=1)
+
+
+def _stacked(ticks: list[tuple[Numbers, Numbers, Tick]]) -> LayerTrace:
+    return LayerTrace(
+        current=np.stack([current for current, _, _ in ticks], axis=1),
+        membrane=np.stack([membrane for _, membrane, _ in ticks], axis=1),
+        spikes=np.stack([tick.spikes for _, _, tick in ticks], axis=1).astype(np.uint8),
+        busy=np.stack([tick.busy for _, _, tick in ticks], axis=1),
+        overflows=np.stack([tick.overflows for _, _, tick in ticks], axis=1),
+    )

@@ -1,0 +1,189 @@
+"""The kernels: a layer's whole window of timesteps in few NumPy calls, equal to the interpreter.
+
+States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
+needs two calls where integers need five: trunc(x * keep) is the decay toward zero. Nothing is
+checked for overflow on the way: either the bounds prove that nothing can overflow, or the states
+are looked at afterwards, and the rare window that did overflow is interpreted once more.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.bounds import FOREVER, Bounds, bounds, room
+from runtime.chip import FixedPoint
+from runtime.interpreter import State, update
+from runtime.program import Layer, Program
+from runtime.synapses import Raster, summing
+
+Floats = NDArray[np.float64]
+Bits = NDArray[np.bool_]
+
+# from so many neurons on copyto beats putmask
+WIDE = 4096
+
+
+class Window:
+    """One layer, ready to run windows of T timesteps for a batch of B, in the same memory.
+
+    states: (T + 1, 2, B, N) current and membrane, before the window and after each timestep.
+    spikes: (T, B, N) of the last window.
+    overflows: (B,) of the last window.
+    waiting: whether the layer let the last window pass.
+    """
+
+    def __init__(
+        self, program: Program, layer: Layer, timesteps: int, batch: int, kept: bool
+    ) -> None:
+        fixed = program.chip.fixed
+        self.program, self.layer, self.kept = program, layer, kept
+        self.states = np.zeros((timesteps + 1, 2, batch, layer.size))
+        self.spikes = np.zeros((timesteps, batch, layer.size), np.bool_)
+        self.overflows = np.zeros(batch, np.int64)
+        self.waiting = False
+        self._silent = np.zeros((batch, layer.size), np.int64)
+        limits = bounds(layer, fixed, FOREVER if kept else timesteps) if fixed else None
+        self._drive = Drive(layer, fixed, limits, timesteps, batch)
+        self._advance = Advance(program, layer, self.states, self._drive.sums, self.spikes)
+        self._checks = Checks(layer, fixed, limits) if fixed and limits else None
+
+    def reset(self) -> None:
+        """Forget the state; where none is kept, there is none to forget."""
+        if self.kept:
+            self.states[-1] = 0.0
+        self._silent[:] = 0
+
+    def run(self, arriving: Sequence[Raster]) -> Raster:
+        """Spikes of the window, given what each synapse of the layer hears."""
+        self.waiting = False
+        if self.kept:
+            self.states[0] = self.states[-1]
+        self._drive(arriving)
+        self._advance()
+        self.overflows.fill(0)
+        if self._checks is not None and not self._checks.passed(self.states):
+            self._interpret()
+        return Raster(self.spikes)
+
+    def wait(self) -> Raster:
+        """No spikes, because the layer has not started."""
+        self.waiting = True
+        self.spikes.fill(False)
+        self.overflows.fill(0)
+        return Raster(self.spikes)
+
+    def _interpret(self) -> None:
+        """The window once more, by the specification."""
+        before = self.states[0].astype(np.int64)
+        state = State(before[0], before[1], self._silent)
+        for row, weights in enumerate(self._drive.weights()):
+            tick = update(self.program, self.layer, weights, state)
+            self.states[row + 1] = state.current, state.membrane
+            self.spikes[row] = tick.spikes
+            self.overflows += tick.overflows.sum(axis=1)
+        if self.kept:
+            self._silent = state.silent
+
+
+class Drive:
+    """What arrives at a layer in each timestep of a window: all synapses and the bias.
+
+    sums: (T, B, N) [state units].
+    """
+
+    def __init__(
+        self,
+        layer: Layer,
+        fixed: FixedPoint | None,
+        limits: Bounds | None,
+        timesteps: int,
+        batch: int,
+    ) -> None:
+        self.sums = np.empty((timesteps, batch, layer.size))
+        self._more = np.empty_like(self.sums)
+        self._unit = np.float64(1 << fixed.mantissa_shift if fixed else 1)
+        self._bias = layer.bias * self._unit if layer.bias_fan_out else None
+        partial = limits.partial if limits else None
+        self._synapses = [summing(s, partial, timesteps, batch) for s in layer.synapses]
+
+    def __call__(self, arriving: Sequence[Raster]) -> None:
+        """Fill `sums`."""
+        out = self.sums
+        for summed, raster in zip(self._synapses, arriving, strict=True):
+            np.multiply(summed(raster), self._unit, out)
+            if out is self._more:
+                np.add(self.sums, out, self.sums)
+            out = self._more
+        if self._bias is not None:
+            np.add(self.sums, self._bias, self.sums)
+
+    def weights(self) -> NDArray[np.int64]:
+        """(T, B, N) the same in weight mantissas."""
+        return np.asarray(self.sums / self._unit, np.int64)
+
+
+class Advance:
+    """The timesteps of a window, one after another."""
+
+    def __init__(
+        self, program: Program, layer: Layer, states: Floats, drive: Floats, spikes: Bits
+    ) -> None:
+        one = float(program.chip.fixed.decay_one if program.chip.fixed else 1)
+        self._rounded = program.chip.fixed is not None
+        self._subtract = program.convention.reset == "subtract"
+        # (2, 1, N): one multiplication decays currents and membranes
+        self._keep = np.stack([layer.current_keep, layer.membrane_keep])[:, None] / one
+        self._threshold = layer.threshold.astype(np.float64)
+        self._bias = layer.voltage_bias.astype(np.float64) if layer.voltage_bias.any() else None
+        self._ticks = [
+            (states[t], states[t + 1], states[t + 1, 0], states[t + 1, 1], drive[t], spikes[t])
+            for t in range(len(spikes))
+        ]
+
+    def __call__(self) -> None:
+        """Fill `states` and `spikes`."""
+        multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
+        keep, threshold, bias = self._keep, self._threshold, self._bias
+        for before, after, current, membrane, drive, fired in self._ticks:
+            multiply(before, keep, after)
+            if self._rounded:
+                trunc(after, after)
+            add(current, drive, current)
+            add(membrane, current, membrane)
+            if bias is not None:
+                add(membrane, bias, membrane)
+            greater(membrane, threshold, fired)
+            self._reset(membrane, fired)
+
+    def _reset(self, membrane: Floats, fired: Bits) -> None:
+        if self._subtract:
+            np.subtract(membrane, self._threshold, out=membrane, where=fired)
+        elif membrane.size < WIDE:
+            np.putmask(membrane, fired, 0.0)
+        else:
+            np.copyto(membrane, 0.0, where=fired)
+
+
+class Checks:
+    """Whether the fast way may be believed."""
+
+    def __init__(self, layer: Layer, fixed: FixedPoint, limits: Bounds) -> None:
+        self._bias = float(np.abs(layer.voltage_bias).max())
+        self._current, self._membrane = room(fixed.current), room(fixed.membrane)
+        # never: refractory and accumulators that overflow are left to the interpreter
+        self._never = fixed.refractory > 1 or limits.drive > room(fixed.accumulator)
+        self._always = not self._never and limits.fit(fixed)
+
+    def passed(self, states: Floats) -> bool:
+        """Whether no register overflowed on the way to these states."""
+        if self._always or self._never:
+            return self._always
+        current, membrane = _magnitude(states[:, 0]), _magnitude(states[:, 1])
+        # the membrane before a reset is not kept, but cannot have been larger than this
+        highest = current + membrane + self._bias
+        return current <= self._current and highest <= self._membrane
+
+
+def _magnitude(values: Floats) -> float:
+    return max(float(values.max()), -float(values.min()))

@@ -1,0 +1,116 @@
+"""The pipeline: every layer's window, one after another, with the spikes that go between them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kernels import Window
+from runtime.ledger import Counts
+from runtime.program import Program
+from runtime.relay import Relay
+from runtime.synapses import Raster
+from runtime.tally import Tally
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a layer did in a window; integers on integer chips.
+
+    current: (B, T, N) after each timestep [state units].
+    membrane: (B, T, N) after each timestep, resets included [state units].
+    spikes: (B, T, N).
+    """
+
+    current: NDArray[Any]
+    membrane: NDArray[Any]
+    spikes: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What a pipeline is prepared for.
+
+    timesteps: T of a window.
+    late: rows by which each synapse of each layer delivers late.
+    kept: whether states go on from window to window.
+    steps: chip timesteps that a window stands for.
+    """
+
+    timesteps: int
+    late: tuple[tuple[int, ...], ...]
+    kept: bool
+    steps: int
+
+
+class Pipeline:
+    """A program's layers in memory, ready to run windows of T timesteps for a batch of B."""
+
+    def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
+        self.program, self.schedule = program, schedule
+        self.windows = [
+            Window(program, layer, schedule.timesteps, batch, schedule.kept)
+            for layer in program.layers
+        ]
+        self._tallies = [Tally(program, window, schedule.steps) for window in self.windows]
+        self._lag = program.readout.lag if program.readout else 0
+        memory = max(self._lag, *(max(late) for late in schedule.late))
+        self._relay = Relay(program.sizes, memory, batch)
+
+    def reset(self) -> None:
+        """Forget every current, membrane and spike."""
+        self._relay.reset()
+        for window in self.windows:
+            window.reset()
+
+    def run(
+        self, rows: NDArray[Any], counts: Counts | None, step: int | None = None
+    ) -> NDArray[Any]:
+        """Spikes (T, B, N) that the readout hears, given those of the input (T, B, M).
+
+        counts: (B, L, E) to add events to.
+        step: chip timestep of a single row; layers that start later only wait.
+        """
+        emitted = {self.program.input: Raster(rows)}
+        timesteps = self.schedule.timesteps
+        for window, late in zip(self.windows, self.schedule.late, strict=True):
+            layer = window.layer
+            if step is not None and step < layer.start:
+                emitted[layer.name] = window.wait()
+                continue
+            heard = [
+                self._relay.heard(synapses.source, rows_late, emitted, timesteps)
+                for synapses, rows_late in zip(layer.synapses, late, strict=True)
+            ]
+            emitted[layer.name] = window.run(heard)
+        if counts is not None:
+            for index, tally in enumerate(self._tallies):
+                tally(emitted, counts[:, index])
+        spikes = self._relay.heard(self.program.output, self._lag, emitted, timesteps)
+        self._relay.keep(emitted)
+        return spikes.rows
+
+    def recordings(self) -> dict[str, Recording]:
+        """What each layer did in the last window."""
+        dtype = np.int64 if self.program.chip.fixed else np.float64
+        recordings = {}
+        for window in self.windows:
+            # (T + 1, 2, B, N) to (2, B, T, N)
+            current, membrane = window.states[1:].transpose(1, 2, 0, 3).astype(dtype)
+            spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
+            recordings[window.layer.name] = Recording(current, membrane, spikes)
+        return recordings
+
+
+def joined(parts: list[dict[str, Recording]]) -> dict[str, Recording]:
+    """Recordings of consecutive windows as one."""
+    names = parts[0] if parts else {}
+    return {
+        name: Recording(
+            current=np.concatenate([part[name].current for part in parts], axis=1),
+            membrane=np.concatenate([part[name].membrane for part in parts], axis=1),
+            spikes=np.concatenate([part[name].spikes for part in parts], axis=1),
+        )
+        for name in names
+    }

@@ -1,0 +1,176 @@
+"""The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.chip import Chip
+from runtime.convention import Convention
+from runtime.errors import RuleError
+
+Numbers = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Synapses:
+    """All connections from one source to one layer.
+
+    source: name of a layer, or of the program's input.
+    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
+    delay: [timesteps] from a spike of the source to its arrival.
+    """
+
+    source: str
+    weight: Numbers
+    delay: int
+
+    @cached_property
+    def fan_out(self) -> NDArray[np.int64]:
+        """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
+        return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One population of neurons; on integer chips every array but `scale` holds integers.
+
+    name: of the NIR node.
+    synapses: what it listens to.
+    bias: (N,) weights of an axon that spikes in every timestep.
+    voltage_bias: (N,) added to the membrane in every timestep [state units].
+    threshold: (N,) membrane above which a neuron spikes [state units].
+    current_keep: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
+    membrane_keep: (N,) likewise of the membrane.
+    scale: float units of current and membrane per state unit.
+    start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
+    """
+
+    name: str
+    synapses: tuple[Synapses, ...]
+    bias: Numbers
+    voltage_bias: Numbers
+    threshold: Numbers
+    current_keep: Numbers
+    membrane_keep: Numbers
+    scale: float
+    start: int
+
+    @property
+    def size(self) -> int:
+        """Neurons: N."""
+        return int(self.threshold.size)
+
+    @cached_property
+    def bias_fan_out(self) -> int:
+        """Non-zero biases: what the always-on axon costs in SOPs per timestep."""
+        return int(np.count_nonzero(self.bias))
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """The last affine map, which the host computes in float64.
+
+    weight: (N, act) axon-major.
+    bias: (act,).
+    lag: rows by which its output trails the spikes; the delay of the convention.
+    """
+
+    weight: NDArray[np.float64]
+    bias: NDArray[np.float64]
+    lag: int
+
+    def __call__(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
+        """Output (..., act) of the spikes (..., N)."""
+        return spikes @ self.weight + self.bias
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Everything that a Machine runs.
+
+    Time is counted in chip timesteps from the first input row. A layer runs T timesteps from its
+    start: its window. With biases staggered, layer k starts k timesteps later than the input, so
+    that row t of every window means the same as without delays.
+
+    chip: whose arithmetic is used.
+    convention: of the artifact; reset and state are read from it.
+    input: name of the input.
+    width: M of the input.
+    layers: in an order in which no layer comes before one that it hears without delay.
+    output: name of the layer that the readout or the host listens to.
+    readout: None where the spikes themselves are the output.
+    """
+
+    chip: Chip
+    convention: Convention
+    input: str
+    width: int
+    layers: tuple[Layer, ...]
+    output: str
+    readout: Readout | None
+
+    def __post_init__(self) -> None:
+        heard = {self.input}
+        for layer in self.layers:
+            for synapses in layer.synapses:
+                self._check(layer, synapses, heard)
+            heard.add(layer.name)
+
+    def layer(self, name: str) -> Layer:
+        """The layer called `name`."""
+        return self._by_name[name]
+
+    def lag(self, layer: Layer, synapses: Synapses) -> int:
+        """Rows by which the layer's window trails what it hears: 0 where starts make up delays."""
+        start = 0 if synapses.source == self.input else self.layer(synapses.source).start
+        return start + synapses.delay - layer.start
+
+    @cached_property
+    def lags(self) -> tuple[tuple[int, ...], ...]:
+        """The lag of each synapse of each layer."""
+        return tuple(tuple(self.lag(a, s) for s in a.synapses) for a in self.layers)
+
+    @cached_property
+    def delays(self) -> tuple[tuple[int, ...], ...]:
+        """The delay of each synapse of each layer."""
+        return tuple(tuple(s.delay for s in a.synapses) for a in self.layers)
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Neurons of the input and of each layer."""
+        return {self.input: self.width, **{layer.name: layer.size for layer in self.layers}}
+
+    @cached_property
+    def feed_forward(self) -> bool:
+        """Whether every layer hears only the input and layers before it."""
+        heard = {self.input}
+        for layer in self.layers:
+            if any(s.source not in heard for s in layer.synapses):
+                return False
+            heard.add(layer.name)
+        return True
+
+    def steps(self, timesteps: int) -> int:
+        """Chip timesteps of one inference of T timesteps."""
+        return timesteps + max(layer.start for layer in self.layers)
+
+    @cached_property
+    def _by_name(self) -> dict[str, Layer]:
+        return {layer.name: layer for layer in self.layers}
+
+    def _check(self, layer: Layer, synapses: Synapses, heard: set[str]) -> None:
+        edge = f"layer {layer.name!r}: the synapses from {synapses.source!r}"
+        if synapses.delay > self.chip.delay_max:
+            raise RuleError(
+                f"{edge} need a delay of {synapses.delay} timesteps; {self.chip.name} has at most "
+                f"{self.chip.delay_max}. Shorten the skip connection."
+            )
+        if self.lag(layer, synapses) < 0 or (synapses.delay == 0 and synapses.source not in heard):
+            raise RuleError(
+                f"{edge} deliver a spike {synapses.delay} timesteps after it was emitted, too "
+                f"early or too late for a layer that starts at {layer.start}. Compile with "
+                "stagger=False, or remove the feedback."
+            )

@@ -1,0 +1,139 @@
+"""Quantisation: a layer in floats becomes the integers that a chip can hold.
+
+Each layer has a scale of its own, so that its largest weight or bias is the chip's largest weight
+(Tang et al. 2020, PopSAN); thresholds follow it. A spike has no size, so scales of different layers
+never meet.
+"""
+
+from dataclasses import replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.chip import FixedPoint
+from runtime.errors import ConfigError, RuleError
+from runtime.program import Layer, Synapses
+
+Rounding = Literal["nearest", "truncate"]
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def quantise(layer: Layer, fixed: FixedPoint, rounding: Rounding = "nearest") -> Layer:
+    """The float layer as the chip's integers.
+
+    rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did.
+    """
+    if rounding not in get_args(Rounding):
+        raise ConfigError(f"rounding {rounding!r} is unknown. Choose 'nearest' or 'truncate'.")
+    scale = _scale(layer, fixed)
+    one = 1 << fixed.mantissa_shift
+    quantised = replace(
+        layer,
+        synapses=tuple(_synapses(s, scale, fixed, rounding) for s in layer.synapses),
+        bias=_weights(layer.bias, scale, fixed, rounding),
+        voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, fixed, rounding),
+        threshold=_threshold(layer, scale, fixed, rounding) * one,
+        current_keep=_keep(layer, "current", fixed, rounding),
+        membrane_keep=_keep(layer, "membrane", fixed, rounding),
+        scale=layer.scale / (scale * one),
+    )
+    _check_alive(layer, quantised, fixed)
+    return quantised
+
+
+def stored(weights: NDArray[Any], fixed: FixedPoint) -> NDArray[np.int16]:
+    """What the chip keeps of whole weights when it drops the bits below its weight step."""
+    whole = weights.astype(np.int64)
+    if fixed.sign_mode == "mixed" and fixed.step_rounding == "floor":
+        steps = whole // fixed.weight_step
+    else:
+        steps = np.sign(whole) * (np.abs(whole) // fixed.weight_step)
+    return np.asarray(steps * fixed.weight_step, np.int16)
+
+
+def _scale(layer: Layer, fixed: FixedPoint) -> float:
+    """Mantissas per float unit: as many as the weights, the threshold and the bias allow."""
+    widest_bias = fixed.bias_mantissa_max << fixed.bias_exponent_max >> fixed.mantissa_shift
+    limits = (
+        (fixed.weight_max, [*(s.weight for s in layer.synapses), layer.bias]),
+        (fixed.threshold_max, [layer.threshold]),
+        (widest_bias, [layer.voltage_bias]),
+    )
+    largest = [(limit, max(_magnitude(a) for a in arrays)) for limit, arrays in limits]
+    return min((limit / found for limit, found in largest if found > 0), default=1.0)
+
+
+def _magnitude(values: Floats) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def _synapses(synapses: Synapses, scale: float, fixed: FixedPoint, rounding: Rounding) -> Synapses:
+    weight = _weights(synapses.weight, scale, fixed, rounding).astype(np.int16)
+    return replace(synapses, weight=weight)
+
+
+def _weights(weights: Floats, scale: float, fixed: FixedPoint, rounding: Rounding) -> Integers:
+    """Multiples of the chip's weight step; the clip only catches a last bit of the scale."""
+    steps = _rounded(weights * scale / fixed.weight_step, rounding)
+    return np.clip(steps * fixed.weight_step, -fixed.weight_max, fixed.weight_max)
+
+
+def _rounded(values: Floats, rounding: Rounding) -> Integers:
+    # the product with the scale may fall a last bit short of the whole number that it means
+    whole = np.rint(values) if rounding == "nearest" else np.trunc(values * (1 + 1e-12))
+    return whole.astype(np.int64)
+
+
+def _threshold(layer: Layer, scale: float, fixed: FixedPoint, rounding: Rounding) -> Integers:
+    if layer.threshold.min(initial=0.0) < 0:
+        raise RuleError(
+            f"layer {layer.name!r}: threshold {layer.threshold.min():g} is below 0; the chip's "
+            "thresholds are unsigned. Train with positive thresholds."
+        )
+    mantissa = _rounded(layer.threshold * scale, rounding)
+    lost = (mantissa == 0) & (layer.threshold > 0)
+    if lost.any():
+        raise RuleError(
+            f"layer {layer.name!r}: threshold {layer.threshold[lost].min():g} is "
+            f"{(layer.threshold[lost] * scale).min():.2g} of the smallest that the chip can hold "
+            "beside the largest weight. Clip the weights, or raise the threshold."
+        )
+    return np.minimum(mantissa, fixed.threshold_max)
+
+
+def _voltage_bias(values: Floats, fixed: FixedPoint, rounding: Rounding) -> Integers:
+    """Biases as mantissa * 2**exponent, with the smallest exponent that holds each value."""
+    over = np.maximum(np.abs(values) / fixed.bias_mantissa_max, 1.0)
+    exponent = np.ceil(np.log2(over)).astype(np.int64)
+    exponent = np.minimum(exponent, fixed.bias_exponent_max)
+    mantissa = _rounded(values / 2.0**exponent, rounding)
+    limit = fixed.bias_mantissa_max
+    return np.clip(mantissa, -limit, limit) << exponent
+
+
+def _keep(layer: Layer, of: str, fixed: FixedPoint, rounding: Rounding) -> Integers:
+    """What is left after a timestep, of 2**decay_bits, as near as the decay's register allows."""
+    keep = layer.current_keep if of == "current" else layer.membrane_keep
+    offset = fixed.current_decay_offset if of == "current" else fixed.membrane_decay_offset
+    least, most = offset, fixed.decay_one - 1 + offset
+    if (least > 0 and (keep == 1).any()) or (most < fixed.decay_one and (keep == 0).any()):
+        raise RuleError(
+            f"layer {layer.name!r}: a {of} that keeps {'all' if least else 'nothing'} of itself "
+            f"is not possible; the chip takes away {least} to {most} of {fixed.decay_one} in each "
+            "timestep. Choose another time constant."
+        )
+    decays = _rounded((1 - keep) * fixed.decay_one, rounding)
+    return fixed.decay_one - np.clip(decays, least, most)
+
+
+def _check_alive(layer: Layer, quantised: Layer, fixed: FixedPoint) -> None:
+    """A layer with weights must not lose all of them to the range of its threshold or bias."""
+    before = max(_magnitude(s.weight) for s in layer.synapses)
+    if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
+        raise RuleError(
+            f"layer {layer.name!r}: every weight becomes 0. The largest, {before:g}, is too small "
+            f"beside its threshold ({_magnitude(layer.threshold):g}, of at most "
+            f"{fixed.threshold_max} mantissas) or bias. Scale the weights up, or the others down."
+        )
