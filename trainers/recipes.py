@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from trainers.distill_recipes import DISTILL
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -82,4 +84,5 @@ RECIPES: dict[str, Recipe] = {
     "smoke-popsan": Recipe(
         "sac", "a tiny PopSAN, seconds", merged(SMOKE, POPSAN, {"policy": {"populations": 3}})
     ),
+    **{name: Recipe("distill", summary, settings) for name, (summary, settings) in DISTILL.items()},
 }

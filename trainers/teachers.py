@@ -1,0 +1,121 @@
+"""Teachers: anything that acts well enough to be imitated, from a run folder or a file."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import envs
+from runtime.errors import ConfigError
+from trainers.config import EnvConfig, ValidationConfig
+from trainers.policy import Policy
+from trainers.run_folder import RunFolder, load_policy
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Teacher:
+    """A policy to be imitated; also a controller of one robot.
+
+    act_all: actions (B, act) for observations (B, obs)
+    observations, actions: their numbers
+    env: short name or id of the world it was made for, empty where unknown
+    """
+
+    act_all: Callable[[Numbers], Numbers]
+    observations: int
+    actions: int
+    env: str = ""
+
+    def reset(self, seed: int) -> None:
+        """Forget nothing: teachers have no memory."""
+
+    def act(self, observation: Numbers) -> Numbers:
+        """Return the action (act,) for one observation (obs,)."""
+        action: Numbers = self.act_all(observation[None])[0]
+        return action
+
+
+def teacher(path: str, env: str) -> Teacher:
+    """Return the teacher of a run folder or a file, for an environment it fits."""
+    if not path:
+        raise ConfigError(
+            "distillation needs a teacher: --set teacher=PATH, where PATH is a run folder or an "
+            ".onnx or .nir file"
+        )
+    read = FILES.get(Path(path).suffix, _from_run)
+    if read is not _from_run and not Path(path).is_file():
+        raise ConfigError(f"there is no teacher at {path}")
+    found = read(path)
+    if found.env and envs.spec(found.env).id != envs.spec(env).id:
+        raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")
+    return found
+
+
+def of_policy(policy: Policy, env: str = "") -> Teacher:
+    """Return a policy as a teacher."""
+
+    @torch.no_grad()
+    def act_all(observation: Numbers) -> Numbers:
+        action: Numbers = policy(torch.from_numpy(observation).float()).double().numpy()
+        return action
+
+    return Teacher(act_all, policy.observations, policy.actions, env)
+
+
+def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
+    """Return the teacher's mean return on the validation seeds."""
+    from envs.rollout import rollout  # loads the drawing of frames, which training does not need
+
+    limit: Mapping[str, Any] = {} if config.limit is None else {"max_steps": config.limit}
+    world = envs.make(env.name, **{**env.options, **limit})
+    seeds = range(config.first_seed, config.first_seed + config.episodes)
+    return float(np.mean([rollout(world, teacher, seed).total for seed in seeds]))
+
+
+def _from_run(path: str) -> Teacher:
+    settings = RunFolder.find(path).settings
+    return of_policy(load_policy(path), str(settings()["env"]["name"]))
+
+
+def _from_onnx(path: str) -> Teacher:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    entry, exit_ = session.get_inputs()[0], session.get_outputs()[0]
+
+    def act_all(observation: Numbers) -> Numbers:
+        feed = {entry.name: observation.astype(np.float32)}
+        action: Numbers = session.run([exit_.name], feed)[0].astype(np.float64)
+        return action
+
+    env = session.get_modelmeta().custom_metadata_map.get("env", "")
+    return Teacher(act_all, entry.shape[1], exit_.shape[1], env)
+
+
+def _from_nir(path: str) -> Teacher:
+    from runtime.artifact import load
+    from runtime.float_graph import FloatGraph
+
+    artifact = load(path)
+    codec, graph = artifact.codec, FloatGraph(artifact)
+    if codec is None:
+        raise ConfigError(f"{path} has no codec, so it cannot act on observations")
+
+    def act_all(observation: Numbers) -> Numbers:
+        output = graph.run(codec.encode(observation))["output"].astype(np.float64)
+        return codec.decode(output).astype(np.float64)
+
+    actions = int(np.prod(artifact.graph.outputs[graph.output].output_type["output"]))
+    env = artifact.origin.env if artifact.origin else ""
+    return Teacher(act_all, codec.encoder.observed, actions, env)
+
+
+FILES: dict[str, Callable[[str], Teacher]] = {".onnx": _from_onnx, ".nir": _from_nir}
