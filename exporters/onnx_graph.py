@@ -20,6 +20,7 @@ class OnnxGraph:
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
+        self._heard: list[onnx.ValueInfoProto] = []
 
     def constant(self, name: str, value: ArrayLike) -> str:
         """Add a constant, integers as int64 and anything else as float32; return its name."""
@@ -38,6 +39,10 @@ class OnnxGraph:
         place = self.constant(f"{name}_index", [index])
         return self.node("Gather", [OBSERVATION, place], name, axis=1)
 
+    def heard(self, name: str, width: int) -> None:
+        """Put out (B, width), what a weight matrix hears, too: its operations depend on it."""
+        self._heard.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width]))
+
     def sha256(self) -> str:
         """SHA-256 of the constants, in the order in which they were added."""
         sha = hashlib.sha256()
@@ -52,7 +57,10 @@ class OnnxGraph:
             self._nodes,
             "policy",
             [helper.make_tensor_value_info(OBSERVATION, TensorProto.FLOAT, ["B", observations])],
-            [helper.make_tensor_value_info(ACTION, TensorProto.FLOAT, ["B", actions])],
+            [
+                helper.make_tensor_value_info(ACTION, TensorProto.FLOAT, ["B", actions]),
+                *self._heard,
+            ],
             self._constants,
         )
         opsets = [helper.make_opsetid("", OPSET)]

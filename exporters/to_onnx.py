@@ -1,6 +1,9 @@
 """Writes a float policy as one ONNX file that carries its own normaliser and says who made it.
 
 observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
+
+The first output is the action. The others, in their order, are what each weight matrix hears; ONNX
+Runtime puts them out only when asked, and effective operations are counted from them.
 """
 
 from pathlib import Path
@@ -111,6 +114,7 @@ def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
     """Add the network, up to the action."""
     for number, layer in enumerate(policy.layers, start=1):
         weight = graph.constant(f"weight{number}", _array(layer.get_parameter("weight")))
+        graph.heard(hidden, layer.get_parameter("weight").shape[1])
         bias = graph.constant(f"bias{number}", _array(layer.get_parameter("bias")))
         hidden = graph.node("Gemm", [hidden, weight, bias], f"affine{number}", transB=1)
         if number < len(policy.layers):

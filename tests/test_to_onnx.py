@@ -69,6 +69,20 @@ def test_the_file_says_who_made_it_and_what_it_costs(tmp_path):
     }
 
 
+def test_what_each_weight_matrix_hears_can_be_asked_for(tmp_path):
+    policy = mlp((8, 4))
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    observation = np.random.default_rng(1).normal(0, 3, (50, 6)).astype(np.float32)
+    _, normalised, first, second = session.run(None, {"observation": observation})
+    with torch.no_grad():
+        expected = policy.normalizer(torch.from_numpy(observation))
+        np.testing.assert_allclose(normalised, expected.numpy(), atol=1e-5)
+        expected = torch.relu(policy.layers[0](expected))
+        np.testing.assert_allclose(first, expected.numpy(), atol=1e-5)
+    assert second.shape == (50, 4)
+
+
 def test_exporting_twice_gives_the_same_bytes(tmp_path):
     first = to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx").read_bytes()
     assert to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx").read_bytes() == first
