@@ -21,7 +21,7 @@ from runtime.codec import Codec
 from runtime.compile import compile as compiled
 from runtime.errors import ArtifactError, ConfigError
 from runtime.float_graph import FloatGraph
-from runtime.interpreter import trace
+from runtime.machine import Machine
 from runtime.program import Program
 from trainers.policies import Policy, PopsanPolicy
 
@@ -63,7 +63,7 @@ def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) ->
         raster = codec.encode(batch)
         by_numpy = _by_numpy(graph, codec, raster)
         to_numpy.add(_by_torch(double, torch.from_numpy(batch)), by_numpy)
-        to_ideal.add(by_numpy, _by_program(program, codec, raster))
+        to_ideal.add(by_numpy, _by_machine(program, codec, raster))
         to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_numpy)
     return [
         *to_numpy.checks("torch = NumPy, float64"),
@@ -97,14 +97,13 @@ def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> tup
     return {"input": raster, **spikes}, _decoded(codec, values["output"])
 
 
-def _by_program(
+def _by_machine(
     program: Program, codec: Codec, raster: NDArray[np.uint8]
 ) -> tuple[Spikes, Actions]:
-    layers = trace(program, raster)
-    spikes = {name: layer.spikes for name, layer in layers.items()}
-    if program.readout is None:
-        raise ArtifactError("the file has no readout, so no action. Export the policy again.")
-    return {"input": raster, **spikes}, _decoded(codec, program.readout(spikes[program.output]))
+    machine = Machine(program, len(raster), ledger="none", trace=True)
+    output = machine.infer(raster)
+    spikes = {name: recording.spikes for name, recording in machine.recordings.items()}
+    return {"input": raster, **spikes}, _decoded(codec, output)
 
 
 def _decoded(codec: Codec, output: NDArray[np.generic]) -> Actions:
