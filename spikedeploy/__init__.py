@@ -18,6 +18,6 @@ def stranger(name: str, home: Path = Path(__file__).parent.parent) -> str | None
 for _name in SIBLINGS:
     if _origin := stranger(_name):
         raise ImportError(
-            f"spikedeploy needs its own package '{_name}', but Python finds that name at {_origin}; "
-            "install spikedeploy in an environment of its own"
+            f"spikedeploy needs its own package {_name!r}, but Python finds that name at "
+            f"{_origin}; install spikedeploy in an environment of its own"
         )

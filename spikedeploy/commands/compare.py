@@ -1,0 +1,52 @@
+"""`spikedeploy compare`: policies on the same seeds, with intervals and costs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import EVALUATION_SEED, Json, Seed, Workers
+
+
+def compare(
+    env: Annotated[str, typer.Argument(metavar="ENV", help="Environment; `envs` lists them.")],
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[FILE]…",
+            help="Policies: .onnx, .nir, run folders, shipped names. The float ANN, the gait and "
+            "the controls are added.",
+            show_default="all that are shipped",
+        ),
+    ] = None,
+    chips: Annotated[str, typer.Option(help="Chips for the spiking policies.")] = "loihi1",
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
+    seed: Seed = EVALUATION_SEED,
+    workers: Workers = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
+    from spikedeploy import report
+    from spikedeploy.compare import compare as play
+    from spikedeploy.lineup import line_up
+    from spikedeploy.terminal import print_comparison, print_json
+
+    entries = line_up(env, files or (), _names(chips))
+    comparison = play(env, entries, range(seed, seed + episodes), workers)
+    document = report.document(comparison)
+    if output:
+        report.write(document, output)
+    if json:
+        print_json(document)
+    else:
+        print_comparison(document)
+        if output:
+            typer.echo(f"wrote {output / 'report.html'}")
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]

@@ -1,0 +1,16 @@
+"""Options that several commands share, worded once."""
+
+from typing import Annotated
+
+import typer
+
+Json = Annotated[
+    bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")
+]
+Seed = Annotated[
+    int, typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
+]
+EVALUATION_SEED = 10_000

@@ -1,0 +1,31 @@
+"""`spikedeploy publish`: a run becomes a shipped policy with its card."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import Json, Workers
+
+
+def publish(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")],
+    name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
+    workers: Workers = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder of the zoo.", show_default="the package's own"),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
+    from spikedeploy import zoo
+    from spikedeploy.publish import publish as write
+    from spikedeploy.terminal import print_json
+
+    files = write(run, name, episodes, output or zoo.FOLDER, workers)
+    if json:
+        print_json({"files": [str(file) for file in files]})
+    else:
+        typer.echo("wrote " + ", ".join(str(file) for file in files))

@@ -1,0 +1,43 @@
+"""`spikedeploy run`: one policy in its environment, closed loop."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import EVALUATION_SEED, Json, Seed
+
+
+def run(
+    policy: Annotated[
+        str, typer.Argument(metavar="FILE", help="A .onnx or .nir file, run folder, shipped name.")
+    ],
+    env: Annotated[
+        str | None, typer.Option(help="Environment.", show_default="the one it was made for")
+    ] = None,
+    chip: Annotated[
+        str | None,
+        typer.Option(
+            help="Chip of a spiking policy; 'float' for its float twin.", show_default="loihi1"
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
+    seed: Seed = EVALUATION_SEED,
+    video: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Let one policy drive the robot, and say how it went and what it cost."""
+    from spikedeploy import report
+    from spikedeploy.run import run as play
+    from spikedeploy.terminal import print_comparison, print_json
+
+    comparison = play(policy, env, chip, range(seed, seed + episodes), video)
+    document = report.document(comparison)
+    if json:
+        print_json(document)
+    else:
+        print_comparison(document)
+        if video:
+            typer.echo(f"wrote {video}")

@@ -1,0 +1,94 @@
+"""Paired comparison: every row of a line-up plays the same seeds, in processes side by side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import envs
+from runtime.errors import ConfigError
+from spikedeploy.comparison import Comparison, Row
+from spikedeploy.episodes import Episode, Job, play
+from spikedeploy.jobs import workers
+from spikedeploy.lineup import Entry
+from spikedeploy.policies import check_fit
+from spikedeploy.terminal import progress
+
+EVALUATION_SEED = 10_000
+
+
+def compare(
+    env: str, entries: Sequence[Entry], seeds: Sequence[int], processes: int | None = None
+) -> Comparison:
+    """Play every entry on every seed.
+
+    env        short name or id of the environment
+    entries    of spikedeploy.lineup; an entry's reference is an entry too
+    seeds      (n,) from EVALUATION_SEED up, which no training sees
+    processes  that play, one for each core by default
+    """
+    _check(env, entries, seeds)
+    played: dict[Entry, list[Episode]] = {}
+    with (
+        TemporaryDirectory() as folder,
+        workers(processes) as jobs,
+        progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
+    ):
+        plan = Plan(env, entries, seeds, Path(folder))
+        for wave in plan.waves():
+            episodes = jobs.run(play, [job for entry in wave for job in plan.jobs(entry)], done)
+            for place, entry in enumerate(wave):
+                played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
+    rows = [Row(entry, played[entry]) for entry in entries]
+    return Comparison(envs.spec(env).id, seeds, rows)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which jobs a comparison needs, and in which order.
+
+    env      short name or id
+    entries  all of them
+    seeds    (n,)
+    folder   where the rollouts lie that others are measured against
+    """
+
+    env: str
+    entries: Sequence[Entry]
+    seeds: Sequence[int]
+    folder: Path
+
+    def waves(self) -> list[list[Entry]]:
+        """The entries, references before those that refer to them."""
+        ranks = range(1 + max(entry.rank for entry in self.entries))
+        return [[entry for entry in self.entries if entry.rank == rank] for rank in ranks]
+
+    def jobs(self, entry: Entry) -> list[Job]:
+        """An entry's jobs, one a seed."""
+        referred = any(entry is other.reference for other in self.entries)
+        return [
+            Job(
+                env=self.env,
+                candidate=entry.candidate,
+                chip=entry.chip,
+                seed=seed,
+                others={other.label: self._rollout(other, seed) for other in entry.references},
+                record=self._rollout(entry, seed) if referred else None,
+            )
+            for seed in self.seeds
+        ]
+
+    def _rollout(self, entry: Entry, seed: int) -> Path:
+        return self.folder / f"{self.entries.index(entry)}-{seed}.npz"
+
+
+def _check(env: str, entries: Sequence[Entry], seeds: Sequence[int]) -> None:
+    """Refuse training seeds and policies of other environments before anything is played."""
+    if min(seeds) < EVALUATION_SEED:
+        raise ConfigError(
+            f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION_SEED}"
+        )
+    world = envs.make(env)
+    for entry in entries:
+        check_fit(entry.candidate, world)
+    world.close()

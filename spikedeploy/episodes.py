@@ -1,0 +1,94 @@
+"""One episode of one row of a comparison, as a job: a pure function of its specification."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium
+
+import envs
+from envs.rollout import Rollout, rollout
+from spikedeploy.agreement import Agreement, agreement
+from spikedeploy.costs import Costs
+from spikedeploy.metrics import measure
+from spikedeploy.policies import Candidate, Player, open_policy, price
+
+
+@dataclass(frozen=True)
+class Job:
+    """An episode to play.
+
+    env        short name or id
+    candidate  the policy
+    chip       as in lineup.Entry
+    seed       of the episode
+    others     name -> file with the rollout of the same seed that it is measured against
+    record     where its own rollout is kept, None for nowhere
+    """
+
+    env: str
+    candidate: Candidate
+    chip: str | None
+    seed: int
+    others: Mapping[str, Path]
+    record: Path | None = None
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What is kept of an episode: numbers, so that thousands fit in memory.
+
+    total      return
+    steps      control steps, S
+    success    as the environment says
+    metrics    of spikedeploy.metrics
+    costs      per inference
+    agreement  name -> with each of the job's `others`
+    """
+
+    total: float
+    steps: int
+    success: bool
+    metrics: Mapping[str, float]
+    costs: Costs
+    agreement: Mapping[str, Agreement]
+
+
+def play(job: Job) -> Episode:
+    """Play the job's episode and measure it."""
+    player = _player(job.env, job.candidate, job.chip)
+    played = rollout(_environment(job.env), player, job.seed)
+    if job.record:
+        played.save(job.record)
+    others = {name: Rollout.load(path) for name, path in job.others.items()}
+    return summarise(job.candidate, player, played, others)
+
+
+def summarise(
+    candidate: Candidate,
+    player: Player,
+    played: Rollout,
+    others: Mapping[str, Rollout] = MappingProxyType({}),
+) -> Episode:
+    """What is kept of a rollout that the player has just played."""
+    return Episode(
+        total=played.total,
+        steps=played.steps,
+        success=played.success,
+        metrics=measure(played.info),
+        costs=price(candidate, player, played),  # first: agreement asks the player anew
+        agreement={name: agreement(player, played, other) for name, other in others.items()},
+    )
+
+
+@cache
+def _environment(name: str) -> gymnasium.Env[Any, Any]:
+    return envs.make(name)
+
+
+@cache
+def _player(env: str, candidate: Candidate, chip: str | None) -> Player:
+    return open_policy(candidate, chip, _environment(env))

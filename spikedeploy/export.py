@@ -1,0 +1,83 @@
+"""Export with proof: the written file is read back and compared with the policy it came from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+import envs
+from envs.rollout import rollout
+from exporters import exporter
+from exporters.check import Check
+from exporters.parity import check
+from spikedeploy import runs
+from spikedeploy.formats.run import TorchController
+from trainers.run_folder import RunFolder, load_policy
+
+if TYPE_CHECKING:
+    from trainers.policies import Policy
+
+OBSERVATIONS = 1000
+FIRST_SEED = 5_000  # neither trained on nor evaluated on
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A written file, and what comparing it with its policy has shown.
+
+    path    of the file
+    kind    "ann", "snn" or "control", as comparisons will call it
+    checks  in the order in which they were made
+    """
+
+    path: Path
+    kind: str
+    checks: list[Check]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check did."""
+        return all(each.passed for each in self.checks)
+
+
+def export(
+    run: str, to: str, path: Path | None = None, observations: int = OBSERVATIONS
+) -> Exported:
+    """Write a run's policy as a file.
+
+    run           run folder, its name under runs/, or "last"
+    to            key of exporters.EXPORTERS
+    path          of the file; by default policy.<to> in the run folder
+    observations  recorded from the policy's own episodes, on which the file is compared with it
+    """
+    folder = RunFolder.find(run).path
+    policy = load_policy(folder)
+    path = path or folder / f"policy.{to}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kind = kind_of(policy)
+    options = {"kind": kind} if to == "onnx" else {}
+    exporter(to)(policy, runs.origin(folder), path, **options)
+    return Exported(path, kind, check(policy, path, recorded(folder, observations)))
+
+
+def kind_of(policy: "Policy") -> str:
+    """What comparisons call the policy: a float network that sees less than all is a control."""
+    if policy.kind == "popsan":
+        return "snn"
+    spec = policy.spec()
+    sees_all = spec["features"]["name"] == "all"
+    return "ann" if sees_all and spec["hidden"] else "control"
+
+
+def recorded(run: Path, count: int) -> NDArray[np.float64]:
+    """Observations (count, obs) that the run's policy makes in its environment."""
+    env = envs.make(runs.settings(run)["env"]["name"])
+    controller = TorchController(str(run))
+    episodes: list[NDArray[np.float64]] = []
+    while sum(map(len, episodes)) < count:
+        seed = FIRST_SEED + len(episodes)
+        episodes.append(rollout(env, controller, seed).observation)
+    env.close()
+    return np.concatenate(episodes)[:count]

@@ -1,0 +1,39 @@
+"""Files that are whole or not there: written under another name, then renamed."""
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from trainers import atomic
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A name to write to, which becomes `path` when the block ends well; its folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic.replacing(path) as part:
+        yield part
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write the text; the path."""
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
+    return path
+
+
+def as_text(data: object) -> str:
+    """`data` as JSON; numbers that JSON lacks (NaN, infinity) become null."""
+    return json.dumps(_finite(data), indent=2, allow_nan=False) + "\n"
+
+
+def _finite(data: object) -> object:
+    if isinstance(data, dict):
+        return {str(key): _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    return data

@@ -1,0 +1,43 @@
+"""The built-in `gait`: no policy at all, the environment's own movement with a zero residual."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.rollout import Rollout
+from spikedeploy.costs import NOTHING, Costs
+from spikedeploy.policies import Candidate
+
+
+class ZeroController:
+    """Always puts out zeros (act,)."""
+
+    def __init__(self, actions: int) -> None:
+        self.actions = actions
+
+    def reset(self, seed: int) -> None:
+        """Nothing to reset."""
+
+    def act(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Zeros (act,)."""
+        return np.zeros(self.actions)
+
+    def replay(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Zeros (S, act) for the observations (S, obs) of an episode."""
+        return np.zeros((len(observations), self.actions))
+
+
+def describe(path: Path) -> Candidate:
+    """The candidate; `path` is the built-in's name."""
+    return Candidate(path=str(path), name="gait", kind="gait", format="gait")
+
+
+def controller(candidate: Candidate, chip: str | None, actions: int) -> ZeroController:
+    """A controller of `actions` zeros."""
+    return ZeroController(actions)
+
+
+def costs(controller: ZeroController, played: Rollout) -> Costs:
+    """Nothing is computed."""
+    return NOTHING

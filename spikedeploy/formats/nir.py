@@ -1,0 +1,93 @@
+"""NIR files: spiking policies, on an emulated chip or as their float twin."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.rollout import Rollout
+from runtime.artifact import load
+from runtime.chip import chip as datasheet
+from runtime.compile import compile as compiled
+from runtime.controllers import SpikingController
+from runtime.errors import ArtifactError
+from runtime.ledger import Ledger
+from spikedeploy.costs import Costs
+from spikedeploy.policies import FLOAT, Candidate, env_id
+from spikedeploy.spiking_costs import spiking_costs
+
+Floats = NDArray[np.float64]
+
+
+class NirController:
+    """A spiking policy whose ledger begins anew with every episode.
+
+    chip     it runs on; None is the float twin
+    program  whose operations are counted; the float twin's is the one without rounding
+    """
+
+    def __init__(self, path: str, chip: str) -> None:
+        artifact = load(path)
+        self.chip = None if chip == FLOAT else datasheet(chip)
+        self._controller = SpikingController(artifact, self.chip, ledger="total")
+        self._stateless = artifact.convention.state == "reset"
+        self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
+        self._before = self._controller.ledger
+
+    def reset(self, seed: int) -> None:
+        """Start an episode, and its ledger."""
+        self._controller.reset(seed)
+        self._before = self._controller.ledger
+
+    def act(self, observation: Floats) -> Floats:
+        """The action (act,)."""
+        return self._controller.act(observation)
+
+    def replay(self, observations: Floats) -> Floats:
+        """Actions (S, act) for the observations (S, obs) of an episode, in their order."""
+        if self._stateless:
+            return self._controller.act_batch(observations)
+        return np.stack([self._controller.act(observation) for observation in observations])
+
+    @property
+    def ledger(self) -> Ledger:
+        """What happened since the last reset, all inferences in one row."""
+        now, before = self._controller.ledger, self._before
+        return replace(
+            now,
+            counts=now.counts.sum(axis=0, keepdims=True) - before.counts.sum(axis=0, keepdims=True),
+            inferences=now.inferences - before.inferences,
+            timesteps=now.timesteps - before.timesteps,
+            steps=now.steps - before.steps,
+        )
+
+
+def describe(path: Path) -> Candidate:
+    """The candidate in a NIR file, which must carry the codec that a closed loop needs."""
+    artifact = load(path)
+    if artifact.codec is None:
+        raise ArtifactError(
+            f"{path} has no codec (observation to spikes, output to action), so it cannot drive a "
+            "robot; `spikedeploy emulate` plays spikes into it"
+        )
+    (output,) = artifact.graph.outputs.values()
+    return Candidate(
+        path=str(path),
+        name=path.stem,
+        kind="snn",
+        format=".nir",
+        env=env_id(artifact.origin.env) if artifact.origin else None,
+        observed=artifact.codec.encoder.observed,
+        actions=int(np.prod(output.output_type["output"])),
+    )
+
+
+def controller(candidate: Candidate, chip: str | None, actions: int) -> NirController:
+    """The network on the chip, or its float twin."""
+    return NirController(candidate.path, chip or FLOAT)
+
+
+def costs(controller: NirController, played: Rollout) -> Costs:
+    """What the ledger of the episode says."""
+    return spiking_costs(controller.ledger, controller.program, controller.chip)

@@ -1,0 +1,86 @@
+"""Publishing: a run becomes a shipped policy, with a card: how it was made, and how it does."""
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import envs
+from runtime.errors import SpikedeployError
+from spikedeploy import runs, zoo
+from spikedeploy.card import markdown
+from spikedeploy.compare import EVALUATION_SEED, compare
+from spikedeploy.export import Exported, export
+from spikedeploy.files import as_text, write_text
+from spikedeploy.lineup import Entry
+from spikedeploy.policies import FLOAT, find
+from spikedeploy.run import DEFAULT_CHIP
+from trainers.run_folder import RunFolder
+
+
+def publish(
+    run: str,
+    name: str,
+    episodes: int,
+    folder: Path = zoo.FOLDER,
+    processes: int | None = None,
+) -> list[Path]:
+    """Export a run into the zoo with its card and learning curve; the files written.
+
+    run       run folder, its name under runs/, or "last"
+    name      of the policy in the zoo, such as "popsan"
+    episodes  of its evaluation, on each chip that its card names
+    folder    of the zoo
+    """
+    source = RunFolder.find(run).path
+    env = envs.spec(runs.settings(source)["env"]["name"])
+    spikes = runs.settings(source)["policy"]["kind"] == "popsan"
+    target = folder / env.short / f"{name}{'.nir' if spikes else '.onnx'}"
+    exported = export(str(source), target.suffix[1:], target)
+    if not exported.passed:
+        target.unlink()
+        raise SpikedeployError(f"{target} does not do what {source} does; it was removed again")
+    record = describe(source, exported, episodes, processes)
+    pictures = [_copied(source / "curve.png", target), _copied(source / "metrics.csv", target)]
+    card = write_text(target.with_suffix(".json"), as_text(record))
+    page = write_text(target.with_suffix(".md"), markdown(name, record))
+    return [target, card, page, *pictures]
+
+
+def describe(
+    source: Path, exported: Exported, episodes: int, processes: int | None
+) -> dict[str, Any]:
+    """The card as data: how the policy was made, and how it does."""
+    origin = runs.origin(source)
+    return {
+        "file": exported.path.name,
+        "kind": exported.kind,
+        "env": origin.env,
+        "recipe": origin.recipe,
+        "seed": origin.seed,
+        "steps": origin.steps,
+        "commit": runs.versions(source)["commit"],
+        "created": origin.created,
+        "versions": runs.versions(source),
+        "config": runs.settings(source),
+        "parity": [vars(check) for check in exported.checks],
+        "evaluation": _evaluation(exported.path, origin.env, episodes, processes),
+    }
+
+
+def _evaluation(
+    path: Path, env: str, episodes: int, processes: int | None
+) -> list[Mapping[str, Any]]:
+    """Rows of the policy alone: as a float network, and on the default chip if it spikes."""
+    candidate = find(str(path))
+    entries = [Entry(candidate)]
+    if candidate.kind == "snn":
+        twin = Entry(candidate, FLOAT)
+        entries = [twin, Entry(candidate, DEFAULT_CHIP, twin)]
+    seeds = range(EVALUATION_SEED, EVALUATION_SEED + episodes)
+    rows = compare(env, entries, seeds, processes).as_json()
+    return [{**row, "file": path.name} for row in rows]
+
+
+def _copied(source: Path, beside: Path) -> Path:
+    return Path(shutil.copyfile(source, beside.with_suffix(source.suffix)))

@@ -1,0 +1,138 @@
+"""The report of a comparison: `report.json` for machines, one self-contained `report.html`."""
+
+import shlex
+import sys
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import envs
+from runtime.artifact import load
+from runtime.energy import energy_table
+from spikedeploy.columns import Column, Row, cost_columns, walk_columns
+from spikedeploy.comparison import Comparison
+from spikedeploy.files import as_text, write_text
+from spikedeploy.meaning import meaning
+from spikedeploy.plots import draw_energy, draw_returns
+from spikedeploy.versions import own
+
+Document = Mapping[str, Any]
+
+
+def document(comparison: Comparison) -> dict[str, Any]:
+    """Everything that a report says, as plain data; its `rows` are one a policy and chip."""
+    rows = comparison.as_json()
+    return {
+        "env": envs.spec(comparison.env).short,
+        "env_id": comparison.env,
+        "seeds": {"first": comparison.seeds[0], "count": len(comparison.seeds)},
+        "command": shlex.join(["spikedeploy", *sys.argv[1:]]),
+        "version": own(),
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "meaning": meaning(rows),
+        "conventions": _conventions(comparison),
+        "energy_tables": _energy_tables(rows),
+        "rows": rows,
+    }
+
+
+def _conventions(comparison: Comparison) -> dict[str, str]:
+    """How each spiking file is stepped, by the policy's name."""
+    candidates = [row.entry.candidate for row in comparison.rows]
+    files = {c.name: c.path for c in candidates if c.format == ".nir"}
+    return {name: load(path).convention.describe() for name, path in files.items()}
+
+
+def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
+    """Where the numbers of each table come from, by the table's name."""
+    names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
+    tables = [energy_table(name) for name in names]
+    return {table.name: f"{table.source}: {table.provenance}" for table in tables}
+
+
+def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:
+    """Write report.json, its plots and report.html into the folder; the files, in that order."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = document["rows"]
+    pictures = {
+        "Return of every episode": draw_returns(rows, folder / "returns.png"),
+        "Energy per inference": draw_energy(rows, folder / "energy.png"),
+    }
+    numbers = write_text(folder / "report.json", as_text(document))
+    page = write_text(folder / "report.html", html(document, pictures, video))
+    return [page, numbers, *pictures.values(), *([video] if video else [])]
+
+
+def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
+    """The page: everything is inside it, so it can be mailed."""
+    rows = document["rows"]
+    walk, cost = walk_columns(rows), cost_columns(rows)
+    returns, energy = (_figure(title, picture) for title, picture in pictures.items())
+    page = Template(files("spikedeploy").joinpath("report.html").read_text(encoding="utf-8"))
+    return page.substitute(
+        title=escape(f"{document['env']}: {len(rows)} policies on the same seeds"),
+        meaning=escape(document["meaning"]),
+        facts=_facts(document),
+        walk=_table(walk, rows),
+        cost=_table(cost, rows),
+        returns=returns,
+        energy=energy,
+        video=_video(video) if video else "",
+        definitions=_definitions([*walk, *cost]),
+        sources=_list(document["energy_tables"]),
+        conventions=_list(document["conventions"]),
+    )
+
+
+def _table(columns: Sequence[Column], rows: Sequence[Row]) -> str:
+    head = "".join(f'<th title="{escape(c.meaning)}">{escape(c.title)}</th>' for c in columns)
+    body = "".join(
+        f'<tr class="{_class(row)}">'
+        + "".join(f"<td>{escape(column.cell(row))}</td>" for column in columns)
+        + "</tr>"
+        for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _class(row: Row) -> str:
+    """The style of a row: ann, snn, chip, gait or control."""
+    return "chip" if row["kind"] == "snn" and row["chip"] != "float" else str(row["kind"])
+
+
+def _figure(title: str, picture: Path) -> str:
+    return f'<figure><img alt="{escape(title)}" src="{_embedded(picture, "image/png")}"></figure>'
+
+
+def _video(path: Path) -> str:
+    source = _embedded(path, "video/mp4")
+    return f'<h2>The same seed, side by side</h2><video controls muted loop src="{source}"></video>'
+
+
+def _embedded(path: Path, media: str) -> str:
+    return f"data:{media};base64,{b64encode(path.read_bytes()).decode()}"
+
+
+def _facts(document: Document) -> str:
+    first, count = document["seeds"]["first"], document["seeds"]["count"]
+    facts = {
+        "environment": document["env_id"],
+        "episodes": f"{count} each, seeds {first} to {first + count - 1}",
+        "made by": f"spikedeploy {document['version']}, {document['created']}",
+        "command": document["command"],
+    }
+    return _list(facts)
+
+
+def _definitions(columns: Sequence[Column]) -> str:
+    return _list({column.title: column.meaning for column in columns})
+
+
+def _list(items: Mapping[str, str]) -> str:
+    pairs = (f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in items.items())
+    return f"<dl>{''.join(pairs)}</dl>"

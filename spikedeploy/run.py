@@ -1,0 +1,70 @@
+"""One policy in one environment, closed loop, with or without a film of it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import envs
+from envs.rollout import rollout
+from runtime.errors import ConfigError
+from spikedeploy.comparison import Comparison, Row
+from spikedeploy.episodes import summarise
+from spikedeploy.lineup import Entry
+from spikedeploy.policies import FLOAT, Candidate, find, open_policy
+from spikedeploy.terminal import progress
+from spikedeploy.video import Frame, captioned, mp4
+
+DEFAULT_CHIP = "loihi1"
+FPS = 50
+
+
+def run(
+    reference: str,
+    env: str | None,
+    chip: str | None,
+    seeds: Sequence[int],
+    video: Path | None = None,
+) -> Comparison:
+    """Play the policy on every seed.
+
+    reference  of spikedeploy.policies.find
+    env        short name or id; None is the one that the policy was made for
+    chip       a chip or "float"; None is DEFAULT_CHIP for a file that spikes
+    seeds      (n,)
+    video      MP4 of the first episode
+    """
+    candidate = find(reference)
+    entry = Entry(candidate, chip or _default_chip(candidate))
+    world = envs.make(env or _made_for(candidate), render_mode="rgb_array" if video else None)
+    player = open_policy(candidate, entry.chip, world)
+    episodes = []
+    with progress(entry.label, len(seeds)) as done:
+        for seed in seeds:
+            with _film(video if seed == seeds[0] else None, entry.label) as on_frame:
+                played = rollout(world, player, seed, on_frame)
+            episodes.append(summarise(candidate, player, played))
+            done()
+    world.close()
+    return Comparison(played.env_id, seeds, [Row(entry, episodes)])
+
+
+def _made_for(candidate: Candidate) -> str:
+    if candidate.env is None:
+        raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
+    return candidate.env
+
+
+def _default_chip(candidate: Candidate) -> str | None:
+    if candidate.kind != "snn":
+        return None
+    return DEFAULT_CHIP if candidate.format == ".nir" else FLOAT
+
+
+@contextmanager
+def _film(path: Path | None, caption: str) -> Iterator[Callable[[Frame], None] | None]:
+    """What `rollout` gives its frames to; None without a path."""
+    if path is None:
+        yield None
+        return
+    with mp4(path, FPS) as write:
+        yield lambda frame: write(captioned(frame, caption))

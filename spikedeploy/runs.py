@@ -1,0 +1,59 @@
+"""What a run folder says of itself, read without torch."""
+
+import json
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from runtime.errors import ConfigError
+from runtime.origin import Origin
+from spikedeploy.policies import env_id
+from spikedeploy.versions import own
+from trainers.metrics import read
+
+
+def settings(run: Path) -> dict[str, Any]:
+    """The resolved configuration of a run."""
+    return _read(run / "config.json")
+
+
+def versions(run: Path) -> dict[str, str | None]:
+    """The versions that a run was made with, and the commit."""
+    return _read(run / "versions.json")
+
+
+def checkpoint(run: Path) -> dict[str, Any]:
+    """The record of the checkpoint that is deployed: the best, else the last."""
+    best, last = (run / "checkpoints" / f"{name}.json" for name in ("best", "last"))
+    return _read(best if best.is_file() else last)
+
+
+def origin(run: Path) -> Origin:
+    """Who made the run's policy, for the header of an exported file."""
+    config = settings(run)
+    return Origin(
+        env=env_id(config["env"]["name"]) or "",
+        recipe=config["recipe"],
+        seed=config["seed"],
+        steps=checkpoint(run).get("env_steps", 0),
+        created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        version=own(),
+    )
+
+
+def curve(run: Path) -> dict[str, list[float]]:
+    """Steps and returns of a run: of its validation where it has one, else of its training."""
+    rows = read(run / "metrics.csv")
+    for signal in ("eval_return", "episode_return"):
+        points = [(row[next(iter(row))], row[signal]) for row in rows if signal in row]
+        if points:
+            steps, returns = zip(*points, strict=True)
+            return {"step": list(steps), "return": list(returns)}
+    raise ConfigError(f"{run} has no returns yet: train on")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise ConfigError(f"{path.parent} is no run folder: it has no {path.name}")
+    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return record

@@ -1,0 +1,49 @@
+"""The costs of a spiking network, from the ledger of what it did."""
+
+import numpy as np
+
+from runtime.chip import Chip
+from runtime.energy import energy, energy_table, latency
+from runtime.ledger import Ledger
+from runtime.program import Program
+from spikedeploy.costs import Costs
+
+
+def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
+    """The mean inference of the ledger; `chip` None is the float twin."""
+    sops = ledger.per_inference("sop")
+    tables = [energy_table(name) for name in priced_by(chip)]
+    return Costs(
+        sparsity=ledger.sparsity,
+        spikes=ledger.per_inference("spike_out"),
+        input_spikes=ledger.by_layer("spike_in")[program.layers[0].name] / ledger.inferences,
+        sops=sops,
+        bias_sops=ledger.per_inference("bias_sop"),
+        effective_acs=sops + _readout_acs(ledger, program),
+        effective_macs=0.0,  # every weight matrix hears spikes
+        dense=dense(program) * ledger.timesteps / ledger.inferences,
+        saturations=ledger.total("saturation"),
+        energy_j={table.name: energy(ledger, table) for table in tables},
+        latency_s={table.name: latency(ledger, table) for table in tables if table.seconds},
+    )
+
+
+def priced_by(chip: Chip | None) -> tuple[str, ...]:
+    """The chip's own energy tables, and the one that a float network of its precision has too."""
+    if chip is None or chip.fixed is None:
+        return ("horowitz45",)
+    return (*chip.energy_tables, "horowitz45-int8")
+
+
+def dense(program: Program) -> int:
+    """Weights of all matrices, zeros included: the operations of a timestep without sparsity."""
+    weights = [s.weight.size for layer in program.layers for s in layer.synapses]
+    return sum(weights) + (program.readout.weight.size if program.readout else 0)
+
+
+def _readout_acs(ledger: Ledger, program: Program) -> float:
+    """Accumulates of the host's readout; exact where all neurons have the same fan-out."""
+    if program.readout is None:
+        return 0.0
+    fan_out = np.count_nonzero(program.readout.weight, axis=1).mean()
+    return float(fan_out * ledger.by_layer("spike_out")[program.output] / ledger.inferences)

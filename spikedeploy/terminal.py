@@ -1,0 +1,101 @@
+"""What people and machines read: tables and JSON on stdout, progress on stderr."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from spikedeploy.files import as_text
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from exporters.check import Check
+    from spikedeploy.emulate import Emulation
+
+PIPE_WIDTH = 120
+
+
+def print_json(data: object) -> None:
+    """Write `data` as JSON, and nothing else."""
+    print(as_text(data), end="")
+
+
+def say(line: str) -> None:
+    """Write a line on stderr, beside whatever goes to stdout."""
+    console(stderr=True).print(line, markup=False)
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = False
+) -> None:
+    """Write a table; with `numbers` every column after the first is set flush right."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for place, column in enumerate(columns):
+        table.add_column(column, justify="right" if numbers and place else "left")
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
+
+
+def print_checks(checks: "Iterable[Check]") -> None:
+    """Write a line for each check: ✓ or ✗, what was compared, the numbers behind it."""
+    for check in checks:
+        mark = "[green]✓[/]" if check.passed else "[red]✗[/]"
+        console().print(f"{mark} {check.name}: {check.detail}")
+
+
+def print_comparison(document: Mapping[str, Any]) -> None:
+    """Write how the robot does, what the network costs, and what both mean."""
+    from spikedeploy.columns import cost_columns, walk_columns
+
+    rows = document["rows"]
+    tables = {
+        f"{document['env_id']}, {rows[0]['episodes']} episodes a row": walk_columns(rows),
+        "Per inference": cost_columns(rows),
+    }
+    for title, columns in tables.items():
+        heads = [column.title for column in columns]
+        cells = [[column.cell(row) for column in columns] for row in rows]
+        print_table(title, heads, cells, numbers=True)
+    if document["meaning"]:
+        console().print(document["meaning"])
+
+
+def print_emulation(emulation: "Emulation") -> None:
+    """Write how the network was stepped, what it did, and what that costs."""
+    found = emulation.as_json()
+    energies = {f"energy, {name}": f"{joules:.4g} J" for name, joules in found["energy_j"].items()}
+    counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
+    lines = {
+        "convention": emulation.artifact.convention.describe(),
+        **{
+            name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
+        },
+        **energies,
+        **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
+    }
+    print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+
+
+def console(stderr: bool = False) -> "Console":
+    """A console as wide as the terminal, or `PIPE_WIDTH` columns where there is none."""
+    from rich.console import Console
+
+    made = Console(stderr=stderr, highlight=False)
+    if not made.is_terminal:
+        made.width = PIPE_WIDTH
+    return made
+
+
+@contextmanager
+def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
+    """A progress bar on stderr, and the function that moves it on by one."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda: bar.advance(task)
