@@ -66,10 +66,10 @@ class Normaliser:
                 "normaliser: mean and std must both have shape (obs,), found "
                 f"{self.mean.shape} and {self.std.shape}. Export the policy again."
             )
-        if not (self.std > 0).all() or not self.clip > 0:
+        if not (np.isfinite(self.mean).all() and (self.std > 0).all() and self.clip > 0):
             raise ArtifactError(
-                "normaliser: std and clip must be above 0, found at least "
-                f"{self.std.min()} and {self.clip}. Export the policy again."
+                "normaliser: mean must be finite, std and clip above 0, found "
+                f"{self.mean.max()}, {self.std.min()} and {self.clip}. Export the policy again."
             )
 
     def __call__(self, obs: NDArray[np.floating]) -> NDArray[np.floating]:

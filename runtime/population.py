@@ -31,10 +31,10 @@ class PopulationEncoder:
                 "population encoder: mean and std must both have shape (obs, P), found "
                 f"{self.mean.shape} and {self.std.shape}. Export the policy again."
             )
-        if not (self.std > 0).all() or not self.threshold > 0:
+        if not (np.isfinite(self.mean).all() and (self.std > 0).all() and self.threshold > 0):
             raise ArtifactError(
-                "population encoder: std and threshold must be above 0, found at least "
-                f"{self.std.min()} and {self.threshold}. Export the policy again."
+                "population encoder: mean must be finite, std and threshold above 0, found "
+                f"{self.mean.max()}, {self.std.min()} and {self.threshold}. Export the policy again."
             )
 
     @property

@@ -209,7 +209,7 @@ def test_a_damaged_file_never_passes_for_the_policy(artifact, path):
     save(artifact, path)
     whole, sha = path.read_bytes(), digest(artifact)
     rng = np.random.default_rng(0)
-    for place in rng.integers(0, len(whole), 100):
+    for place in rng.integers(0, len(whole), 60):
         damaged = bytearray(whole)
         damaged[place] ^= 1 << rng.integers(8)
         path.write_bytes(damaged)
@@ -252,6 +252,13 @@ def test_weights_that_are_text_are_refused(path):
     foreign(path, chain(nir.Affine(np.eye(2), np.zeros(2)), width=2, act=2))
     with pytest.raises(ArtifactError, match="node 'n1': bias"):
         load(edited(path, "node/nodes/n1/bias", "zero"))
+
+
+@pytest.mark.parametrize("shape", [[0], [-2], [2.0], [np.nan], "wide"])
+def test_an_input_without_a_shape_is_refused(path, shape):
+    foreign(path, chain(nir.Linear(np.eye(2)), width=2, act=2))
+    with pytest.raises(ArtifactError, match=r"'input': shape is .* whole numbers above 0"):
+        load(edited(path, "node/nodes/input/shape", shape), dt=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -136,8 +136,16 @@ def test_a_codec_that_cannot_work_is_refused(change, message):
         Codec(**{**parts, **change})
 
 
-def test_a_deviation_of_zero_is_refused():
-    with pytest.raises(ArtifactError, match="above 0"):
-        Normaliser(np.zeros(2), np.array([1.0, 0.0]), 5.0)
-    with pytest.raises(ArtifactError, match="above 0"):
-        PopulationEncoder(np.zeros((2, 2)), np.zeros((2, 2)))
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.0), (0.0, np.nan), (np.nan, 1.0)])
+def test_receptive_fields_and_scales_that_are_none_are_refused(mean, std):
+    with pytest.raises(ArtifactError, match="normaliser: mean must be finite"):
+        Normaliser(np.full(2, mean), np.full(2, std), 5.0)
+    with pytest.raises(ArtifactError, match="population encoder: mean must be finite"):
+        PopulationEncoder(np.full((2, 3), mean), np.full((2, 3), std))
+
+
+def test_parameters_of_different_shapes_are_refused():
+    with pytest.raises(ArtifactError, match=r"shape \(obs,\), found \(2,\) and \(3,\)"):
+        Normaliser(np.zeros(2), np.ones(3), 5.0)
+    with pytest.raises(ArtifactError, match=r"shape \(obs, P\), found \(2,\) and \(2,\)"):
+        PopulationEncoder(np.zeros(2), np.ones(2))
