@@ -31,11 +31,12 @@ class FloatGraph:
         self.input = _only(self.graph.inputs, "Input")
         self.output = _only(self.graph.outputs, "Output")
         self.spiking = _spiking(self.graph)
-        late = _into_dense(self.graph) if self.convention.delay else set()
-        ordered = order(self.graph)
-        self.loops = bool(ordered.late)
-        self.names = order(self.graph, late).names if self.loops else ordered.names
-        self.late = order(self.graph, late).late
+        at_once = order(self.graph)
+        in_steps = order(self.graph, _into_dense(self.graph) if self.convention.delay else ())
+        self.loops = bool(at_once.late)
+        self.late = in_steps.late
+        # a late edge may come from a later node of the same timestep, but not of all timesteps
+        self.names = in_steps.names if self.loops else at_once.names
         self.sources = {name: sources(self.graph, name) for name in self.names}
         self.nodes = {
             name: build(name, self.graph.nodes[name], self.convention, self.dtype)

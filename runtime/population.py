@@ -34,7 +34,8 @@ class PopulationEncoder:
         if not (np.isfinite(self.mean).all() and (self.std > 0).all() and self.threshold > 0):
             raise ArtifactError(
                 "population encoder: mean must be finite, std and threshold above 0, found "
-                f"{self.mean.max()}, {self.std.min()} and {self.threshold}. Export the policy again."
+                f"{self.mean.max()}, {self.std.min()} and {self.threshold}. "
+                "Export the policy again."
             )
 
     @property

@@ -40,22 +40,29 @@ def timestep(graph: nir.NIRGraph) -> Timestep:
         return Timestep(None, "no node of the graph has a time constant")
     if any((node.r <= 0).any() for node in neurons.values()):
         return Timestep(None, "a gain r is not above 0")
-    candidates = {name: _candidates(node) for name, node in neurons.items()}
-    every = np.concatenate(list(candidates.values()))
+    every = np.concatenate([_candidates(node) for node in neurons.values()])
     dt = _rounded(float(np.median(every)))
     tolerance = max(ROUNDING[node.r.dtype.itemsize] for node in neurons.values())
     for name, node in neurons.items():
-        found = candidates[name]
-        if np.abs(found / dt - 1).max() > tolerance:
-            return Timestep(None, f"tau/r is {found.min():g} s in node {name!r} and not {dt:g} s")
-        if not isinstance(node, INTEGRATORS) and (node.r <= 1).any():
-            return Timestep(None, f"r of node {name!r} is {node.r.min():g}, a gain and not tau/dt")
-        if isinstance(node, CURRENT_BASED):
-            gain = dt * node.w_in / node.tau_syn
-            if np.abs(gain - 1).max() > tolerance:
-                return Timestep(None, f"w_in dt/tau_syn of node {name!r} is {gain.max():g}, not 1")
+        if doubt := _doubt(node, dt, tolerance):
+            return Timestep(None, f"in node {name!r} {doubt}")
     confirmed = any(isinstance(node, CURRENT_BASED) for node in neurons.values())
     return Timestep(dt, f"dt = tau/r in {', '.join(neurons)}", confirmed)
+
+
+def _doubt(node: nir.NIRNode, dt: float, tolerance: float) -> str:
+    """What speaks against this dt, or nothing."""
+    found = _candidates(node)
+    if np.abs(found / dt - 1).max() > tolerance:
+        return f"tau/r is {found.min():g} s and not {dt:g} s"
+    # a leaky membrane has tau > dt; r = 1 is the gain of a tool that leaves dt out of r
+    if not isinstance(node, INTEGRATORS) and (node.r <= 1).any():
+        return f"r is {node.r.min():g}, a gain and not tau/dt"
+    if isinstance(node, CURRENT_BASED):
+        gain = dt * node.w_in / node.tau_syn
+        if np.abs(gain - 1).max() > tolerance:
+            return f"w_in dt/tau_syn is {gain.max():g}, not 1"
+    return ""
 
 
 def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Convention:

@@ -149,9 +149,15 @@ def test_what_is_given_goes_before_what_our_file_states(artifact, path):
     ("nodes", "reason"),
     [
         # r = 1 is a physical gain: dt = tau would leave no membrane at all
-        ([lif(2, tau=0.0025, r=1.0)], "r of node 'n1' is 1"),
-        ([lif(2, tau=0.01, r=10.0), lif(2, tau=0.01, r=5.0)], r"tau/r is 0\.00. s in node"),
-        ([nir.CubaLIF(*(np.full(2, v) for v in (0.01, 0.01, 10.0, 0.0, 1.0)))], "w_in dt/tau_syn"),
+        ([lif(2, tau=0.0025, r=1.0)], "in node 'n1' r is 1"),
+        (
+            [lif(2, tau=0.01, r=10.0), lif(2, tau=0.01, r=5.0)],
+            r"in node 'n.' tau/r is 0\.00. s and not",
+        ),
+        (
+            [nir.CubaLIF(*(np.full(2, v) for v in (0.01, 0.01, 10.0, 0.0, 1.0)))],
+            "in node 'n1' w_in dt/tau_syn is 0.1",
+        ),
         ([nir.Affine(np.eye(2), np.zeros(2))], "no node of the graph has a time constant"),
         ([lif(2, r=-10.0)], "a gain r is not above 0"),
     ],
