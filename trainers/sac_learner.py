@@ -1,12 +1,12 @@
 """The networks of soft actor-critic and one gradient update of them (Haarnoja et al. 2018)."""
 
 import copy
-from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
 
 from trainers.actor import GaussianActor
+from trainers.adam import adam, load, tensors, under
 from trainers.buffers import Batch
 from trainers.config import SacConfig
 from trainers.critic import TwinCritic, follow
@@ -23,9 +23,8 @@ class SacLearner:
         self.critic = TwinCritic(*sizes, config.critic_hidden)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
         self._normalizer = policy.normalizer
-        # fused: four times as fast as the other implementations on one core
-        self.actor_optimizer = _adam(self.actor, config.learning_rate)
-        self.critic_optimizer = _adam(self.critic, config.learning_rate)
+        self.actor_optimizer = adam(self.actor, config.learning_rate)
+        self.critic_optimizer = adam(self.critic, config.learning_rate)
 
     def update(self, batch: Batch, temperature: float) -> dict[str, Tensor]:
         """Take one gradient step and return the losses."""
@@ -80,19 +79,16 @@ class SacLearner:
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what a checkpoint needs beside the policy."""
-        tensors = {}
-        for name, module in self._modules().items():
-            tensors.update({f"{name}.{key}": value for key, value in module.state_dict().items()})
-        for name, optimizer in self._optimizers().items():
-            tensors.update({f"{name}.{key}": value for key, value in _moments(optimizer)})
-        return tensors
+        groups = {name: module.state_dict() for name, module in self._modules().items()}
+        groups |= {name: tensors(optimizer) for name, optimizer in self._optimizers().items()}
+        return {f"{name}.{key}": t for name, group in groups.items() for key, t in group.items()}
 
-    def load(self, tensors: dict[str, Tensor]) -> None:
+    def load(self, named: dict[str, Tensor]) -> None:
         """Take over the tensors of a checkpoint."""
         for name, module in self._modules().items():
-            module.load_state_dict(_under(name, tensors))
+            module.load_state_dict(under(name, named))
         for name, optimizer in self._optimizers().items():
-            _load_moments(optimizer, _under(name, tensors))
+            load(optimizer, under(name, named))
 
     def _modules(self) -> dict[str, nn.Module]:
         return {
@@ -106,35 +102,9 @@ class SacLearner:
         return {"actor_adam": self.actor_optimizer, "critic_adam": self.critic_optimizer}
 
 
-def _adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
-    return torch.optim.Adam(module.parameters(), lr=learning_rate, fused=True)
-
-
 def _descend(loss: Tensor, module: nn.Module, optimizer: torch.optim.Adam) -> None:
     """Take one step down the loss, in the module's own parameters only."""
     parameters = list(module.parameters())
     for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
         parameter.grad = gradient
     optimizer.step()
-
-
-def _under(name: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return the tensors below a prefix, without it."""
-    prefix = f"{name}."
-    return {key[len(prefix) :]: t for key, t in tensors.items() if key.startswith(prefix)}
-
-
-def _moments(optimizer: torch.optim.Adam) -> Iterable[tuple[str, Tensor]]:
-    """Yield Adam's state as named tensors; nothing before its first step."""
-    for index, state in optimizer.state_dict()["state"].items():
-        for key, value in state.items():
-            yield f"{index}.{key}", value
-
-
-def _load_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor]) -> None:
-    """Take over Adam's state."""
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, value in tensors.items():
-        index, key = name.split(".")
-        state.setdefault(int(index), {})[key] = value
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
