@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -83,10 +83,11 @@ def load(
 
 def digest(artifact: Artifact) -> str:
     """SHA-256 of all that decides what the policy does: network, codec and convention."""
-    sha = hashlib.sha256()
     nodes = {name: _parameters(node) for name, node in artifact.graph.nodes.items()}
     edges = repr(sorted(artifact.graph.edges))
-    _feed(sha, "", {**_record(artifact), "nodes": nodes, "edges": edges})
+    sha = hashlib.sha256()
+    for part in _parts("", {**_record(artifact), "nodes": nodes, "edges": edges}):
+        sha.update(part)
     return sha.hexdigest()
 
 
@@ -95,17 +96,17 @@ def _parameters(node: nir.NIRNode) -> dict[str, object]:
     return {**values, "type": type(node).__name__}
 
 
-def _feed(sha: "hashlib._Hash", path: str, tree: Mapping[str, object]) -> None:
-    """Hash names and values in the order of the names; numbers as they lie in memory."""
+def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
+    """Names and values in the order of the names; numbers as they lie in memory."""
     for name, value in sorted(tree.items()):
         here = f"{path}/{name}"
         if isinstance(value, dict):
-            _feed(sha, here, value)
+            yield from _parts(here, value)
         elif isinstance(value, str):
-            sha.update(f"{here} {value}".encode())
+            yield f"{here} {value}".encode()
         else:
             numbers = np.ascontiguousarray(value)
-            sha.update(f"{here} {numbers.dtype.str} {numbers.shape}".encode() + numbers.tobytes())
+            yield f"{here} {numbers.dtype.str} {numbers.shape}".encode() + numbers.tobytes()
 
 
 def _stamped(artifact: Artifact) -> nir.NIRGraph:

@@ -26,10 +26,10 @@ INTEGRATORS = (nir.IF, nir.I)
 SPIKING = (nir.LIF, nir.CubaLIF, nir.IF)
 NEURONS = (*LEAKY, *CURRENT_BASED, *INTEGRATORS)
 
-# Exporters write r = tau/dt and w_in = tau/dt so that the gain is 1; it comes back as 1 within the
-# rounding of the file's number type. It is then taken as exactly 1, so that every simulator that
-# leaves the multiplication out gets the same bits.
-ROUNDING = {8: 1e-9, 4: 1e-5, 2: 1e-2}
+# Exporters write r = tau/dt and w_in = tau/dt so that the gain is 1, and it comes back as 1 within
+# the rounding of the file's number type. It is then taken as exactly 1, so that the bits are those
+# of a simulator that leaves the multiplication out.
+ROUNDING = {np.float16: 1e-2, np.float32: 1e-5, np.float64: 1e-9}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +68,15 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
     if isinstance(node, CURRENT_BASED):
         current_decay, share = _decay(name, node, "tau_syn", convention)
         gain = share * _array(node.w_in) * gain
-    gain[np.abs(gain - 1) <= ROUNDING[node.r.dtype.itemsize]] = 1.0
+    gain[np.abs(gain - 1) <= rounding(node)] = 1.0
     threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
     v_reset = _array(node.v_reset) if isinstance(node, SPIKING) else np.zeros_like(gain)
     return Discrete(current_decay, membrane_decay, gain, leak, threshold, v_reset)
+
+
+def rounding(node: nir.NIRNode) -> float:
+    """Relative difference that the number type of a neuron's parameters explains."""
+    return ROUNDING.get(node.r.dtype.type, ROUNDING[np.float64])
 
 
 def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> tuple[Array, Array]:
@@ -79,8 +84,8 @@ def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> 
     step = convention.dt / _array(getattr(node, field))
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)
-    # 1 - dt/tau may come out a hair below 0 where tau was written as dt
-    if step.max() > 1 + ROUNDING[4]:
+    # where tau was written as dt, dt/tau may come out a hair above 1
+    if step.max() > 1 + rounding(node):
         raise ConventionError(
             f"node {name!r}: dt = {convention.dt:g} s is longer than {field} = "
             f"{convention.dt / step.max():g} s, and forward Euler would overshoot. "

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.convention import Convention
-from runtime.discrete import CURRENT_BASED, INTEGRATORS, NEURONS, ROUNDING
+from runtime.discrete import CURRENT_BASED, INTEGRATORS, NEURONS, rounding
 from runtime.errors import ArtifactError
 
 USUAL = "the file does not say: NIR's usual"
@@ -41,8 +41,8 @@ def timestep(graph: nir.NIRGraph) -> Timestep:
     if any((node.r <= 0).any() for node in neurons.values()):
         return Timestep(None, "a gain r is not above 0")
     every = np.concatenate([_candidates(node) for node in neurons.values()])
-    dt = _rounded(float(np.median(every)))
-    tolerance = max(ROUNDING[node.r.dtype.itemsize] for node in neurons.values())
+    tolerance = max(rounding(node) for node in neurons.values())
+    dt = _rounded(float(np.median(every)), tolerance)
     for name, node in neurons.items():
         if doubt := _doubt(node, dt, tolerance):
             return Timestep(None, f"in node {name!r} {doubt}")
@@ -86,6 +86,7 @@ def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
     return np.ravel(tau / node.r)
 
 
-def _rounded(dt: float) -> float:
-    """The same dt without the rounding noise of the file's number type."""
-    return float(f"{dt:.4g}") if abs(float(f"{dt:.4g}") / dt - 1) < ROUNDING[4] else dt
+def _rounded(dt: float, tolerance: float) -> float:
+    """The dt that people meant, where only the rounding of the file's number type hides it."""
+    short = float(f"{dt:.4g}")
+    return short if abs(short / dt - 1) <= tolerance else dt
