@@ -68,15 +68,16 @@ class Sac:
         self.env_steps = self.updates = self.episodes = 0
         self.best = -np.inf
         self._losses: Mapping[str, Tensor] = {}
+        self._clock = time.perf_counter(), 0
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
         """Train to the end, or until stopped; leave checkpoints in the run."""
         if self._run.checkpoint("last").is_file():
             self._resume()
             journal.rewind(self.env_steps)
-        self._clock = time.perf_counter(), self.env_steps
         if self.env_steps >= self._config.steps:
             return
+        self._clock = time.perf_counter(), self.env_steps
         while self.env_steps < self._config.steps and not stopped():
             self._collect()
             self._update()
@@ -104,7 +105,7 @@ class Sac:
         )
         if self.env_steps < self._config.normaliser.finish:
             self._moments.add(steps.observation)
-            self.policy.normalizer.adopt(self._moments)
+            self.learner.adopt(self._moments)
         self.env_steps += len(self._envs)
 
     @torch.no_grad()
@@ -123,6 +124,7 @@ class Sac:
             batch = self._buffer.sample(self._config.batch, self._rng)
             self._losses = self.learner.update(batch, self._temperature)
             self.updates += 1
+            self.learner.average(self.updates)
 
     def _report(self, journal: Journal) -> None:
         """Validate, write metrics and checkpoints where they are due."""
@@ -167,9 +169,7 @@ class Sac:
             "torch_rng": torch.get_rng_state(),
         }
         finished = self.env_steps >= self._config.steps
-        if finished:
-            self._run.replay.unlink(missing_ok=True)
-        else:
+        if not finished:
             self._buffer.save(self._run.replay)
         state = {
             **self._counters(),
@@ -179,6 +179,8 @@ class Sac:
             "rng": self._rng.bit_generator.state,
         }
         self._run.save("last", self.policy, state, tensors)
+        if finished:
+            self._run.replay.unlink(missing_ok=True)
 
     def _resume(self) -> None:
         """Take over the last checkpoint; episodes that were under way begin anew."""
