@@ -143,3 +143,25 @@ def test_the_spread_is_no_part_of_the_policy():
 def test_sac_refuses_policies_that_do_not_see_everything():
     with pytest.raises(Exception, match="distil policies that see less"):
         resolve(SacConfig, "smoke", overrides=["policy.features=phase"])
+
+
+def test_the_policy_that_is_kept_averages_the_actors_weights():
+    sac = learner("averaging=0.5")
+    first = sac.actor.policy.layers[0].weight
+    steps = []
+    for updates in range(1, 4):
+        with torch.no_grad():
+            first += 1.0
+        steps.append(first.detach().clone())
+        sac.average(updates)
+    # 10 / (1 + 9) = 1, 10 / (2 + 9) and 10 / (3 + 9) of the newest weights, each above 0.5
+    kept = steps[0].lerp(steps[1], 10 / 11).lerp(steps[2], 10 / 12)
+    torch.testing.assert_close(sac.policy.layers[0].weight, kept)
+
+
+def test_learning_moves_the_actor_and_leaves_the_kept_policy_to_the_average():
+    sac = learner()
+    before = sac.policy.layers[0].weight.clone()
+    sac.update(random_batch(), temperature=0.05)
+    torch.testing.assert_close(sac.policy.layers[0].weight, before, rtol=0, atol=0)
+    assert not torch.equal(sac.actor.policy.layers[0].weight, before)

@@ -45,6 +45,7 @@ COMMAND: dict[str, Any] = {
     "hoist": {"finish": 60_000},
     "temperature": {"begin": 40_000, "finish": 120_000},
     "mean_penalty": 0.15,
+    "steps": 250_000,
     "validation": {"episodes": 8},
 }
 

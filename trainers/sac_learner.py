@@ -10,25 +10,42 @@ from trainers.adam import adam, load, tensors, under
 from trainers.buffers import Batch
 from trainers.config import SacConfig
 from trainers.critic import TwinCritic, follow
+from trainers.normalizer import Moments
 from trainers.policy import Latent, Policy
+
+AVERAGED = 10  # share of the history, one in so many, that the averaged policy spans at first
 
 
 class SacLearner:
-    """Actor, twin critics, their targets and optimisers, behind the policy's normaliser."""
+    """Actor, twin critics, their targets and optimisers.
+
+    policy: what is kept, the average of the actor's policies of late
+    """
 
     def __init__(self, config: SacConfig, policy: Policy) -> None:
         self._config = config
         sizes = policy.observations, policy.actions
-        self.actor = GaussianActor(policy, config.epsilon)
+        self.policy = policy.requires_grad_(False)
+        self.actor = GaussianActor(copy.deepcopy(policy).requires_grad_(), config.epsilon)
         self.critic = TwinCritic(*sizes, config.critic_hidden)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
-        self._normalizer = policy.normalizer
         self.actor_optimizer = adam(self.actor, config.learning_rate)
         self.critic_optimizer = adam(self.critic, config.learning_rate)
 
+    def adopt(self, moments: Moments) -> None:
+        """Normalise observations by these statistics from now on."""
+        for policy in (self.policy, self.actor.policy):
+            policy.normalizer.adopt(moments)
+
+    def average(self, updates: int) -> None:
+        """Move the policy that is kept towards the actor's (Polyak and Juditsky 1992)."""
+        # over the last tenth of the updates at first, then over the last 1 / averaging of them
+        share = max(self._config.averaging, AVERAGED / (updates + AVERAGED - 1))
+        follow(self.policy, self.actor.policy, share)
+
     def update(self, batch: Batch, temperature: float) -> dict[str, Tensor]:
         """Take one gradient step and return the losses."""
-        observation = self._normalizer(batch.observation)
+        observation = self._normalized(batch.observation)
         with self._autocast():
             goal = self._goal(batch, temperature)
         # a context of its own for each: it keeps low-precision copies of weights until it ends
@@ -42,11 +59,15 @@ class SacLearner:
         losses = {"critic_loss": critic_loss, "actor_loss": actor_loss, "entropy": entropy}
         return {name: loss.detach() for name, loss in losses.items()}
 
+    def _normalized(self, observation: Tensor) -> Tensor:
+        normalized: Tensor = self.actor.policy.normalizer(observation)
+        return normalized
+
     @torch.no_grad()
     def _goal(self, batch: Batch, temperature: float) -> Tensor:
         """Return what the critics should say (B,)."""
         action, log_prob, _ = self.actor(batch.following)
-        value = torch.minimum(*self.target(self._normalizer(batch.following), action))
+        value = torch.minimum(*self.target(self._normalized(batch.following), action))
         # y = r + gamma (1 - terminated) (min Q'(s', a') - temperature log p(a'))
         value = value - temperature * log_prob
         goal: Tensor = batch.reward + self._config.gamma * (1 - batch.terminated) * value
@@ -78,25 +99,21 @@ class SacLearner:
         return torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what a checkpoint needs beside the policy."""
+        """Return what a checkpoint needs beside the policy that is kept."""
         groups = {name: module.state_dict() for name, module in self._modules().items()}
         groups |= {name: tensors(optimizer) for name, optimizer in self._optimizers().items()}
         return {f"{name}.{key}": t for name, group in groups.items() for key, t in group.items()}
 
     def load(self, named: dict[str, Tensor]) -> None:
-        """Take over the tensors of a checkpoint."""
+        """Take over the tensors of a checkpoint, the policy's under "policy." among them."""
+        self.policy.load_state_dict(under("policy", named))
         for name, module in self._modules().items():
             module.load_state_dict(under(name, named))
         for name, optimizer in self._optimizers().items():
             load(optimizer, under(name, named))
 
     def _modules(self) -> dict[str, nn.Module]:
-        return {
-            "policy": self.actor.policy,
-            "log_std": self.actor.log_std,
-            "critic": self.critic,
-            "target": self.target,
-        }
+        return {"actor": self.actor, "critic": self.critic, "target": self.target}
 
     def _optimizers(self) -> dict[str, torch.optim.Adam]:
         return {"actor_adam": self.actor_optimizer, "critic_adam": self.critic_optimizer}

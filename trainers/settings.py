@@ -104,6 +104,8 @@ class SacConfig(RunConfig):
     warm_up: steps with uniform random actions before the first update
     update_every: environment steps per gradient update
     epsilon: added inside the logarithm of the tanh correction
+    averaging: share of the newest weights in the averaged policy, which is the one that is
+        validated and kept; 1 keeps the actor's own
     mean_penalty: weight of the squared pre-tanh mean in the actor's loss
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
@@ -121,6 +123,7 @@ class SacConfig(RunConfig):
     tau: Share = 0.005
     temperature: Ramp = Ramp(start=0.05, end=0.02, begin=50_000, finish=180_000)
     epsilon: Rate = 1e-6
+    averaging: Share = 1e-4
     mean_penalty: float = Field(default=0.05, ge=0)
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.13
