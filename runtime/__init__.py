@@ -18,6 +18,13 @@ EXPORTS = {
     "load": "runtime.artifact:load",
     "save": "runtime.artifact:save",
     # the chip
+    "CHIPS": "runtime.chip:CHIPS",
+    "Chip": "runtime.chip:Chip",
+    "EnergyTable": "runtime.energy:EnergyTable",
+    "Ledger": "runtime.ledger:Ledger",
+    "Machine": "runtime.machine:Machine",
+    "Program": "runtime.program:Program",
+    "SpikingController": "runtime.controllers:SpikingController",
 }
 
 __all__ = sorted(EXPORTS)

@@ -62,5 +62,7 @@ class FloatMachine:
     def _count(self, recorder: Recorder, spikes: NDArray[Any]) -> None:
         batch, timesteps, _ = spikes.shape
         counts = recorder.open(batch)
+        if counts is None:
+            return
         counts += count(self.program, {self.program.input: spikes, **self.spikes})
         recorder.close(counts, timesteps, self.program.steps(timesteps))

@@ -6,7 +6,7 @@ checked for overflow on the way: either the bounds prove that nothing can overfl
 are looked at afterwards, and the rare window that did overflow is interpreted once more.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,9 @@ class Window:
 
     states: (T + 1, 2, B, N) current and membrane, before the window and after each timestep.
     spikes: (T, B, N) of the last window.
-    overflows: (B,) of the last window.
     waiting: whether the layer let the last window pass.
+    interpreted: whether the interpreter had to run the last window; only then are there
+    overflows: (B,) numbers that did not fit their register.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Window:
         self.states = np.zeros((timesteps + 1, 2, batch, layer.size))
         self.spikes = np.zeros((timesteps, batch, layer.size), np.bool_)
         self.overflows = np.zeros(batch, np.int64)
-        self.waiting = False
+        self.waiting = self.interpreted = False
         self._silent = np.zeros((batch, layer.size), np.int64)
         limits = bounds(layer, fixed, FOREVER if kept else timesteps) if fixed else None
         self._drive = Drive(layer, fixed, limits, timesteps, batch)
@@ -61,8 +62,8 @@ class Window:
             self.states[0] = self.states[-1]
         self._drive(arriving)
         self._advance()
-        self.overflows.fill(0)
-        if self._checks is not None and not self._checks.passed(self.states):
+        self.interpreted = self._checks is not None and not self._checks.passed(self.states)
+        if self.interpreted:
             self._interpret()
         return Raster(self.spikes)
 
@@ -70,13 +71,13 @@ class Window:
         """No spikes, because the layer has not started."""
         self.waiting = True
         self.spikes.fill(False)
-        self.overflows.fill(0)
         return Raster(self.spikes)
 
     def _interpret(self) -> None:
         """The window once more, by the specification."""
         before = self.states[0].astype(np.int64)
         state = State(before[0], before[1], self._silent)
+        self.overflows.fill(0)
         for row, weights in enumerate(self._drive.weights()):
             tick = update(self.program, self.layer, weights, state)
             self.states[row + 1] = state.current, state.membrane
@@ -102,19 +103,18 @@ class Drive:
     ) -> None:
         self.sums = np.empty((timesteps, batch, layer.size))
         self._more = np.empty_like(self.sums)
-        self._unit = np.float64(1 << fixed.mantissa_shift if fixed else 1)
-        self._bias = layer.bias * self._unit if layer.bias_fan_out else None
+        self._unit = 1 << fixed.mantissa_shift if fixed else 1
+        self._bias = layer.bias * float(self._unit) if layer.bias_fan_out else None
         partial = limits.partial if limits else None
-        self._synapses = [summing(s, partial, timesteps, batch) for s in layer.synapses]
+        first, *others = (summing(s, partial, self._unit, timesteps, batch) for s in layer.synapses)
+        self._first, self._others = first, others
 
     def __call__(self, arriving: Sequence[Raster]) -> None:
         """Fill `sums`."""
-        out = self.sums
-        for summed, raster in zip(self._synapses, arriving, strict=True):
-            np.multiply(summed(raster), self._unit, out)
-            if out is self._more:
-                np.add(self.sums, out, self.sums)
-            out = self._more
+        self._first(arriving[0], self.sums)
+        for summed, raster in zip(self._others, arriving[1:], strict=True):
+            summed(raster, self._more)
+            np.add(self.sums, self._more, self.sums)
         if self._bias is not None:
             np.add(self.sums, self._bias, self.sums)
 
@@ -131,10 +131,15 @@ class Advance:
     ) -> None:
         one = float(program.chip.fixed.decay_one if program.chip.fixed else 1)
         self._rounded = program.chip.fixed is not None
-        self._subtract = program.convention.reset == "subtract"
         # (2, 1, N): one multiplication decays currents and membranes
         self._keep = np.stack([layer.current_keep, layer.membrane_keep])[:, None] / one
         self._threshold = layer.threshold.astype(np.float64)
+        self._reset: Callable[[Floats, Bits, Floats], None] = np.putmask
+        self._to = np.zeros(1)
+        if program.convention.reset == "subtract":
+            self._reset, self._to = _subtract, self._threshold
+        elif spikes[0].size >= WIDE:
+            self._reset = _copy
         self._bias = layer.voltage_bias.astype(np.float64) if layer.voltage_bias.any() else None
         self._ticks = [
             (states[t], states[t + 1], states[t + 1, 0], states[t + 1, 1], drive[t], spikes[t])
@@ -143,26 +148,20 @@ class Advance:
 
     def __call__(self) -> None:
         """Fill `states` and `spikes`."""
+        # names of the function are found faster than those of the module
         multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
         keep, threshold, bias = self._keep, self._threshold, self._bias
+        rounded, reset, to = self._rounded, self._reset, self._to
         for before, after, current, membrane, drive, fired in self._ticks:
             multiply(before, keep, after)
-            if self._rounded:
+            if rounded:
                 trunc(after, after)
             add(current, drive, current)
             add(membrane, current, membrane)
             if bias is not None:
                 add(membrane, bias, membrane)
             greater(membrane, threshold, fired)
-            self._reset(membrane, fired)
-
-    def _reset(self, membrane: Floats, fired: Bits) -> None:
-        if self._subtract:
-            np.subtract(membrane, self._threshold, out=membrane, where=fired)
-        elif membrane.size < WIDE:
-            np.putmask(membrane, fired, 0.0)
-        else:
-            np.copyto(membrane, 0.0, where=fired)
+            reset(membrane, fired, to)
 
 
 class Checks:
@@ -187,3 +186,11 @@ class Checks:
 
 def _magnitude(values: Floats) -> float:
     return max(float(values.max()), -float(values.min()))
+
+
+def _subtract(membrane: Floats, fired: Bits, threshold: Floats) -> None:
+    np.subtract(membrane, threshold, out=membrane, where=fired)
+
+
+def _copy(membrane: Floats, fired: Bits, value: Floats) -> None:
+    np.copyto(membrane, value, where=fired)

@@ -79,21 +79,25 @@ class Recorder:
         self._used = 0
         self._inferences = self._timesteps = self._steps = 0
 
-    def open(self, batch: int) -> Counts:
-        """Empty rows (B, L, E) to be written and then closed."""
-        if self.rows != "each":
+    def open(self, batch: int) -> Counts | None:
+        """Empty rows (B, L, E) to be added to and then closed; None where nothing is kept."""
+        if self.rows == "none":
+            return None
+        if self.rows == "total":
             return np.zeros((batch, *self._counts.shape[1:]), np.int64)
         if self._used + batch > len(self._counts):
             more = np.zeros((len(self._counts) + batch, *self._counts.shape[1:]), np.int64)
             self._counts = np.concatenate([self._counts, more])
         return self._counts[self._used : self._used + batch]
 
-    def close(self, counts: Counts, timesteps: int, steps: int) -> None:
+    def close(self, counts: Counts | None, timesteps: int, steps: int) -> None:
         """The rows are complete; each took so many timesteps of a layer and so many of the chip."""
+        if counts is None:
+            return
         batch = len(counts)
         if self.rows == "each":
             self._used += batch
-        elif self.rows == "total":
+        else:
             self._used = 1
             self._counts[0] += counts.sum(axis=0)
         self._inferences += batch

@@ -1,16 +1,20 @@
 """The machine: a chip with a program on it, running."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import ConfigError, ObservationError
-from runtime.ledger import EVENTS, Ledger, Recorder, Rows
+from runtime.ledger import EVENTS, Counts, Ledger, Recorder, Rows
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
 
 Floats = NDArray[np.float64]
+
+# "window": all timesteps of a layer at once; "row": one timestep of all layers; "step": the same,
+# with the chip's own delays
+Way = Literal["window", "row", "step"]
 
 IDLE = EVENTS.index("neuron_idle")
 
@@ -41,33 +45,32 @@ class Machine:
         self._trace = trace
         self._kept = program.convention.state == "kept"
         self._recorder = ledger if isinstance(ledger, Recorder) else Recorder(program, ledger)
-        self._pipeline: Pipeline | None = None
+        self._prepared_for: tuple[Way, int] = ("row", 1)
+        self._pipeline = self._build("row", 1)
         self._running = False
         self._step = 0
 
     def reset(self) -> None:
         """Forget every current, membrane and spike; the ledger stays."""
-        if self._pipeline is not None:
-            self._pipeline.reset()
+        self._pipeline.reset()
         self._running = False
         self._step = 0
 
     def infer(self, spikes: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the spikes (B, T, M); states as the convention says."""
         rows = self._checked(spikes, 3).swapaxes(0, 1)
+        timesteps, steps = len(rows), self.program.steps(len(rows))
         if not self._kept:
             self.reset()
         counts = self._recorder.open(self.batch)
-        steps = self.program.steps(len(rows))
         if self.program.feed_forward:
-            schedule = Schedule(len(rows), self.program.lags, self._kept, steps)
-            heard = self._run(self._prepared(schedule), [rows], counts)
+            heard = self._run(self._prepared("window", timesteps), [rows], counts)
         else:
             # a loop is closed by going through it timestep by timestep
-            schedule = Schedule(1, self.program.lags, True, 1)
-            heard = self._run(self._prepared(schedule), np.split(rows, len(rows)), counts)
-            counts[:, :, IDLE] += [(steps - len(rows)) * a.size for a in self.program.layers]
-        self._recorder.close(counts, len(rows), steps)
+            heard = self._run(self._prepared("row", 1), np.split(rows, timesteps), counts)
+            if counts is not None:
+                counts[:, :, IDLE] += [(steps - timesteps) * a.size for a in self.program.layers]
+        self._recorder.close(counts, timesteps, steps)
         return self._output(heard)
 
     def step(self, spikes: NDArray[Any]) -> Floats:
@@ -76,12 +79,11 @@ class Machine:
         Layers run on from step to step until `reset`; spikes travel as late as on the chip.
         """
         rows = self._checked(spikes, 2)[None]
-        pipeline = self._prepared(Schedule(1, self.program.delays, True, 1))
         counts = self._recorder.open(self.batch)
-        heard = pipeline.run(rows, counts, self._step)
+        heard = self._prepared("step", 1).run(rows, counts, self._step)
         self._recorder.close(counts, 1, 1)
         self._step += 1
-        return self._output(heard)[:, 0]
+        return np.asarray(self._output(heard)[:, 0])
 
     @property
     def ledger(self) -> Ledger:
@@ -99,10 +101,8 @@ class Machine:
         return {name: last.membrane[:, -1] for name, last in self._last().items()}
 
     def _last(self) -> dict[str, Recording]:
-        if self._pipeline is None or not self._running:
-            blank = Pipeline(self.program, Schedule(1, self.program.lags, True, 1), self.batch)
-            return blank.recordings()
-        return self._pipeline.recordings()
+        running = self._pipeline if self._running else self._build("row", 1)
+        return running.recordings()
 
     def _checked(self, spikes: NDArray[Any], axes: int) -> NDArray[Any]:
         width = self.program.width
@@ -119,20 +119,31 @@ class Machine:
             )
         return spikes
 
-    def _prepared(self, schedule: Schedule) -> Pipeline:
-        """The pipeline for a schedule, which has to stay the same while states are kept."""
-        if self._pipeline is None or self._pipeline.schedule != schedule:
+    def _prepared(self, way: Way, timesteps: int) -> Pipeline:
+        """The memory for a way of running, which has to stay the same while states are kept."""
+        if (way, timesteps) != self._prepared_for:
             if self._running:
                 raise ConfigError(
                     "the machine holds the state of a run with another number of timesteps, or of "
                     "step and not infer. Call reset() first."
                 )
-            self._pipeline = Pipeline(self.program, schedule, self.batch)
+            self._pipeline = self._build(way, timesteps)
+            self._prepared_for = (way, timesteps)
         self._running = True
         return self._pipeline
 
+    def _build(self, way: Way, timesteps: int) -> Pipeline:
+        program = self.program
+        if way == "window":
+            steps = program.steps(timesteps)
+            schedule = Schedule(timesteps, program.lags, self._kept, steps)
+        else:
+            late = program.delays if way == "step" else program.lags
+            schedule = Schedule(1, late, kept=True, steps=1)
+        return Pipeline(program, schedule, self.batch)
+
     def _run(
-        self, pipeline: Pipeline, parts: list[NDArray[Any]], counts: NDArray[np.int64]
+        self, pipeline: Pipeline, parts: list[NDArray[Any]], counts: Counts | None
     ) -> NDArray[Any]:
         """What the readout hears (T, B, N) of an input that comes in parts."""
         heard, seen = [], []
@@ -141,7 +152,7 @@ class Machine:
             if self._trace:
                 seen.append(pipeline.recordings())
         self.recordings = joined(seen)
-        return np.concatenate(heard)
+        return heard[0] if len(heard) == 1 else np.concatenate(heard)
 
     def _output(self, heard: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the rows (T, B, N) that leave the chip."""

@@ -53,7 +53,7 @@ class Pipeline:
             Window(program, layer, schedule.timesteps, batch, schedule.kept)
             for layer in program.layers
         ]
-        self._tallies = [Tally(program, window, schedule.steps) for window in self.windows]
+        self._tally = Tally(program, self.windows, schedule.steps)
         self._lag = program.readout.lag if program.readout else 0
         memory = max(self._lag, *(max(late) for late in schedule.late))
         self._relay = Relay(program.sizes, memory, batch)
@@ -85,8 +85,7 @@ class Pipeline:
             ]
             emitted[layer.name] = window.run(heard)
         if counts is not None:
-            for index, tally in enumerate(self._tallies):
-                tally(emitted, counts[:, index])
+            self._tally(emitted, counts)
         spikes = self._relay.heard(self.program.output, self._lag, emitted, timesteps)
         self._relay.keep(emitted)
         return spikes.rows

@@ -155,7 +155,12 @@ class Program:
 
     def steps(self, timesteps: int) -> int:
         """Chip timesteps of one inference of T timesteps."""
-        return timesteps + max(layer.start for layer in self.layers)
+        return timesteps + self._fill
+
+    @cached_property
+    def _fill(self) -> int:
+        """Timesteps until the last layer starts."""
+        return max(layer.start for layer in self.layers)
 
     @cached_property
     def _by_name(self) -> dict[str, Layer]:

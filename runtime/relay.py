@@ -21,8 +21,9 @@ class Relay:
 
     def reset(self) -> None:
         """Nothing is on its way."""
-        for tail in self._tails.values():
-            tail.fill(0)
+        if self._memory:
+            for tail in self._tails.values():
+                tail.fill(0)
 
     def heard(self, source: str, late: int, emitted: dict[str, Raster], timesteps: int) -> Raster:
         """The T rows that arrive in this window when they are so late."""

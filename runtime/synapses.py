@@ -5,13 +5,14 @@ that their number type is proven to hold exactly, so they agree bit for bit, in 
 summation and on any BLAS. (`ideal` has no whole numbers and always multiplies in float64.)
 """
 
-from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from runtime.program import Synapses
+
+Floats = NDArray[np.float64]
 
 # largest magnitudes up to which every whole number is held
 EXACT_FLOAT32 = 1 << 24
@@ -22,85 +23,91 @@ NARROW = 200
 
 
 class Raster:
-    """Spikes of one source in a window, with their counts, which several readers share.
+    """Spikes of one source in a window, with counts that several readers share.
 
     rows: (T, B, M), uint8 or bool.
     """
 
     def __init__(self, rows: NDArray[Any]) -> None:
         self.rows = rows
+        self._per_axon: NDArray[Any] | None = None
+        self._total: int | None = None
 
-    @cached_property
     def per_axon(self) -> NDArray[Any]:
         """(B, M) spikes of each axon."""
-        # eight bits hold the counts of a short window, and are summed several times faster
-        counts: NDArray[Any] = np.add.reduce(
-            self.rows, 0, np.uint8 if len(self.rows) < 256 else np.int64
-        )
-        return counts
+        if self._per_axon is None:
+            # eight bits hold the counts of a short window, and are summed several times faster
+            dtype = np.uint8 if len(self.rows) < 256 else np.int64
+            self._per_axon = np.add.reduce(self.rows, 0, dtype)
+        return self._per_axon
 
-    @cached_property
-    def total(self) -> NDArray[np.int64]:
-        """(B,) all spikes."""
-        counts: NDArray[np.int64] = np.add.reduce(self.per_axon, 1, np.int64)
-        return counts
+    def total(self) -> int:
+        """All spikes of all B."""
+        if self._total is None:
+            self._total = int(np.count_nonzero(self.rows))
+        return self._total
 
 
 class Sum(Protocol):
     """What turns spikes into sums of weights."""
 
-    def __call__(self, raster: Raster) -> NDArray[Any]:
-        """Sums (T, B, N); the array is used again by the next call."""
+    def __call__(self, raster: Raster, out: Floats) -> None:
+        """Write the sums (T, B, N) in state units."""
 
 
-def summing(synapses: Synapses, partial: int | None, timesteps: int, batch: int) -> Sum:
+def summing(synapses: Synapses, partial: int | None, unit: int, timesteps: int, batch: int) -> Sum:
     """The fastest exact way.
 
     partial: largest magnitude of any partial sum; None where weights are no whole numbers.
+    unit: state units per weight unit.
     """
-    dtype = np.float32 if partial is not None and partial < EXACT_FLOAT32 else np.float64
-    dense = Dense(synapses.weight, dtype, timesteps, batch)
-    if partial is None or batch > 1 or synapses.weight.shape[1] <= NARROW:
+    exact32 = partial is not None and partial * unit < EXACT_FLOAT32
+    weight = (synapses.weight * float(unit)).astype(np.float32 if exact32 else np.float64)
+    dense = Dense(weight, timesteps, batch)
+    if partial is None or batch > 1 or weight.shape[1] <= NARROW:
         return dense
     whole = np.int16 if partial <= EXACT_INT16 else np.int32
-    return Sparse(Gather(synapses.weight, whole, timesteps), Union(dense), dense)
+    gather = Gather(synapses.weight.astype(whole), unit, timesteps)
+    return Sparse(gather, Union(weight, timesteps), dense)
 
 
 class Dense:
     """All axons times all weights: one matrix product for the window."""
 
-    def __init__(self, weight: NDArray[Any], dtype: DTypeLike, timesteps: int, batch: int) -> None:
-        self.weight = np.ascontiguousarray(weight, dtype)
-        self.sums = np.empty((timesteps, batch, weight.shape[1]), dtype)
-        self._spikes = np.empty((timesteps, batch, weight.shape[0]), dtype)
+    def __init__(self, weight: NDArray[Any], timesteps: int, batch: int) -> None:
+        self.weight = weight
+        axons, neurons = weight.shape
         # matrices over the same memory: BLAS wants two axes
-        self._flat_spikes = self._spikes.reshape(-1, weight.shape[0])
-        self._flat_sums = self.sums.reshape(-1, weight.shape[1])
+        self._spikes = np.empty((timesteps, batch, axons), weight.dtype)
+        self._flat = self._spikes.reshape(-1, axons)
+        self._sums = np.empty((timesteps * batch, neurons), weight.dtype)
+        self._shaped = self._sums.reshape(timesteps, batch, neurons)
 
-    def __call__(self, raster: Raster) -> NDArray[Any]:
-        """Sums (T, B, N)."""
+    def __call__(self, raster: Raster, out: Floats) -> None:
+        """Write the sums (T, B, N) in state units."""
         np.copyto(self._spikes, raster.rows)
-        np.matmul(self._flat_spikes, self.weight, self._flat_sums)
-        return self.sums
+        np.matmul(self._flat, self.weight, self._sums)
+        np.copyto(out, self._shaped)
 
 
 class Gather:
     """Only the weights of axons that spiked, timestep by timestep; batch 1.
 
-    Cost grows with the number of spikes, and int16 halves the bytes that must be fetched.
+    Cost grows with the number of spikes; with int16 it has the fewest bytes to fetch.
     """
 
-    def __init__(self, weight: NDArray[Any], dtype: DTypeLike, timesteps: int) -> None:
-        self.weight = np.ascontiguousarray(weight, dtype)
-        self.sums = np.empty((timesteps, 1, weight.shape[1]), dtype)
-        self._rows = list(self.sums[:, 0])
+    def __init__(self, weight: NDArray[Any], unit: int, timesteps: int) -> None:
+        self.weight = weight
+        self._unit = np.float64(unit)
+        self._sums = np.empty((timesteps, 1, weight.shape[1]), weight.dtype)
+        self._rows = list(self._sums[:, 0])
 
-    def __call__(self, raster: Raster) -> NDArray[Any]:
-        """Sums (T, 1, N)."""
+    def __call__(self, raster: Raster, out: Floats) -> None:
+        """Write the sums (T, 1, N) in state units."""
         take, add = self.weight.take, np.add.reduce
         for spikes, row in zip(raster.rows[:, 0], self._rows, strict=True):
             add(take(spikes.nonzero()[0], 0), 0, None, row)
-        return self.sums
+        np.multiply(self._sums, self._unit, out)
 
 
 class Union:
@@ -109,17 +116,16 @@ class Union:
     Best where the same axons spike again and again, as those of a population code do.
     """
 
-    def __init__(self, dense: Dense) -> None:
-        self.weight = dense.weight
-        self.sums = dense.sums
-        self._rows = dense.sums[:, 0]
+    def __init__(self, weight: NDArray[Any], timesteps: int) -> None:
+        self.weight = weight
+        self._sums = np.empty((timesteps, weight.shape[1]), weight.dtype)
 
-    def __call__(self, raster: Raster) -> NDArray[Any]:
-        """Sums (T, 1, N)."""
-        axons = raster.per_axon[0].nonzero()[0]
+    def __call__(self, raster: Raster, out: Floats) -> None:
+        """Write the sums (T, 1, N) in state units."""
+        axons = raster.per_axon()[0].nonzero()[0]
         spikes = raster.rows[:, 0].take(axons, 1).astype(self.weight.dtype)
-        np.matmul(spikes, self.weight.take(axons, 0), self._rows)
-        return self.sums
+        np.matmul(spikes, self.weight.take(axons, 0), self._sums)
+        np.copyto(out[:, 0], self._sums)
 
 
 class Sparse:
@@ -128,14 +134,15 @@ class Sparse:
     def __init__(self, gather: Gather, union: Union, dense: Dense) -> None:
         self.gather, self.union, self.dense = gather, union, dense
 
-    def __call__(self, raster: Raster) -> NDArray[Any]:
-        """Sums (T, 1, N)."""
-        spikes = int(raster.total[0])
-        axons = int(np.count_nonzero(raster.per_axon))
+    def __call__(self, raster: Raster, out: Floats) -> None:
+        """Write the sums (T, 1, N) in state units."""
+        spikes = raster.total()
+        axons = np.count_nonzero(raster.per_axon())
         # measured: a row of the union costs about a third of a gathered one, its product 50 rows
         if axons < 50 + 0.35 * spikes:
-            return self.union(raster)
+            self.union(raster, out)
         # measured: above about half of all axons a product over all of them is cheaper
-        if spikes > 0.5 * raster.rows.size:
-            return self.dense(raster)
-        return self.gather(raster)
+        elif spikes > 0.5 * raster.rows.size:
+            self.dense(raster, out)
+        else:
+            self.gather(raster, out)
