@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from spikedeploy.columns import ABSENT, Column, Row, cost_columns, walk_columns
+from spikedeploy.columns import Column, Row, tables
 
 KINDS = {
     "ann": "float network (ONNX)",
@@ -15,8 +15,11 @@ KINDS = {
 def markdown(name: str, record: Mapping[str, Any]) -> str:
     """The page: what it is, how it was made, how it does."""
     rows = record["evaluation"]
-    walk = [column for column in walk_columns(rows) if _says_something(column, rows)]
-    cost = [column for column in cost_columns(rows) if _says_something(column, rows)]
+    evaluation = [
+        line
+        for title, columns in tables(rows).items()
+        for line in (f"### {title}", "", *_table(columns, rows), "")
+    ]
     facts = {
         "what": KINDS[record["kind"]],
         "environment": record["env"],
@@ -37,10 +40,7 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
             "",
             "## Evaluation",
             "",
-            *_table(walk, rows),
-            "",
-            *_table(cost, rows),
-            "",
+            *evaluation,
             "## Parity of the file with the trained policy",
             "",
             *checks,
@@ -56,10 +56,6 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
 def command(record: Mapping[str, Any]) -> str:
     """The command that trains the policy again."""
     return f"spikedeploy train {record['recipe']} --seed {record['seed']}"
-
-
-def _says_something(column: Column, rows: Sequence[Row]) -> bool:
-    return any(column.cell(row) != ABSENT for row in rows)
 
 
 def _table(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The columns of a comparison's tables, the same ones on the terminal and in the HTML report."""
+"""The tables of a comparison, the same ones on the terminal, in the HTML report and on cards."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Any
 from spikedeploy.metrics import METRICS
 
 Row = Mapping[str, Any]
+Cell = Callable[[Row], str]
 ABSENT = "–"
 
 
@@ -16,7 +17,7 @@ class Column:
 
     title: str
     meaning: str
-    cell: Callable[[Row], str]
+    cell: Cell
 
 
 def label(row: Row) -> str:
@@ -24,7 +25,7 @@ def label(row: Row) -> str:
     return f"{row['policy']} · {row['chip']}" if row["chip"] else str(row["policy"])
 
 
-def number(field: str, form: str) -> Callable[[Row], str]:
+def number(field: str, form: str) -> Cell:
     """A cell that formats the field, or a dash where the row has none."""
 
     def cell(row: Row) -> str:
@@ -34,16 +35,22 @@ def number(field: str, form: str) -> Callable[[Row], str]:
     return cell
 
 
-def joules(table: str) -> Callable[[Row], str]:
-    """A cell with the energy that the table gives, in microjoules or nanojoules."""
+def price(field: str, table: str, small: str, large: str) -> Cell:
+    """A cell with what an energy table says, in billionths or, from a tenth up, millionths."""
 
     def cell(row: Row) -> str:
-        value = row["energy_per_inference_j"].get(table)
+        value = row[field].get(table)
         if value is None:
             return ABSENT
-        return f"{value * 1e6:,.2f} µJ" if value >= 1e-8 else f"{value * 1e9:,.2f} nJ"
+        return f"{value * 1e6:,.2f} {large}" if value >= 1e-7 else f"{value * 1e9:,.2f} {small}"
 
     return cell
+
+
+def interval(row: Row) -> str:
+    """The mean return with its interval: `3,413 [3,405, 3,420]`."""
+    low, high = row["return_ci95"]
+    return f"{row['return_mean']:,.0f} [{low:,.0f}, {high:,.0f}]"
 
 
 def difference(row: Row) -> str:
@@ -68,73 +75,106 @@ def divergence(row: Row) -> str:
     return "never" if step is None else f"{step:,.0f}"
 
 
-NAME = Column("policy", "policy · chip", label)
+NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
+
 WALK = (
-    NAME,
-    Column("return", "mean return of an episode", number("return_mean", ",.0f")),
+    Column("return", "mean return of an episode, with its 95 % bootstrap interval", interval),
     Column("success", "episodes that succeed", number("success_rate", ".0%")),
     Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
+    Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in METRICS),
+)
+AGREEMENT = (
     Column(
-        "score",
-        "normalised score: the gait alone is 0, the float ANN 100",
-        score,
+        "reference",
+        "whom the row is measured against: on a chip its float twin, else the float ANN",
+        number("reference", ""),
     ),
     Column(
-        "Δ to reference",
-        "paired difference of return to the row's reference, with its 95 % bootstrap interval",
+        "difference",
+        "paired difference of return on the same seeds, with its 95 % bootstrap interval",
         difference,
     ),
+    Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
     Column(
-        "act. RMSE",
-        "action RMSE to the reference, both asked on the observations that the reference recorded",
+        "action RMSE",
+        "RMSE over all actions, both asked on the observations that the reference recorded",
         number("action_rmse", ".4f"),
     ),
+    Column("to ANN", "the same, with the float ANN", number("rmse_to_ann", ".4f")),
     Column(
         "diverges",
-        "median first control step whose action differs from the reference's by more than 0.01 "
-        "in the closed loop",
+        "median first control step at which an action differs from the reference's by more than "
+        "0.01 in the closed loop",
         divergence,
     ),
 )
-COST = (
-    NAME,
+OPERATIONS = (
     Column("sparsity", "1 - spikes / (neurons × T), spiking layers", number("sparsity", ".1%")),
+    Column("spikes", "spikes of the spiking layers", number("spikes_per_inference", ",.0f")),
+    Column("input", "spikes of the encoder", number("input_spikes_per_inference", ",.0f")),
     Column(
-        "spikes", "spikes per inference, input included", number("spikes_per_inference", ",.0f")
+        "SOPs",
+        "synaptic operations: spikes × non-zero fan-out, from the encoder on",
+        number("sops_per_inference", ",.0f"),
     ),
     Column(
-        "SOPs", "spikes × non-zero fan-out, per inference", number("sops_per_inference", ",.0f")
+        "+ bias",
+        "synaptic operations of the always-on axon that carries the biases",
+        number("bias_sops_per_inference", ",.0f"),
     ),
     Column(
-        "eff. ACs",
-        "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, "
+        "ACs",
+        "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
         "readout included",
         number("effective_acs", ",.0f"),
     ),
     Column(
-        "eff. MACs",
+        "MACs",
         "NeuroBench Effective_MACs: the same where inputs are numbers",
         number("effective_macs", ",.0f"),
     ),
     Column(
         "dense",
-        "NeuroBench Dense: all inputs × all weights, of all T timesteps",
+        "NeuroBench Dense: all inputs × all weights, in all T timesteps",
         number("macs_dense", ",.0f"),
     ),
+    Column(
+        "sat.",
+        "numbers that did not fit a register of the chip, in all episodes",
+        number("saturations", ",.0f"),
+    ),
 )
-SATURATIONS = Column(
-    "sat.", "saturated or wrapped values, all episodes", number("saturations", ",.0f")
-)
 
 
-def walk_columns(rows: Sequence[Row]) -> list[Column]:
-    """How the robot does: the columns above, and the metrics that some row has."""
-    measured = [m for m in METRICS if any(row.get(m.name) is not None for row in rows)]
-    return [*WALK, *(Column(m.title, m.meaning, number(m.name, m.form)) for m in measured)]
+def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
+    """Title -> columns, as far as some row has something to say in them."""
+    found = {
+        "Does the robot still walk?": _filled(WALK, rows),
+        "Does it act like its reference?": _filled(AGREEMENT, rows),
+        "What does an inference take?": _filled(OPERATIONS, rows),
+        "What does an inference cost?": _filled(_prices(rows), rows),
+    }
+    return {title: [NAME, *columns] for title, columns in found.items() if columns}
 
 
-def cost_columns(rows: Sequence[Row]) -> list[Column]:
-    """What the network costs: the columns above, an energy for each table, saturations."""
-    tables = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
-    energy = [Column(name, f"energy per inference, table {name}", joules(name)) for name in tables]
-    return [*COST, *energy, SATURATIONS]
+def _prices(rows: Sequence[Row]) -> list[Column]:
+    """Energies and latencies by every table that prices some row."""
+    energy, latency = "energy_per_inference_j", "latency_per_inference_s"
+    energies = [
+        Column(name, f"energy by table {name}", price(energy, name, "nJ", "µJ"))
+        for name in dict.fromkeys(name for row in rows for name in row[energy])
+    ]
+    latencies = [
+        Column(
+            f"{name} time",
+            f"time by table {name}, as if one core did everything",
+            price(latency, name, "ns", "µs"),
+        )
+        for name in dict.fromkeys(name for row in rows for name in row[latency])
+    ]
+    return [*energies, *latencies]
+
+
+def _filled(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
+    return [column for column in columns if any(column.cell(row) != ABSENT for row in rows)]

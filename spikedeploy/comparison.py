@@ -74,10 +74,7 @@ class Comparison:
             "return_ci95": estimate.ci95,
             "success_rate": float(np.mean([episode.success for episode in row.episodes])),
             "ratio_to_float_ann": row.mean / ann.mean if ann else None,
-            # score = (return - gait) / (ANN - gait)
-            "normalised_score": (row.mean - gait.mean) / (ann.mean - gait.mean)
-            if ann and gait
-            else None,
+            "normalised_score": _score(row, gait, ann) if ann and gait else None,
             "returns": row.returns,
         }
 
@@ -124,6 +121,13 @@ def _identity(row: Row) -> dict[str, Any]:
         "chip": row.entry.chip,
         "file": candidate.path,
     }
+
+
+def _score(row: Row, gait: Row, ann: Row) -> float | None:
+    """0 for the gait alone, 1 for the float ANN; None where the ANN is no better than the gait."""
+    # score = (return - gait) / (ANN - gait)
+    span = ann.mean - gait.mean
+    return (row.mean - gait.mean) / span if span > 0 else None
 
 
 def _costs(row: Row) -> dict[str, Any]:

@@ -9,7 +9,8 @@ NEEDED = 0.95  # of the ANN's return: a control that reaches it puts the network
 
 def meaning(rows: Sequence[Row]) -> str:
     """The sentences: what the chip keeps, and what the network was worth in the first place."""
-    sentences = [_on_chip(row) for row in rows if row["kind"] == "snn" and row["chip"] != "float"]
+    on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
+    sentences = [_on_chip(row) for row in on_chip]
     return " ".join([*sentences, _worth(rows)]).strip()
 
 

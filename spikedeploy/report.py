@@ -14,7 +14,7 @@ from typing import Any
 import envs
 from runtime.artifact import load
 from runtime.energy import energy_table
-from spikedeploy.columns import Column, Row, cost_columns, walk_columns
+from spikedeploy.columns import Column, Row, tables
 from spikedeploy.comparison import Comparison
 from spikedeploy.files import as_text, write_text
 from spikedeploy.meaning import meaning
@@ -60,8 +60,8 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     rows = document["rows"]
     pictures = {
-        "Return of every episode": draw_returns(rows, folder / "returns.png"),
-        "Energy per inference": draw_energy(rows, folder / "energy.png"),
+        "Does the robot still walk?": draw_returns(rows, folder / "returns.png"),
+        "What does an inference cost?": draw_energy(rows, folder / "energy.png"),
     }
     numbers = write_text(folder / "report.json", as_text(document))
     page = write_text(folder / "report.html", html(document, pictures, video))
@@ -69,24 +69,31 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
 
 
 def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
-    """The page: everything is inside it, so it can be mailed."""
+    """The page: everything is inside it, so it can be mailed.
+
+    pictures  title of the table that each belongs under -> PNG
+    """
     rows = document["rows"]
-    walk, cost = walk_columns(rows), cost_columns(rows)
-    returns, energy = (_figure(title, picture) for title, picture in pictures.items())
+    shown = tables(rows)
     page = Template(files("spikedeploy").joinpath("report.html").read_text(encoding="utf-8"))
     return page.substitute(
         title=escape(f"{document['env']}: {len(rows)} policies on the same seeds"),
         meaning=escape(document["meaning"]),
-        facts=_facts(document),
-        walk=_table(walk, rows),
-        cost=_table(cost, rows),
-        returns=returns,
-        energy=energy,
+        sections="".join(
+            _section(title, _table(columns, rows), pictures.get(title))
+            for title, columns in shown.items()
+        ),
         video=_video(video) if video else "",
-        definitions=_definitions([*walk, *cost]),
+        facts=_facts(document),
+        definitions=_definitions([column for columns in shown.values() for column in columns]),
         sources=_list(document["energy_tables"]),
         conventions=_list(document["conventions"]),
     )
+
+
+def _section(title: str, table: str, picture: Path | None) -> str:
+    figure = _figure(title, picture) if picture else ""
+    return f'<h2>{escape(title)}</h2><div class="card">{table}</div>{figure}'
 
 
 def _table(columns: Sequence[Column], rows: Sequence[Row]) -> str:

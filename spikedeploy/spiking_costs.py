@@ -22,7 +22,7 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         effective_acs=sops + _readout_acs(ledger, program),
         effective_macs=0.0,  # every weight matrix hears spikes
         dense=dense(program) * ledger.timesteps / ledger.inferences,
-        saturations=ledger.total("saturation"),
+        saturations=ledger.total("saturation") if chip else None,
         energy_j={table.name: energy(ledger, table) for table in tables},
         latency_s={table.name: latency(ledger, table) for table in tables if table.seconds},
     )

@@ -32,9 +32,13 @@ def print_table(
     from rich import box
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table = Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+    )
     for place, column in enumerate(columns):
-        table.add_column(column, justify="right" if numbers and place else "left")
+        table.add_column(
+            column, justify="right" if numbers and place else "left", no_wrap=numbers and not place
+        )
     for row in rows:
         table.add_row(*row)
     console().print(table)
@@ -48,15 +52,12 @@ def print_checks(checks: "Iterable[Check]") -> None:
 
 
 def print_comparison(document: Mapping[str, Any]) -> None:
-    """Write how the robot does, what the network costs, and what both mean."""
-    from spikedeploy.columns import cost_columns, walk_columns
+    """Write the tables of a comparison, and what they mean."""
+    from spikedeploy.columns import tables
 
     rows = document["rows"]
-    tables = {
-        f"{document['env_id']}, {rows[0]['episodes']} episodes a row": walk_columns(rows),
-        "Per inference": cost_columns(rows),
-    }
-    for title, columns in tables.items():
+    say(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
+    for title, columns in tables(rows).items():
         heads = [column.title for column in columns]
         cells = [[column.cell(row) for column in columns] for row in rows]
         print_table(title, heads, cells, numbers=True)

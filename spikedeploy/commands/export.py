@@ -9,7 +9,9 @@ from spikedeploy.commands.options import Json
 
 
 def export(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")],
+    run: Annotated[
+        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
+    ],
     to: Annotated[str, typer.Option(help="Format: nir for spiking policies, onnx for float ones.")],
     output: Annotated[
         Path | None,

@@ -9,7 +9,9 @@ from spikedeploy.commands.options import Json, Workers
 
 
 def publish(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")],
+    run: Annotated[
+        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
+    ],
     name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
     workers: Workers = None,

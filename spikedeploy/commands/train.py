@@ -9,7 +9,9 @@ from spikedeploy.commands.options import Json
 
 
 def train(
-    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="Name of a recipe; `recipes` lists them.")],
+    recipe: Annotated[
+        str, typer.Argument(metavar="RECIPE", help="Name of a recipe; `recipes` lists them.")
+    ],
     config: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="TOML file with settings.")
     ] = None,

@@ -1,0 +1,87 @@
+"""Publishing: a run becomes a file, a card and a curve that belong together."""
+
+import json
+
+import pytest
+
+from exporters.check import Check
+from runtime.errors import SpikedeployError
+from spikedeploy import runs
+from spikedeploy.export import kind_of, recorded
+from spikedeploy.policies import find
+from spikedeploy.publish import publish
+from tests import strolling
+from trainers.config import MlpConfig, PopsanConfig
+from trainers.features import Features
+from trainers.policies import MlpPolicy, PopsanPolicy
+
+SPIKING = PopsanConfig(hidden=(6,), populations=3)
+
+
+@pytest.fixture(autouse=True)
+def _stroll(monkeypatch):
+    strolling.install(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("policy", "suffix", "chips"),
+    [(SPIKING, ".nir", ["float", "loihi1"]), (MlpConfig(hidden=(4,)), ".onnx", [None])],
+)
+def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chips, tmp_path):
+    files = [f"small{each}" for each in (suffix, ".json", ".md", ".png", ".csv")]
+    run = strolling.run_folder(tmp_path / "runs", policy)
+    written = publish(str(run), "small", episodes=2, folder=tmp_path / "zoo", processes=1)
+    assert [path.relative_to(tmp_path / "zoo/stroll").name for path in written] == files
+    card = json.loads((tmp_path / "zoo/stroll/small.json").read_text())
+    assert (card["recipe"], card["seed"], card["steps"], card["env"]) == (
+        "stroll",
+        0,
+        5,
+        strolling.ID,
+    )
+    assert [row["chip"] for row in card["evaluation"]] == chips
+    assert all(row["episodes"] == 2 and row["file"] == files[0] for row in card["evaluation"])
+    assert all(check["passed"] for check in card["parity"])
+    assert find(str(written[0])).kind == card["kind"]
+
+
+def test_the_page_says_how_to_make_the_policy_again(tmp_path):
+    run = strolling.run_folder(tmp_path / "runs", SPIKING)
+    publish(str(run), "small", episodes=2, folder=tmp_path / "zoo", processes=1)
+    page = (tmp_path / "zoo/stroll/small.md").read_text()
+    assert "`spikedeploy train stroll --seed 0`" in page
+    assert "| small · loihi1 |" in page
+    assert "- ✓ spikes: torch = NumPy, float64" in page
+    assert "![return against environment steps](small.png)" in page
+    assert str(tmp_path) not in page + (tmp_path / "zoo/stroll/small.json").read_text()
+
+
+def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_path):
+    run = strolling.run_folder(tmp_path / "runs", SPIKING)
+    monkeypatch.setattr("spikedeploy.export.check", lambda *_: [Check("spikes", False, "3 differ")])
+    with pytest.raises(SpikedeployError, match="does not do what"):
+        publish(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
+    assert list((tmp_path / "zoo/stroll").iterdir()) == []
+
+
+def test_what_sees_less_or_is_linear_is_a_control():
+    assert kind_of(MlpPolicy(3, 2, hidden=(4,))) == "ann"
+    assert kind_of(MlpPolicy(3, 2, hidden=())) == "control"
+    assert (
+        kind_of(MlpPolicy(6, 2, hidden=(4,), features=Features("phase", 6, [2, 3], [])))
+        == "control"
+    )
+    assert kind_of(PopsanPolicy(3, 2, hidden=(4,))) == "snn"
+
+
+def test_parity_is_checked_on_observations_of_the_policys_own_episodes(tmp_path):
+    run = strolling.run_folder(tmp_path, SPIKING)
+    observations = recorded(run, 45)  # more than two episodes of 21
+    assert observations.shape == (45, 3)
+    assert len({tuple(row) for row in observations}) == 45
+
+
+def test_a_run_tells_its_origin(tmp_path):
+    origin = runs.origin(strolling.run_folder(tmp_path, SPIKING))
+    assert (origin.env, origin.recipe, origin.seed, origin.steps) == (strolling.ID, "stroll", 0, 5)
+    assert origin.created.endswith("+00:00")

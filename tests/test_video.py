@@ -1,0 +1,88 @@
+"""Films: complete or not there, and one pair of frames for each moment."""
+
+import av
+import numpy as np
+import pytest
+
+from envs.errors import EnvError
+from spikedeploy import demo, zoo
+from spikedeploy.lineup import line_up
+from spikedeploy.run import run
+from spikedeploy.video import captioned, mp4, side_by_side
+from tests import strolling
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    strolling.install(monkeypatch)
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "zoo")
+    (tmp_path / "zoo/stroll").mkdir(parents=True)
+    strolling.ann(tmp_path / "zoo/stroll/sac.onnx")
+    strolling.snn(tmp_path / "zoo/stroll/popsan.nir")
+    return tmp_path
+
+
+def frames(path):
+    with av.open(str(path)) as file:
+        return [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+
+
+def test_a_film_has_every_frame_at_an_even_size(tmp_path):
+    with mp4(tmp_path / "new/film.mp4", fps=25) as write:
+        for level in range(0, 250, 10):
+            write(np.full((49, 65, 3), level, np.uint8))
+    found = frames(tmp_path / "new/film.mp4")
+    assert len(found) == 25
+    assert found[0].shape == (48, 64, 3)
+    means = [frame.mean() for frame in found]
+    assert means == sorted(means)
+
+
+def test_a_film_that_breaks_off_leaves_no_file(tmp_path):
+    def break_off():
+        with mp4(tmp_path / "film.mp4", fps=25) as write:
+            write(np.zeros((48, 64, 3), np.uint8))
+            raise EnvError("the light went out")
+
+    with pytest.raises(EnvError, match="light"):
+        break_off()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_caption_covers_the_lower_edge_only():
+    frame = np.full((200, 300, 3), 255, np.uint8)
+    found = captioned(frame, "popsan · loihi1")
+    assert found.shape == frame.shape
+    assert (found[:180] == 255).all()
+    assert found[185:].min() < 50
+
+
+def test_frames_stand_side_by_side():
+    left, right = np.zeros((4, 5, 3), np.uint8), np.ones((4, 6, 3), np.uint8)
+    found = side_by_side(left, right)
+    assert found.shape == (4, 5 + 2 + 6, 3)
+    assert (found[:, :5] == 0).all()
+    assert (found[:, 7:] == 1).all()
+
+
+def test_run_films_the_first_episode_only(stroll):
+    run("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
+    assert len(frames(stroll / "film.mp4")) == 1 + 20  # the start, and each of its steps
+
+
+def test_the_demo_films_the_ann_beside_the_chip(stroll):
+    entries = line_up("stroll", (), ("loihi1",))
+    path = demo._film("stroll", entries, stroll / "film.mp4")
+    found = frames(path)
+    assert len(found) == 10  # 20 steps at 50 Hz, filmed at 25 Hz
+    assert found[0].shape == (48, 64 + 2 + 64, 3)
+
+
+def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys):
+    def dark(self):
+        raise EnvError("no OpenGL to draw with")
+
+    monkeypatch.setattr(strolling.Stroll, "render", dark)
+    assert demo._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4") is None
+    assert capsys.readouterr().err == "no film: no OpenGL to draw with\n"
+    assert not (stroll / "film.mp4").exists()

@@ -1,0 +1,74 @@
+"""The contract of every shipped policy; a new file is tested without touching this one."""
+
+import json
+
+import numpy as np
+import pytest
+
+import envs
+from spikedeploy import zoo
+from spikedeploy.policies import find, open_policy
+
+SHIPPED = zoo.policies()
+
+
+def name(path):
+    return f"{path.parent.name}/{path.stem}"
+
+
+@pytest.fixture(params=SHIPPED, ids=name)
+def path(request):
+    return request.param
+
+
+@pytest.fixture
+def card(path):
+    return json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+
+
+def test_it_acts_in_the_environment_of_its_folder(path):
+    candidate = find(str(path))
+    world = envs.make(path.parent.name)
+    player = open_policy(candidate, "loihi1" if candidate.kind == "snn" else None, world)
+    observation, _ = world.reset(seed=10_000)
+    player.reset(10_000)
+    action = player.act(observation)
+    assert action.shape == (18,)
+    assert np.abs(action).max() <= 1
+    assert np.ptp(action) > 0
+
+
+def test_its_card_names_recipe_seed_steps_and_commit(path, card):
+    assert card["file"] == path.name
+    assert card["kind"] == find(str(path)).kind
+    assert card["env"] == envs.spec(path.parent.name).id
+    assert card["recipe"]
+    assert card["seed"] < 5_000
+    assert card["steps"] > 0
+    assert len(card["commit"]) == 40
+
+
+def test_its_card_shows_that_it_was_evaluated_on_unseen_seeds(card):
+    assert card["evaluation"]
+    assert all(row["episodes"] >= 20 for row in card["evaluation"])
+    assert all(check["passed"] for check in card["parity"])
+
+
+def test_it_has_a_page_and_a_curve_for_people(path):
+    assert path.with_suffix(".md").read_text(encoding="utf-8").startswith(f"# {path.stem}\n")
+    assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert path.with_suffix(".csv").stat().st_size > 100
+
+
+def test_names_are_unique():
+    assert len(set(zoo.names())) == len(zoo.names())
+
+
+@pytest.mark.skipif(not SHIPPED, reason="no policies are shipped yet")
+@pytest.mark.parametrize("env", ["hexapod", "hexapod-command"])
+def test_each_task_has_a_float_ann_a_spiking_policy_and_the_three_controls(env):
+    kinds = {path.stem: find(str(path)).kind for path in zoo.policies(env)}
+    assert set(kinds.values()) == {"ann", "snn", "control"}
+    assert {stem for stem, kind in kinds.items() if kind == "control"} >= {
+        "phase", "bilinear", "linear",
+    }  # fmt: skip
