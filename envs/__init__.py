@@ -17,6 +17,7 @@ A new environment is one file and one line in ENVS.
 
 from __future__ import annotations
 
+import ctypes
 import difflib
 import os
 import sys
@@ -27,9 +28,20 @@ import gymnasium
 
 from envs.errors import EnvError
 
+
+def _loads(library: str) -> bool:
+    """Whether a shared library is installed."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    # MuJoCo reads it once, at its import: without a display, draw through EGL
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    # MuJoCo reads it once, at its import: without a display, draw through EGL. Where that library
+    # is missing, trying it would break the import itself
+    os.environ.setdefault("MUJOCO_GL", "egl" if _loads("libEGL.so.1") else "disable")
 
 
 @dataclass(frozen=True)
