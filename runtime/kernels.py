@@ -46,13 +46,12 @@ class Window:
         self._silent = np.zeros((batch, layer.size), np.int64)
         limits = bounds(layer, fixed, FOREVER if kept else timesteps) if fixed else None
         self._drive = Drive(layer, fixed, limits, timesteps, batch)
-        self._advance = Advance(program, layer, self.states, self._drive.sums, self.spikes)
+        self._advance = Advance(program, layer, self.states, self._drive.sums, self.spikes, kept)
         self._checks = Checks(layer, fixed, limits) if fixed and limits else None
 
     def reset(self) -> None:
-        """Forget the state; where none is kept, there is none to forget."""
-        if self.kept:
-            self.states[-1] = 0.0
+        """Forget the state."""
+        self.states[-1] = 0.0
         self._silent[:] = 0
 
     def run(self, arriving: Sequence[Raster]) -> Raster:
@@ -124,40 +123,57 @@ class Drive:
 
 
 class Advance:
-    """The timesteps of a window, one after another."""
+    """The timesteps of a window, one after another.
+
+    kept: whether there may be a state before the first.
+    """
 
     def __init__(
-        self, program: Program, layer: Layer, states: Floats, drive: Floats, spikes: Bits
+        self,
+        program: Program,
+        layer: Layer,
+        states: Floats,
+        drive: Floats,
+        spikes: Bits,
+        kept: bool,
     ) -> None:
-        one = float(program.chip.fixed.decay_one if program.chip.fixed else 1)
-        self._rounded = program.chip.fixed is not None
+        fixed = program.chip.fixed
+        self._rounded = fixed is not None
         # (2, 1, N): one multiplication decays currents and membranes
-        self._keep = np.stack([layer.current_keep, layer.membrane_keep])[:, None] / one
+        keep = np.stack([layer.current_keep, layer.membrane_keep])[:, None]
+        self._keep = keep / float(fixed.decay_one if fixed else 1)
         self._threshold = layer.threshold.astype(np.float64)
+        self._bias = layer.voltage_bias.astype(np.float64) if layer.voltage_bias.any() else None
+        self._kept = kept
+        self._ticks = [
+            (states[t], states[t + 1], states[t + 1, 0], states[t + 1, 1], drive[t], spikes[t])
+            for t in range(len(spikes))
+        ]
         self._reset: Callable[[Floats, Bits, Floats], None] = np.putmask
         self._to = np.zeros(1)
         if program.convention.reset == "subtract":
             self._reset, self._to = _subtract, self._threshold
         elif spikes[0].size >= WIDE:
             self._reset = _copy
-        self._bias = layer.voltage_bias.astype(np.float64) if layer.voltage_bias.any() else None
-        self._ticks = [
-            (states[t], states[t + 1], states[t + 1, 0], states[t + 1, 1], drive[t], spikes[t])
-            for t in range(len(spikes))
-        ]
 
     def __call__(self) -> None:
         """Fill `states` and `spikes`."""
         # names of the function are found faster than those of the module
         multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
         keep, threshold, bias = self._keep, self._threshold, self._bias
-        rounded, reset, to = self._rounded, self._reset, self._to
+        reset, to = self._reset, self._to
+        resting = not self._kept
         for before, after, current, membrane, drive, fired in self._ticks:
-            multiply(before, keep, after)
-            if rounded:
-                trunc(after, after)
-            add(current, drive, current)
-            add(membrane, current, membrane)
+            if resting:
+                # from zero, both states become what arrives
+                np.copyto(after, drive)
+                resting = False
+            else:
+                multiply(before, keep, after)
+                if self._rounded:
+                    trunc(after, after)
+                add(current, drive, current)
+                add(membrane, current, membrane)
             if bias is not None:
                 add(membrane, bias, membrane)
             greater(membrane, threshold, fired)

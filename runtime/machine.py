@@ -112,7 +112,7 @@ class Machine:
                 f"the spikes have shape {spikes.shape}; this machine takes ({wanted}). Give the "
                 "raster of this network, or make a machine with another batch."
             )
-        if not spikes.size or spikes.dtype.kind not in "bu" or spikes.max() > 1:
+        if not spikes.size or spikes.dtype.kind not in "bu" or _largest(spikes) > 1:
             raise ObservationError(
                 f"the raster holds {spikes.dtype} values; it must hold at least one timestep, and "
                 "0 or 1 in bool or unsigned integers. Convert it with spikes.astype(bool)."
@@ -122,7 +122,7 @@ class Machine:
     def _prepared(self, way: Way, timesteps: int) -> Pipeline:
         """The memory for a way of running, which has to stay the same while states are kept."""
         if (way, timesteps) != self._prepared_for:
-            if self._running:
+            if self._running and self._pipeline.schedule.kept:
                 raise ConfigError(
                     "the machine holds the state of a run with another number of timesteps, or of "
                     "step and not infer. Call reset() first."
@@ -156,5 +156,11 @@ class Machine:
 
     def _output(self, heard: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the rows (T, B, N) that leave the chip."""
-        spikes = heard.swapaxes(0, 1).astype(np.float64)
-        return self.program.readout(spikes) if self.program.readout else spikes
+        spikes = heard.astype(np.float64)
+        output = self.program.readout(spikes) if self.program.readout else spikes
+        return np.asarray(output.swapaxes(0, 1))
+
+
+def _largest(spikes: NDArray[Any]) -> int:
+    # what spikes.max() does, without its detour through Python
+    return int(np.maximum.reduce(spikes, axis=None))

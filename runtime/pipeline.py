@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.kernels import Window
 from runtime.ledger import Counts
-from runtime.program import Program
+from runtime.program import Layer, Program
 from runtime.relay import Relay
 from runtime.synapses import Raster
 from runtime.tally import Tally
@@ -55,14 +55,20 @@ class Pipeline:
         ]
         self._tally = Tally(program, self.windows, schedule.steps)
         self._lag = program.readout.lag if program.readout else 0
+        # layer, its window, and what it hears how many rows late
+        self._route = [
+            (window.layer, window, list(zip(_sources(window.layer), late, strict=True)))
+            for window, late in zip(self.windows, schedule.late, strict=True)
+        ]
         memory = max(self._lag, *(max(late) for late in schedule.late))
         self._relay = Relay(program.sizes, memory, batch)
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
         self._relay.reset()
-        for window in self.windows:
-            window.reset()
+        if self.schedule.kept:
+            for window in self.windows:
+                window.reset()
 
     def run(
         self, rows: NDArray[Any], counts: Counts | None, step: int | None = None
@@ -74,15 +80,11 @@ class Pipeline:
         """
         emitted = {self.program.input: Raster(rows)}
         timesteps = self.schedule.timesteps
-        for window, late in zip(self.windows, self.schedule.late, strict=True):
-            layer = window.layer
+        for layer, window, wires in self._route:
             if step is not None and step < layer.start:
                 emitted[layer.name] = window.wait()
                 continue
-            heard = [
-                self._relay.heard(synapses.source, rows_late, emitted, timesteps)
-                for synapses, rows_late in zip(layer.synapses, late, strict=True)
-            ]
+            heard = [self._relay.heard(*wire, emitted, timesteps) for wire in wires]
             emitted[layer.name] = window.run(heard)
         if counts is not None:
             self._tally(emitted, counts)
@@ -100,6 +102,10 @@ class Pipeline:
             spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
             recordings[window.layer.name] = Recording(current, membrane, spikes)
         return recordings
+
+
+def _sources(layer: Layer) -> list[str]:
+    return [synapses.source for synapses in layer.synapses]
 
 
 def joined(parts: list[dict[str, Recording]]) -> dict[str, Recording]:

@@ -84,7 +84,9 @@ class Readout:
 
     def __call__(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
         """Output (..., act) of the spikes (..., N)."""
-        return spikes @ self.weight + self.bias
+        # BLAS wants two axes, and dot() is @ for those in a hurry
+        flat = spikes.reshape(-1, len(self.weight)).dot(self.weight) + self.bias
+        return np.asarray(flat.reshape(*spikes.shape[:-1], -1))
 
 
 @dataclass(frozen=True, eq=False)

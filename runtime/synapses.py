@@ -18,8 +18,11 @@ Floats = NDArray[np.float64]
 EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
 
-# up to here a product over all axons costs less than looking for those that spiked
-NARROW = 200
+# Measured on one core of a server of 2023; only their ratios matter, to choose a way.
+CALL = 0.7  # [us] a NumPy call on a few hundred numbers
+FETCH16 = 1.0e-4  # [us] a weight fetched as int16 and added
+FETCH32 = 0.8e-4  # [us] a weight copied as float32
+MULTIPLY = 0.3e-4  # [us] a weight multiplied and added in a matrix product
 
 
 class Raster:
@@ -64,29 +67,29 @@ def summing(synapses: Synapses, partial: int | None, unit: int, timesteps: int, 
     exact32 = partial is not None and partial * unit < EXACT_FLOAT32
     weight = (synapses.weight * float(unit)).astype(np.float32 if exact32 else np.float64)
     dense = Dense(weight, timesteps, batch)
-    if partial is None or batch > 1 or weight.shape[1] <= NARROW:
+    if partial is None or batch > 1:
         return dense
-    whole = np.int16 if partial <= EXACT_INT16 else np.int32
-    gather = Gather(synapses.weight.astype(whole), unit, timesteps)
-    return Sparse(gather, Union(weight, timesteps), dense)
+    whole = synapses.weight.astype(np.int16 if partial <= EXACT_INT16 else np.int32)
+    return Cheapest(Gather(whole, unit, timesteps), Union(weight, timesteps), dense)
 
 
 class Dense:
     """All axons times all weights: one matrix product for the window."""
 
     def __init__(self, weight: NDArray[Any], timesteps: int, batch: int) -> None:
-        self.weight = weight
+        self._weight = weight
         axons, neurons = weight.shape
         # matrices over the same memory: BLAS wants two axes
         self._spikes = np.empty((timesteps, batch, axons), weight.dtype)
         self._flat = self._spikes.reshape(-1, axons)
         self._sums = np.empty((timesteps * batch, neurons), weight.dtype)
         self._shaped = self._sums.reshape(timesteps, batch, neurons)
+        self.cost = 3 * CALL + MULTIPLY * timesteps * batch * weight.size
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, B, N) in state units."""
         np.copyto(self._spikes, raster.rows)
-        np.matmul(self._flat, self.weight, self._sums)
+        np.matmul(self._flat, self._weight, self._sums)
         np.copyto(out, self._shaped)
 
 
@@ -97,14 +100,16 @@ class Gather:
     """
 
     def __init__(self, weight: NDArray[Any], unit: int, timesteps: int) -> None:
-        self.weight = weight
+        self._weight = weight
         self._unit = np.float64(unit)
         self._sums = np.empty((timesteps, 1, weight.shape[1]), weight.dtype)
         self._rows = list(self._sums[:, 0])
+        self.cost = (1 + 3 * timesteps) * CALL
+        self.cost_per_spike = FETCH16 * weight.itemsize / 2 * weight.shape[1]
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, 1, N) in state units."""
-        take, add = self.weight.take, np.add.reduce
+        take, add = self._weight.take, np.add.reduce
         for spikes, row in zip(raster.rows[:, 0], self._rows, strict=True):
             add(take(spikes.nonzero()[0], 0), 0, None, row)
         np.multiply(self._sums, self._unit, out)
@@ -117,32 +122,33 @@ class Union:
     """
 
     def __init__(self, weight: NDArray[Any], timesteps: int) -> None:
-        self.weight = weight
+        self._weight = weight
         self._sums = np.empty((timesteps, weight.shape[1]), weight.dtype)
+        self.cost = 6 * CALL
+        self.cost_per_axon = (FETCH32 + MULTIPLY * timesteps) * weight.shape[1]
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, 1, N) in state units."""
         axons = raster.per_axon()[0].nonzero()[0]
-        spikes = raster.rows[:, 0].take(axons, 1).astype(self.weight.dtype)
-        np.matmul(spikes, self.weight.take(axons, 0), self._sums)
+        spikes = raster.rows[:, 0].take(axons, 1).astype(self._weight.dtype)
+        np.matmul(spikes, self._weight.take(axons, 0), self._sums)
         np.copyto(out[:, 0], self._sums)
 
 
-class Sparse:
-    """Looks at the spikes and takes the cheapest way; batch 1."""
+class Cheapest:
+    """Looks at the spikes and takes the way that costs least; batch 1."""
 
     def __init__(self, gather: Gather, union: Union, dense: Dense) -> None:
         self.gather, self.union, self.dense = gather, union, dense
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, 1, N) in state units."""
-        spikes = raster.total()
+        gather = self.gather.cost + self.gather.cost_per_spike * raster.total()
         axons = np.count_nonzero(raster.per_axon())
-        # measured: a row of the union costs about a third of a gathered one, its product 50 rows
-        if axons < 50 + 0.35 * spikes:
-            self.union(raster, out)
-        # measured: above about half of all axons a product over all of them is cheaper
-        elif spikes > 0.5 * raster.rows.size:
+        union = self.union.cost + self.union.cost_per_axon * axons
+        if min(gather, union) > self.dense.cost:
             self.dense(raster, out)
-        else:
+        elif gather < union:
             self.gather(raster, out)
+        else:
+            self.union(raster, out)

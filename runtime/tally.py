@@ -48,6 +48,7 @@ class LayerTally:
         self._sources = [(s.source, s.fan_out.astype(np.float64)) for s in layer.synapses]
         self._biased = layer.voltage_bias != 0 if layer.voltage_bias.any() else None
         self._alive = np.empty(window.states.shape, np.bool_)
+        self._current, self._membrane_before = self._alive[1:, 0], self._alive[:-1, 1]
         self._busy = np.empty_like(window.spikes)
 
     def __call__(self, emitted: Mapping[str, Raster]) -> tuple[Number, ...]:
@@ -73,15 +74,16 @@ class LayerTally:
         return np.asarray(raster.per_axon().sum(axis=1, dtype=np.int64))
 
     def _sops(self, raster: Raster, fan_out: NDArray[np.float64]) -> Number:
-        # float64 is exact up to 2**53, and has the dot product that int64 lacks
-        sops = raster.per_axon().astype(np.float64) @ fan_out
+        # float64 is exact up to 2**53, and has the dot product that int64 lacks; dot() is @ for
+        # those in a hurry
+        sops = raster.per_axon().astype(np.float64).dot(fan_out)
         return int(sops[0]) if self._batch == 1 else sops.astype(np.int64)
 
     def _updates(self) -> Number:
         """Neuron-timesteps with a membrane, a current or a bias to add up."""
-        alive, busy = self._alive, self._busy
-        np.not_equal(self._window.states, 0.0, alive)
-        np.logical_or(alive[1:, 0], alive[:-1, 1], busy)
+        busy = self._busy
+        np.not_equal(self._window.states, 0.0, self._alive)
+        np.logical_or(self._current, self._membrane_before, busy)
         if self._biased is not None:
             np.logical_or(busy, self._biased, busy)
         if self._batch == 1:
