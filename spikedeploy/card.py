@@ -1,5 +1,6 @@
 """The card of a shipped policy, as a page for people."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -28,7 +29,7 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
         "commit": record["commit"] or "unknown",
         "exported": record["created"],
         "evaluated on": f"{rows[0]['episodes']} episodes, seeds from 10000 up",
-    }
+    } | ({"note": record["note"]} if record["note"] else {})
     checks = [
         f"- {'✓' if c['passed'] else '✗'} {c['name']}: {c['detail']}" for c in record["parity"]
     ]
@@ -55,7 +56,8 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
 
 def command(record: Mapping[str, Any]) -> str:
     """The command that trains the policy again."""
-    return f"spikedeploy train {record['recipe']} --seed {record['seed']}"
+    options = [f"--set {shlex.quote(change)}" for change in record["overrides"]]
+    return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])
 
 
 def _table(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:

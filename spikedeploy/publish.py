@@ -15,7 +15,9 @@ from spikedeploy.files import as_text, write_text
 from spikedeploy.lineup import Entry
 from spikedeploy.policies import FLOAT, find
 from spikedeploy.run import DEFAULT_CHIP
+from trainers.config import differences
 from trainers.run_folder import RunFolder
+from trainers.train import algorithm
 
 
 def publish(
@@ -24,6 +26,7 @@ def publish(
     episodes: int,
     folder: Path = zoo.FOLDER,
     processes: int | None = None,
+    note: str = "",
 ) -> list[Path]:
     """Export a run into the zoo with its card and learning curve; the files written.
 
@@ -31,6 +34,7 @@ def publish(
     name      of the policy in the zoo, such as "popsan"
     episodes  of its evaluation, on each chip that its card names
     folder    of the zoo
+    note      what a reader should know that the run folder does not say
     """
     source = RunFolder.find(run).path
     env = envs.spec(runs.settings(source)["env"]["name"])
@@ -40,7 +44,7 @@ def publish(
     if not exported.passed:
         target.unlink()
         raise SpikedeployError(f"{target} does not do what {source} does; it was removed again")
-    record = describe(source, exported, episodes, processes)
+    record = describe(source, exported, episodes, processes) | {"note": note}
     pictures = [_copied(source / "curve.png", target), _copied(source / "metrics.csv", target)]
     card = write_text(target.with_suffix(".json"), as_text(record))
     page = write_text(target.with_suffix(".md"), markdown(name, record))
@@ -63,9 +67,16 @@ def describe(
         "created": origin.created,
         "versions": runs.versions(source),
         "config": runs.settings(source),
+        "overrides": _overrides(source),
         "parity": [vars(check) for check in exported.checks],
         "evaluation": _evaluation(exported.path, origin.env, episodes, processes),
     }
+
+
+def _overrides(source: Path) -> list[str]:
+    """What was set beside the recipe."""
+    kind = algorithm(runs.settings(source)["algorithm"])
+    return differences(RunFolder(source).config(kind.Config))
 
 
 def _evaluation(

@@ -69,7 +69,7 @@ def run_folder(runs, policy, seed=0):
     from trainers.run_folder import RunFolder
 
     torch.manual_seed(seed)
-    config = {"algorithm": "sac", "recipe": "stroll", "env": {"name": "stroll"}, "policy": policy}
+    config = {"algorithm": "sac", "recipe": "smoke", "env": {"name": "stroll"}, "policy": policy}
     run = RunFolder.create(runs, SacConfig(**config))
     run.save("best", from_config(policy, observations=3, actions=2), {"env_steps": 5})
     run.metrics.write_text("env_steps,episode_return,eval_return\n2,1.0,\n5,2.0,3.0\n")

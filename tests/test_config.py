@@ -2,7 +2,7 @@ import pytest
 
 from runtime.errors import ConfigError
 from trainers import ALGORITHMS, RECIPES
-from trainers.config import Ramp, SacConfig, parse_override, resolve
+from trainers.config import Ramp, SacConfig, differences, parse_override, resolve
 from trainers.train import algorithm
 
 
@@ -90,3 +90,12 @@ def test_override_values_are_toml_and_else_text():
 def test_a_ramp_is_flat_outside_and_linear_inside():
     ramp = Ramp(start=1.0, end=0.0, begin=100, finish=200)
     assert [ramp.at(step) for step in (0, 100, 150, 200, 900)] == [1.0, 1.0, 0.5, 0.0, 0.0]
+
+
+def test_what_was_set_beside_a_recipe_makes_the_same_configuration_again():
+    chosen = ["policy.hidden=[8]", "steps=300", "env.name=elsewhere", "hoist.finish=7"]
+    config = resolve(SacConfig, "smoke", overrides=chosen, seed=3)
+    found = differences(config)
+    assert sorted(found) == sorted([*chosen[:2], 'env.name="elsewhere"', chosen[3]])
+    assert resolve(SacConfig, "smoke", overrides=found, seed=3) == config
+    assert differences(resolve(SacConfig, "smoke")) == []

@@ -34,7 +34,7 @@ def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chip
     assert [path.relative_to(tmp_path / "zoo/stroll").name for path in written] == files
     card = json.loads((tmp_path / "zoo/stroll/small.json").read_text())
     assert (card["recipe"], card["seed"], card["steps"], card["env"]) == (
-        "stroll",
+        "smoke",
         0,
         5,
         strolling.ID,
@@ -47,9 +47,11 @@ def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chip
 
 def test_the_page_says_how_to_make_the_policy_again(tmp_path):
     run = strolling.run_folder(tmp_path / "runs", SPIKING)
-    publish(str(run), "small", episodes=2, folder=tmp_path / "zoo", processes=1)
+    zoo = tmp_path / "zoo"
+    publish(str(run), "small", episodes=2, folder=zoo, processes=1, note="grown in a pot")
     page = (tmp_path / "zoo/stroll/small.md").read_text()
-    assert "`spikedeploy train stroll --seed 0`" in page
+    assert "spikedeploy train smoke --seed 0 --set 'env.name=\"stroll\"'" in page
+    assert "- note: grown in a pot" in page
     assert "| small · loihi1 |" in page
     assert "- ✓ spikes: torch = NumPy, float64" in page
     assert "![return against environment steps](small.png)" in page
@@ -83,5 +85,5 @@ def test_parity_is_checked_on_observations_of_the_policys_own_episodes(tmp_path)
 
 def test_a_run_tells_its_origin(tmp_path):
     origin = runs.origin(strolling.run_folder(tmp_path, SPIKING))
-    assert (origin.env, origin.recipe, origin.seed, origin.steps) == (strolling.ID, "stroll", 0, 5)
+    assert (origin.env, origin.recipe, origin.seed, origin.steps) == (strolling.ID, "smoke", 0, 5)
     assert origin.created.endswith("+00:00")

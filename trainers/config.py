@@ -1,6 +1,7 @@
 """Configuration: recipe, TOML file and `--set` overrides in, one validated model out."""
 
 import difflib
+import json
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -48,6 +49,7 @@ __all__ = [
     "Share",
     "ValidationConfig",
     "amended",
+    "differences",
     "known",
     "parse_override",
     "read_toml",
@@ -83,6 +85,24 @@ def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str]
     for text in overrides:
         settings = _overlaid(settings, parse_override(text), f"--set {text}")
     return validated(type(base), settings, f"recipe {base.recipe}")
+
+
+def differences(config: RunConfig) -> list[str]:
+    """Return the overrides that make this configuration from its recipe, as `--set` takes them."""
+    recipe = _flat(resolve(type(config), config.recipe, seed=config.seed).model_dump(mode="json"))
+    found = _flat(config.model_dump(mode="json"))
+    return [
+        f"{key}={json.dumps(value)}" for key, value in found.items() if recipe.get(key) != value
+    ]
+
+
+def _flat(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return nested settings as one level of dotted names."""
+    result: dict[str, Any] = {}
+    for key, value in settings.items():
+        inner = isinstance(value, Mapping) and value
+        result |= _flat(value, f"{path}{key}.") if inner else {path + key: value}
+    return result
 
 
 def known(name: str, names: Iterable[str], kind: str) -> str:

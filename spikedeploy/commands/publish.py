@@ -14,6 +14,9 @@ def publish(
     ],
     name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
+    note: Annotated[
+        str, typer.Option(help="What the card should say beside what the run folder says.")
+    ] = "",
     workers: Workers = None,
     output: Annotated[
         Path | None,
@@ -26,7 +29,7 @@ def publish(
     from spikedeploy.publish import publish as write
     from spikedeploy.terminal import print_json
 
-    files = write(run, name, episodes, output or zoo.FOLDER, workers)
+    files = write(run, name, episodes, output or zoo.FOLDER, workers, note)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:
