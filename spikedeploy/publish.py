@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import envs
@@ -11,8 +12,9 @@ from spikedeploy import runs, zoo
 from spikedeploy.card import markdown
 from spikedeploy.compare import EVALUATION_SEED, compare
 from spikedeploy.export import Exported, export
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.lineup import Entry
+from spikedeploy.plots import draw_curves
 from spikedeploy.policies import FLOAT, find
 from spikedeploy.run import DEFAULT_CHIP
 from trainers.config import differences
@@ -28,7 +30,7 @@ def publish(
     processes: int | None = None,
     note: str = "",
 ) -> list[Path]:
-    """Export a run into the zoo with its card and learning curve; the files written.
+    """Put a run's policy into the zoo, with its card and its learning curve; the files written.
 
     run       run folder, its name under runs/, or "last"
     name      of the policy in the zoo, such as "popsan"
@@ -37,18 +39,18 @@ def publish(
     note      what a reader should know that the run folder does not say
     """
     source = RunFolder.find(run).path
-    env = envs.spec(runs.settings(source)["env"]["name"])
-    spikes = runs.settings(source)["policy"]["kind"] == "popsan"
-    target = folder / env.short / f"{name}{'.nir' if spikes else '.onnx'}"
-    exported = export(str(source), target.suffix[1:], target)
-    if not exported.passed:
-        target.unlink()
-        raise SpikedeployError(f"{target} does not do what {source} does; it was removed again")
-    record = describe(source, exported, episodes, processes) | {"note": note}
-    pictures = [_copied(source / "curve.png", target), _copied(source / "metrics.csv", target)]
-    card = write_text(target.with_suffix(".json"), as_text(record))
-    page = write_text(target.with_suffix(".md"), markdown(name, record))
-    return [target, card, page, *pictures]
+    target = folder / envs.spec(runs.settings(source)["env"]["name"]).short
+    with TemporaryDirectory() as stage:  # so that a failure leaves the zoo as it was
+        exported = _exported(source, Path(stage) / name)
+        record = describe(source, exported, episodes, processes) | {"note": note}
+        file = _copied(exported.path, target / exported.path.name)
+    return [
+        file,
+        write_text(file.with_suffix(".json"), as_text(record)),
+        write_text(file.with_suffix(".md"), markdown(name, record)),
+        draw_curves({name: runs.curve(source)}, file.with_suffix(".png")),
+        _copied(source / "metrics.csv", file.with_suffix(".csv")),
+    ]
 
 
 def describe(
@@ -79,6 +81,16 @@ def _overrides(source: Path) -> list[str]:
     return differences(RunFolder(source).config(kind.Config))
 
 
+def _exported(source: Path, path: Path) -> Exported:
+    """The run's policy as a file that does what the policy does."""
+    to = "nir" if runs.settings(source)["policy"]["kind"] == "popsan" else "onnx"
+    exported = export(str(source), to, path.with_suffix(f".{to}"))
+    failed = [check.name for check in exported.checks if not check.passed]
+    if failed:
+        raise SpikedeployError(f"the file does not do what {source} does: {', '.join(failed)}")
+    return exported
+
+
 def _evaluation(
     path: Path, env: str, episodes: int, processes: int | None
 ) -> list[Mapping[str, Any]]:
@@ -93,5 +105,7 @@ def _evaluation(
     return [{**row, "file": path.name} for row in rows]
 
 
-def _copied(source: Path, beside: Path) -> Path:
-    return Path(shutil.copyfile(source, beside.with_suffix(source.suffix)))
+def _copied(source: Path, target: Path) -> Path:
+    with replacing(target) as part:
+        shutil.copyfile(source, part)
+    return target

@@ -61,9 +61,9 @@ def test_the_page_says_how_to_make_the_policy_again(tmp_path):
 def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_path):
     run = strolling.run_folder(tmp_path / "runs", SPIKING)
     monkeypatch.setattr("spikedeploy.export.check", lambda *_: [Check("spikes", False, "3 differ")])
-    with pytest.raises(SpikedeployError, match="does not do what"):
+    with pytest.raises(SpikedeployError, match=r"does not do what .*: spikes"):
         publish(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
-    assert list((tmp_path / "zoo/stroll").iterdir()) == []
+    assert not (tmp_path / "zoo").exists()
 
 
 def test_what_sees_less_or_is_linear_is_a_control():
