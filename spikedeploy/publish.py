@@ -58,7 +58,7 @@ def describe(
 ) -> dict[str, Any]:
     """The card as data: how the policy was made, and how it does."""
     origin = runs.origin(source)
-    return {
+    record = {
         "file": exported.path.name,
         "kind": exported.kind,
         "env": origin.env,
@@ -73,6 +73,7 @@ def describe(
         "parity": [vars(check) for check in exported.checks],
         "evaluation": _evaluation(exported.path, origin.env, episodes, processes),
     }
+    return {key: _portable(value) for key, value in record.items()}
 
 
 def _overrides(source: Path) -> list[str]:
@@ -89,6 +90,15 @@ def _exported(source: Path, path: Path) -> Exported:
     if failed:
         raise SpikedeployError(f"the file does not do what {source} does: {', '.join(failed)}")
     return exported
+
+
+def _portable(data: Any) -> Any:  # noqa: ANN401
+    """Settings with paths inside this folder as they look from it, such as a teacher's."""
+    if isinstance(data, dict):
+        return {key: _portable(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_portable(value) for value in data]
+    return data.replace(f"{Path.cwd()}/", "") if isinstance(data, str) else data
 
 
 def _evaluation(

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from exporters.check import Check
@@ -11,9 +12,10 @@ from spikedeploy.export import kind_of, recorded
 from spikedeploy.policies import find
 from spikedeploy.publish import publish
 from tests import strolling
-from trainers.config import MlpConfig, PopsanConfig
+from trainers.config import MlpConfig, PopsanConfig, SacConfig
 from trainers.features import Features
 from trainers.policies import MlpPolicy, PopsanPolicy
+from trainers.run_folder import RunFolder
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)
 
@@ -56,6 +58,20 @@ def test_the_page_says_how_to_make_the_policy_again(tmp_path):
     assert "- ✓ spikes: torch = NumPy, float64" in page
     assert "![return against environment steps](small.png)" in page
     assert str(tmp_path) not in page + (tmp_path / "zoo/stroll/small.json").read_text()
+
+
+def test_a_card_names_no_folder_of_the_machine_that_made_it(monkeypatch, tmp_path):
+    run = strolling.run_folder(tmp_path / "runs", SPIKING)
+    settings = json.loads((run / "config.json").read_text())
+    settings["env"]["options"] = {"teacher": str(run), "twice": [str(run)]}
+    (run / "config.json").write_text(json.dumps(settings))
+    monkeypatch.setattr(RunFolder, "config", lambda *_: SacConfig(algorithm="sac", recipe="smoke"))
+    monkeypatch.setattr("spikedeploy.export.recorded", lambda *_: np.zeros((2, 3)))
+    monkeypatch.chdir(tmp_path)
+    publish(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
+    card = (tmp_path / "zoo/stroll/small.json").read_text()
+    assert str(tmp_path) not in card
+    assert f'"teacher": "runs/{run.name}"' in card
 
 
 def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_path):
