@@ -65,6 +65,11 @@ class FixedPoint:
             raise ChipError(
                 f"step_rounding {self.step_rounding!r} is unknown. Choose 'floor' or 'zero'."
             )
+        if not self.weight_max:
+            raise ChipError(
+                "weight_bits is 1 and sign_mode 'mixed': the bit is the sign, and nothing is left "
+                "for the weight. Choose more bits, or 'split'."
+            )
         if self.refractory < 1:
             raise ChipError(f"refractory is {self.refractory}; the least is 1, which is none.")
 

@@ -1,4 +1,4 @@
-"""Programs that several tests build without a policy: from trace files, and from random integers."""
+"""Programs that several tests build without a policy: from trace files and random integers."""
 
 import json
 from pathlib import Path
@@ -32,40 +32,67 @@ def layer(fixed, name, weights, synapses, *, decays, threshold, bias=0, start=0)
 
 
 def golden(path):
-    """The program, raster (1, T, M) and list of layers with expected u, v, s of a lava trace."""
+    """The program, raster (1, T, M) and list of layers with expected u, v, s of a trace file."""
     trace = json.loads(Path(path).read_text())
-    layers = trace.get("layers", [trace])
-    datasheet = _datasheet(trace)
-    names = [f"layer{k}" for k in range(len(layers))]
-    built = []
-    for source, name, spec in zip(["input", *names], names, layers, strict=False):
-        p = spec.get("params", spec)
-        weights = np.array(p["weights"])  # [post][pre]
-        axons = Synapses(source, np.ascontiguousarray(stored(weights.T, datasheet.fixed)), delay=1)
-        built.append(
-            layer(
-                datasheet.fixed,
-                name,
-                weights,
-                (axons,),
-                decays=(p["du"], p["dv"]),
-                threshold=p["vth"] << datasheet.fixed.mantissa_shift,
-                bias=p.get("bias_mant", 0) << p.get("bias_exp", 0),
-            )
-        )
-    width = built[0].synapses[0].weight.shape[0]
-    program = Program(
-        datasheet, Convention(1e-3, delay=1), "input", width, tuple(built), names[-1], None
+    reading = READINGS[Path(path).name.split("_")[0]]
+    common = trace.get("params", {})
+    datasheet = chip(
+        "loihi1",
+        **reading,
+        sign_mode="mixed" if _mixed(common) else "split",
+        weight_bits=common.get("num_weight_bits", 8),
+        refractory=common.get("refractory", common.get("refract_delay", 1)),
     )
+    layers = trace.get("layers", [trace])
+    names = [f"layer{k}" for k in range(len(layers))]
+    built = [
+        _golden_layer(datasheet, source, name, spec.get("params", spec))
+        for source, name, spec in zip(["input", *names], names, layers, strict=False)
+    ]
+    convention = Convention(1e-3, delay=datasheet.delay)
+    width = built[0].synapses[0].weight.shape[0]
+    program = Program(datasheet, convention, "input", width, tuple(built), names[-1], None)
     return program, np.array(trace["input_spikes"], np.uint8)[None], layers
 
 
-def _datasheet(trace):
-    p = trace.get("params", {})
-    return chip(
-        "loihi1",
-        sign_mode="split" if p.get("exc_inh_split", True) else "mixed",
-        weight_bits=p.get("num_weight_bits", 8),
+# where the emulators differ; without an entry a trace is lava's
+READINGS = {
+    "lava": {},
+    # effective decays, mixed weights toward zero, no overflow, input acts in its own row
+    "brian2loihi": {
+        "delay": 0,
+        "current_decay_offset": 0,
+        "step_rounding": "zero",
+        "current": Register(24, "none"),
+        "membrane": Register(24, "none"),
+    },
+    # two's complement, input acts in its own row
+    "nengoloihi": {
+        "delay": 0,
+        "accumulator": Register(22, "wrap"),
+        "current": Register(24, "wrap"),
+    },
+}
+
+
+def _mixed(p):
+    return not p.get("exc_inh_split", True) or p.get("weights_mixed") is not None
+
+
+def _golden_layer(datasheet, source, name, p):
+    if "weights_exc" in p and p["weights_mixed"] is None:
+        weights = np.array(p["weights_exc"]) + np.array(p["weights_inh"])
+    else:
+        weights = np.array(p.get("weights_mixed") or p["weights"])  # [post][pre]
+    kept = np.ascontiguousarray(stored(weights.T, datasheet.fixed))
+    return layer(
+        datasheet.fixed,
+        name,
+        weights,
+        (Synapses(source, kept, datasheet.delay),),
+        decays=(p.get("du", p.get("decay_u")), p.get("dv", p.get("decay_v"))),
+        threshold=p.get("vth", p.get("vth_mant")) << datasheet.fixed.mantissa_shift,
+        bias=p.get("bias", p.get("bias_mant", 0) << p.get("bias_exp", 0)),
     )
 
 
@@ -83,7 +110,9 @@ def random_programs(draw):
     datasheet = chip(
         "loihi1",
         # narrow registers overflow within the few timesteps of a test
-        accumulator=Register(draw(st.sampled_from([16, 22])), draw(st.sampled_from(["none", "wrap"]))),
+        accumulator=Register(
+            draw(st.sampled_from([16, 22])), draw(st.sampled_from(["none", "wrap"]))
+        ),
         current=Register(
             draw(st.sampled_from([17, 24])),
             draw(st.sampled_from(["none", "wrap", "wrap-once", "clip"])),
