@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.bounds import FOREVER, Bounds, bounds, room
+from runtime.bounds import Bounds, bounds, room
 from runtime.chip import FixedPoint
 from runtime.interpreter import State, update
 from runtime.program import Layer, Program
@@ -44,7 +44,7 @@ class Window:
         self.overflows = np.zeros(batch, np.int64)
         self.waiting = self.interpreted = False
         self._silent = np.zeros((batch, layer.size), np.int64)
-        limits = bounds(layer, fixed, FOREVER if kept else timesteps) if fixed else None
+        limits = bounds(program, layer, fixed, None if kept else timesteps) if fixed else None
         self._drive = Drive(layer, fixed, limits, timesteps, batch)
         self._advance = Advance(program, layer, self.states, self._drive.sums, self.spikes, kept)
         self._checks = Checks(layer, fixed, limits) if fixed and limits else None
@@ -181,27 +181,33 @@ class Advance:
 
 
 class Checks:
-    """Whether the fast way may be believed."""
+    """Whether the fast way may be believed.
+
+    What the bounds prove costs nothing; what they leave open is looked up in the states.
+    """
 
     def __init__(self, layer: Layer, fixed: FixedPoint, limits: Bounds) -> None:
-        self._bias = float(np.abs(layer.voltage_bias).max())
         self._current, self._membrane = room(fixed.current), room(fixed.membrane)
-        # never: refractory and accumulators that overflow are left to the interpreter
+        self._bias = float(layer.voltage_bias.max(initial=0))
+        self._open_current = limits.current > self._current
+        self._open_above = limits.above > self._membrane
+        self._open_below = limits.below > self._membrane
+        # refractory and accumulators that overflow are left to the interpreter
         self._never = fixed.refractory > 1 or limits.drive > room(fixed.accumulator)
-        self._always = not self._never and limits.fit(fixed)
 
     def passed(self, states: Floats) -> bool:
         """Whether no register overflowed on the way to these states."""
-        if self._always or self._never:
-            return self._always
-        current, membrane = _magnitude(states[:, 0]), _magnitude(states[:, 1])
-        # the membrane before a reset is not kept, but cannot have been larger than this
-        highest = current + membrane + self._bias
-        return current <= self._current and highest <= self._membrane
-
-
-def _magnitude(values: Floats) -> float:
-    return max(float(values.max()), -float(values.min()))
+        if self._never:
+            return False
+        if self._open_current and np.abs(states[:, 0]).max() > self._current:
+            return False
+        if self._open_below and states[:, 1].min() < -self._membrane:
+            return False
+        if not self._open_above:
+            return True
+        # a membrane before its reset is not kept, but cannot have been higher than this
+        highest = max(states[:, 1].max(), 0.0) + states[:, 0].max() + self._bias
+        return bool(highest <= self._membrane)
 
 
 def _subtract(membrane: Floats, fired: Bits, threshold: Floats) -> None:
