@@ -35,16 +35,21 @@ def number(field: str, form: str) -> Cell:
     return cell
 
 
-def price(field: str, table: str, small: str, large: str) -> Cell:
-    """A cell with what an energy table says, in billionths or, from a tenth up, millionths."""
+def price(field: str, table: str, unit: str) -> Cell:
+    """A cell with what an energy table says, in the unit or a thousandth part of it or less."""
 
     def cell(row: Row) -> str:
         value = row[field].get(table)
-        if value is None:
-            return ABSENT
-        return f"{value * 1e6:,.2f} {large}" if value >= 1e-7 else f"{value * 1e9:,.2f} {small}"
+        return ABSENT if value is None else f"{scaled(value)}{unit}"
 
     return cell
+
+
+def scaled(value: float) -> str:
+    """The number with a prefix of the SI, so that 0.1 to 99 stand before it: `13.03 µ`."""
+    prefixes = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
+    size = next((size for size in prefixes if value >= 0.1 * size), 1e-9)
+    return f"{value / size:.2f} {prefixes[size]}"
 
 
 def interval(row: Row) -> str:
@@ -78,7 +83,7 @@ def divergence(row: Row) -> str:
 NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
 WALK = (
-    Column("return", "mean return of an episode, with its 95 % bootstrap interval", interval),
+    Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
     Column("success", "episodes that succeed", number("success_rate", ".0%")),
     Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
@@ -92,7 +97,7 @@ AGREEMENT = (
     ),
     Column(
         "difference",
-        "paired difference of return on the same seeds, with its 95 % bootstrap interval",
+        "paired difference of return on the same seeds, with its 95% bootstrap interval",
         difference,
     ),
     Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
@@ -162,14 +167,14 @@ def _prices(rows: Sequence[Row]) -> list[Column]:
     """Energies and latencies by every table that prices some row."""
     energy, latency = "energy_per_inference_j", "latency_per_inference_s"
     energies = [
-        Column(name, f"energy by table {name}", price(energy, name, "nJ", "µJ"))
+        Column(name, f"energy by table {name}", price(energy, name, "J"))
         for name in dict.fromkeys(name for row in rows for name in row[energy])
     ]
     latencies = [
         Column(
             f"{name} time",
             f"time by table {name}, as if one core did everything",
-            price(latency, name, "ns", "µs"),
+            price(latency, name, "s"),
         )
         for name in dict.fromkeys(name for row in rows for name in row[latency])
     ]

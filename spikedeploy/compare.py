@@ -6,12 +6,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import envs
+from runtime.chip import chip
 from runtime.errors import ConfigError
 from spikedeploy.comparison import Comparison, Row
 from spikedeploy.episodes import Episode, Job, play
 from spikedeploy.jobs import workers
 from spikedeploy.lineup import Entry
-from spikedeploy.policies import check_fit
+from spikedeploy.policies import FLOAT, check_fit
 from spikedeploy.terminal import progress
 
 EVALUATION_SEED = 10_000
@@ -83,7 +84,7 @@ class Plan:
 
 
 def _check(env: str, entries: Sequence[Entry], seeds: Sequence[int]) -> None:
-    """Refuse training seeds and policies of other environments before anything is played."""
+    """Refuse training seeds, strangers' policies and unknown chips before anything is played."""
     if min(seeds) < EVALUATION_SEED:
         raise ConfigError(
             f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION_SEED}"
@@ -91,4 +92,6 @@ def _check(env: str, entries: Sequence[Entry], seeds: Sequence[int]) -> None:
     world = envs.make(env)
     for entry in entries:
         check_fit(entry.candidate, world)
+        if entry.chip not in (None, FLOAT):
+            chip(entry.chip)  # refuses a name that it does not know
     world.close()

@@ -12,13 +12,14 @@ from spikedeploy.compare import EVALUATION_SEED, compare
 from spikedeploy.lineup import Entry, line_up
 from spikedeploy.policies import open_policy
 from spikedeploy.run import DEFAULT_CHIP
-from spikedeploy.terminal import print_comparison, say
+from spikedeploy.terminal import print_comparison, progress, say
 from spikedeploy.video import Frame, captioned, mp4, side_by_side
 
 EPISODES = {"hexapod": 4, "hexapod-command": 3}
 FOLDER = Path("reports/demo")
 FPS = 25
-SECONDS = 10
+KINDS = {"ann": "float ANN", "snn": "spiking network"}
+SECONDS = 5  # drawing without a graphics card takes 0.2 s a frame
 
 
 def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
@@ -53,9 +54,10 @@ def _film(env: str, entries: Sequence[Entry], path: Path) -> Path | None:
     if ann is None or snn is None:
         return None
     try:
-        with mp4(path, FPS) as write:
+        with mp4(path, FPS) as write, progress("film", FPS * SECONDS) as drawn:
             for pair in zip(_frames(env, ann), _frames(env, snn), strict=False):
                 write(side_by_side(*pair))
+                drawn()
     except EnvError as error:
         say(f"no film: {error}")
         return None
@@ -71,7 +73,7 @@ def _frames(env: str, entry: Entry) -> Iterator[Frame]:
     player.reset(EVALUATION_SEED)
     for step in islice(range(world.unwrapped.max_steps), skip * FPS * SECONDS):
         if step % skip == 0:
-            yield captioned(world.render(), entry.label)
+            yield captioned(world.render(), f"{KINDS[entry.candidate.kind]}: {entry.label}")
         observation, _, terminated, _, _ = world.step(player.act(observation))
         if terminated:
             break

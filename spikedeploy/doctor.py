@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from spikedeploy import zoo
+from spikedeploy.jobs import cores
 from spikedeploy.versions import RUN, TRAIN, installed, own
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -44,7 +45,7 @@ def _versions() -> Iterator[Finding]:
 def _threads() -> Finding:
     limits = {name: os.environ.get(name, "all") for name in THREADS}
     limit = ", ".join(f"{name}={value}" for name, value in limits.items())
-    return Finding("threads", None, f"{os.cpu_count()} cores; {limit}")
+    return Finding("threads", None, f"{cores()} cores; {limit}")
 
 
 def _rendering() -> Finding:

@@ -50,7 +50,7 @@ class Jobs:
 @contextmanager
 def workers(count: int | None) -> Iterator[Jobs]:
     """Jobs in `count` processes, one for each core by default; 1 stays in this process."""
-    count = count or os.cpu_count() or 1
+    count = count or cores()
     if count == 1:
         yield Jobs(None)
         return
@@ -60,6 +60,13 @@ def workers(count: int | None) -> Iterator[Jobs]:
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def cores() -> int:
+    """The cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import envs
 from runtime.errors import ConfigError
 from spikedeploy import zoo
 from spikedeploy.policies import FLOAT, Candidate, find
@@ -43,15 +44,16 @@ class Entry:
 def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, the gait alone and the shipped controls.
 
-    env     short name of the environment
+    env     short name or id of the environment
     files   policies to compare; none stands for all that are shipped for the environment
     """
-    shipped = [find(str(path)) for path in zoo.policies(env)]
+    short = envs.spec(env).short
+    shipped = [find(str(path)) for path in zoo.policies(short)]
     chosen = _distinct([find(file) for file in files]) or shipped
     if not chosen:
         raise ConfigError(
-            f"no policies are shipped for {env} yet: name files or run folders, or train one with "
-            "`spikedeploy train`"
+            f"no policies are shipped for {short} yet: name files or run folders, or train one "
+            "with `spikedeploy train`"
         )
     entries = [
         Entry(candidate) for candidate in _of_kind("ann", chosen) or _of_kind("ann", shipped)

@@ -21,7 +21,7 @@ def _on_chip(row: Row) -> str:
     low, high = row["difference_ci95"]
     return (
         f"{row['policy']} on {row['chip']} keeps {' and '.join(kept)} "
-        f"({row['difference_mean']:+,.0f} to the twin, 95 % interval {low:+,.0f} to {high:+,.0f}) "
+        f"({row['difference_mean']:+,.0f} to the twin, 95% interval {low:+,.0f} to {high:+,.0f}) "
         f"and succeeds in {_share(row)} of {row['episodes']} episodes."
     )
 

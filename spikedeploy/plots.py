@@ -39,9 +39,9 @@ def draw_returns(rows: Sequence[Row], path: Path) -> Path:
     for place, row in enumerate(rows):
         paint = colour(row)
         returns = np.asarray(row["returns"], np.float64)
-        axes.scatter(returns, _spread(returns, place), s=14, color=paint, alpha=0.35, linewidths=0)
-        axes.plot(row["return_ci95"], [place, place], color=paint, linewidth=5, alpha=0.9)
-        axes.plot(row["return_mean"], place, "|", color=paint, markersize=22, markeredgewidth=2)
+        axes.scatter(returns, _spread(returns, place), s=15, color=paint, alpha=0.45, linewidths=0)
+        axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
+        axes.plot(row["return_mean"], place + 0.12, "|", color=paint, markersize=16, mew=2)
         axes.annotate(
             f"{row['return_mean']:,.0f}",
             (1.01, place),
@@ -49,7 +49,7 @@ def draw_returns(rows: Sequence[Row], path: Path) -> Path:
             va="center",
             color="#333333",
         )
-    axes.set_xlabel("return of an episode (dots), mean and 95 % interval (bars)")
+    axes.set_xlabel("return of an episode (dots), mean and 95% interval (bars)")
     _name_rows(axes, rows)
     return save(figure, path)
 
@@ -119,5 +119,5 @@ def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _spread(values: NDArray[np.float64], place: int) -> NDArray[np.float64]:
-    """Heights around a line, so that equal values do not hide one another; the same every time."""
-    return place + np.random.default_rng(0).uniform(-0.22, 0.22, size=len(values))
+    """Heights above a bar, so that equal values do not hide one another; the same every time."""
+    return place - np.random.default_rng(0).uniform(0.08, 0.34, size=len(values))

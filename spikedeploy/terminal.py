@@ -56,7 +56,7 @@ def print_comparison(document: Mapping[str, Any]) -> None:
     from spikedeploy.columns import tables
 
     rows = document["rows"]
-    say(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
+    console().print(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
     for title, columns in tables(rows).items():
         heads = [column.title for column in columns]
         cells = [[column.cell(row) for column in columns] for row in rows]

@@ -123,6 +123,12 @@ def test_training_seeds_are_refused(stroll):
         compare("stroll", [Entry(find("gait"))], range(9_999, 10_001), processes=1)
 
 
+def test_an_unknown_chip_is_refused_before_anything_is_played(stroll):
+    entries = line_up("stroll", (), ("loihi9",))
+    with pytest.raises(SpikedeployError, match="did you mean 'loihi1'"):
+        compare("stroll", entries, SEEDS, processes=1)
+
+
 def test_a_policy_of_another_environment_is_refused_before_anything_is_played(stroll):
     with pytest.raises(SpikedeployError, match=r"made for test/Stroll-v0, not for .*Hexapod-v0"):
         compare("hexapod", [Entry(find(str(stroll / "sac.onnx")))], SEEDS, processes=1)

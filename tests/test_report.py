@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 
 from spikedeploy import report, zoo
-from spikedeploy.columns import tables
+from spikedeploy.columns import scaled, tables
 from spikedeploy.compare import compare
 from spikedeploy.lineup import line_up
 from spikedeploy.meaning import meaning
@@ -93,7 +93,7 @@ def test_the_sentence_says_what_the_chip_keeps():
     found = meaning([row("sac", "ann"), row("popsan", "snn", "loihi1", 0.985)])
     assert found.startswith(
         "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's "
-        "(-20 to the twin, 95 % interval -40 to +1) and succeeds in all of 4 episodes."
+        "(-20 to the twin, 95% interval -40 to +1) and succeeds in all of 4 episodes."
     )
 
 
@@ -111,3 +111,17 @@ def test_the_sentence_doubts_a_network_that_a_control_equals(control, verdict):
 def test_a_policy_alone_needs_no_sentence():
     alone = row("popsan", "snn", "loihi1", reference=None, ratio_to_float_ann=None)
     assert meaning([alone]) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.3e-5, "13.00 µ"),
+        (2e-7, "0.20 µ"),
+        (1.7e-8, "17.00 n"),
+        (0.0019, "1.90 m"),
+        (0.0, "0.00 n"),
+    ],
+)
+def test_prices_are_readable_at_any_size(value, text):
+    assert scaled(value) == text

@@ -84,5 +84,5 @@ def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys
 
     monkeypatch.setattr(strolling.Stroll, "render", dark)
     assert demo._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4") is None
-    assert capsys.readouterr().err == "no film: no OpenGL to draw with\n"
+    assert "no film: no OpenGL to draw with\n" in capsys.readouterr().err
     assert not (stroll / "film.mp4").exists()

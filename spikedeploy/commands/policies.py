@@ -2,22 +2,25 @@
 
 from spikedeploy.commands.options import Json
 
-FIELDS = ("name", "kind", "env", "file")
-
 
 def policies(json: Json = False) -> None:
-    """List the shipped policies."""
+    """List the shipped policies, by the names that the commands take."""
     from spikedeploy import zoo
     from spikedeploy.policies import BUILT_IN, find
     from spikedeploy.terminal import print_json, print_table
 
-    found = [find(name) for name in [*zoo.names(), *BUILT_IN]]
-    names = [*zoo.names(), *BUILT_IN]
-    rows = [
-        (name, candidate.kind, candidate.env or "any", candidate.path)
-        for name, candidate in zip(names, found, strict=True)
-    ]
+    rows = []
+    for name in [*zoo.names(), *BUILT_IN]:
+        candidate, card = find(name), zoo.card(name)
+        row = {"name": name, "kind": candidate.kind, "env": candidate.env, "file": candidate.path}
+        rows.append({**row, "recipe": card.get("recipe"), "return_mean": zoo.mean_return(card)})
     if json:
-        print_json([dict(zip(FIELDS, row, strict=True)) for row in rows])
-    else:
-        print_table("Policies, by the name that the commands take", FIELDS, rows)
+        print_json(rows)
+        return
+    columns = ("name", "kind", "env", "recipe", "return_mean")
+    cells = [[_text(row[column]) for column in columns] for row in rows]
+    print_table("Policies", ("name", "kind", "environment", "recipe", "return"), cells)
+
+
+def _text(value: object) -> str:
+    return f"{value:,.0f}" if isinstance(value, float) else str(value or "–")

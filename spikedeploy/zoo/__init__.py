@@ -1,6 +1,9 @@
 """The zoo: the policies that are shipped, `spikedeploy/zoo/<env>/<name>`, a card beside each."""
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
@@ -20,3 +23,17 @@ def path(name: str) -> Path | None:
     """The file of a name as above, its suffix allowed; None where there is none."""
     wanted = name.removesuffix(".onnx").removesuffix(".nir")
     return next((p for p in policies() if f"{p.parent.name}/{p.stem}" == wanted), None)
+
+
+def card(name: str) -> dict[str, Any]:
+    """What the card of a shipped policy says; nothing for a policy without one."""
+    file = path(name)
+    if file is None or not file.with_suffix(".json").is_file():
+        return {}
+    found: dict[str, Any] = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+    return found
+
+
+def mean_return(card: Mapping[str, Any]) -> float | None:
+    """The mean return that a card tells, of the float twin where the policy spikes."""
+    return card["evaluation"][0]["return_mean"] if card else None
