@@ -24,7 +24,18 @@ STUDENTS: dict[str, tuple[str, Settings]] = {
 }
 
 TASKS: dict[str, tuple[str, Settings]] = {
-    "hexapod": ("walks", {"env": {"name": "hexapod"}}),
+    # walking bears a third fewer synaptic operations than the defaults lead to; measured with one
+    # seed: 99.7 % of the teacher's return at 326,000, against 100.2 % at 478,000
+    "hexapod": (
+        "walks",
+        {
+            "env": {"name": "hexapod"},
+            "rate_penalty": 0.2,
+            "rate_target": 0.10,
+            "input_penalty": 0.2,
+            "input_target": 0.08,
+        },
+    ),
     # commands alone scatter returns by a few percent: more episodes choose the best checkpoint
     "hexapod-command": (
         "follows commands",
