@@ -102,11 +102,13 @@ class Drive:
     ) -> None:
         self.sums = np.empty((timesteps, batch, layer.size))
         self._more = np.empty_like(self.sums)
-        self._unit = 1 << fixed.mantissa_shift if fixed else 1
-        self._bias = layer.bias * float(self._unit) if layer.bias_fan_out else None
+        self._unit = unit = 1 << fixed.mantissa_shift if fixed else 1
         partial = limits.partial if limits else None
-        first, *others = (summing(s, partial, self._unit, timesteps, batch) for s in layer.synapses)
-        self._first, self._others = first, others
+        biases = [layer.bias, *[0 * layer.bias] * (len(layer.synapses) - 1)]
+        self._first, *self._others = (
+            summing(synapses.weight, bias, partial, unit, timesteps, batch)
+            for synapses, bias in zip(layer.synapses, biases, strict=True)
+        )
 
     def __call__(self, arriving: Sequence[Raster]) -> None:
         """Fill `sums`."""
@@ -114,8 +116,6 @@ class Drive:
         for summed, raster in zip(self._others, arriving[1:], strict=True):
             summed(raster, self._more)
             np.add(self.sums, self._more, self.sums)
-        if self._bias is not None:
-            np.add(self.sums, self._bias, self.sums)
 
     def weights(self) -> NDArray[np.int64]:
         """(T, B, N) the same in weight mantissas."""

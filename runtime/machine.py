@@ -80,7 +80,7 @@ class Machine:
         """
         rows = self._checked(spikes, 2)[None]
         counts = self._recorder.open(self.batch)
-        heard = self._prepared("step", 1).run(rows, counts, self._step)
+        heard = self._prepared("step", 1).run(rows, counts, self._step).astype(np.float64)
         self._recorder.close(counts, 1, 1)
         self._step += 1
         return np.asarray(self._output(heard)[:, 0])
@@ -148,7 +148,8 @@ class Machine:
         """What the readout hears (T, B, N) of an input that comes in parts."""
         heard, seen = [], []
         for part in parts:
-            heard.append(pipeline.run(part, counts).copy())
+            # the pipeline uses its memory again for the next part
+            heard.append(pipeline.run(part, counts).astype(np.float64))
             if self._trace:
                 seen.append(pipeline.recordings())
         self.recordings = joined(seen)
@@ -156,8 +157,7 @@ class Machine:
 
     def _output(self, heard: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the rows (T, B, N) that leave the chip."""
-        spikes = heard.astype(np.float64)
-        output = self.program.readout(spikes) if self.program.readout else spikes
+        output = self.program.readout(heard) if self.program.readout else heard
         return np.asarray(output.swapaxes(0, 1))
 
 

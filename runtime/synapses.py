@@ -10,9 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.program import Synapses
-
 Floats = NDArray[np.float64]
+Weights = NDArray[Any]
 
 # largest magnitudes up to which every whole number is held
 EXACT_FLOAT32 = 1 << 24
@@ -31,9 +30,12 @@ class Raster:
     rows: (T, B, M), uint8 or bool.
     """
 
+    __slots__ = ("_axons", "_per_axon", "_total", "rows")
+
     def __init__(self, rows: NDArray[Any]) -> None:
         self.rows = rows
         self._per_axon: NDArray[Any] | None = None
+        self._axons: NDArray[np.intp] | None = None
         self._total: int | None = None
 
     def per_axon(self) -> NDArray[Any]:
@@ -44,6 +46,12 @@ class Raster:
             self._per_axon = np.add.reduce(self.rows, 0, dtype)
         return self._per_axon
 
+    def axons(self) -> NDArray[np.intp]:
+        """Which axons spiked at least once; batch 1."""
+        if self._axons is None:
+            self._axons = self.per_axon()[0].nonzero()[0]
+        return self._axons
+
     def total(self) -> int:
         """All spikes of all B."""
         if self._total is None:
@@ -52,32 +60,43 @@ class Raster:
 
 
 class Sum(Protocol):
-    """What turns spikes into sums of weights."""
+    """What turns spikes into sums of weights, those of an axon that always spikes included."""
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, B, N) in state units."""
 
 
-def summing(synapses: Synapses, partial: int | None, unit: int, timesteps: int, batch: int) -> Sum:
+def summing(
+    weight: Weights,
+    bias: Weights,
+    partial: int | None,
+    unit: int,
+    timesteps: int,
+    batch: int,
+) -> Sum:
     """The fastest exact way.
 
+    weight: (M, N).
+    bias: (N,) weights of the axon that always spikes.
     partial: largest magnitude of any partial sum; None where weights are no whole numbers.
     unit: state units per weight unit.
     """
     exact32 = partial is not None and partial * unit < EXACT_FLOAT32
-    weight = (synapses.weight * float(unit)).astype(np.float32 if exact32 else np.float64)
-    dense = Dense(weight, timesteps, batch)
+    dtype = np.float32 if exact32 else np.float64
+    scaled, pull = (weight * float(unit)).astype(dtype), (bias * float(unit)).astype(dtype)
+    dense = Dense(scaled, pull, timesteps, batch)
     if partial is None or batch > 1:
         return dense
-    whole = synapses.weight.astype(np.int16 if partial <= EXACT_INT16 else np.int32)
-    return Cheapest(Gather(whole, unit, timesteps), Union(weight, timesteps), dense)
+    whole = np.int16 if partial <= EXACT_INT16 else np.int32
+    gather = Gather(weight.astype(whole), bias.astype(whole), unit, timesteps)
+    return Cheapest(gather, Union(scaled, pull, timesteps), dense)
 
 
 class Dense:
     """All axons times all weights: one matrix product for the window."""
 
-    def __init__(self, weight: NDArray[Any], timesteps: int, batch: int) -> None:
-        self._weight = weight
+    def __init__(self, weight: Weights, bias: Weights, timesteps: int, batch: int) -> None:
+        self._weight, self._bias = weight, bias
         axons, neurons = weight.shape
         # matrices over the same memory: BLAS wants two axes
         self._spikes = np.empty((timesteps, batch, axons), weight.dtype)
@@ -90,6 +109,7 @@ class Dense:
         """Write the sums (T, B, N) in state units."""
         np.copyto(self._spikes, raster.rows)
         np.matmul(self._flat, self._weight, self._sums)
+        np.add(self._sums, self._bias, self._sums)
         np.copyto(out, self._shaped)
 
 
@@ -99,8 +119,8 @@ class Gather:
     Cost grows with the number of spikes; with int16 it has the fewest bytes to fetch.
     """
 
-    def __init__(self, weight: NDArray[Any], unit: int, timesteps: int) -> None:
-        self._weight = weight
+    def __init__(self, weight: Weights, bias: Weights, unit: int, timesteps: int) -> None:
+        self._weight, self._bias = weight, bias
         self._unit = np.float64(unit)
         self._sums = np.empty((timesteps, 1, weight.shape[1]), weight.dtype)
         self._rows = list(self._sums[:, 0])
@@ -112,6 +132,7 @@ class Gather:
         take, add = self._weight.take, np.add.reduce
         for spikes, row in zip(raster.rows[:, 0], self._rows, strict=True):
             add(take(spikes.nonzero()[0], 0), 0, None, row)
+        np.add(self._sums, self._bias, self._sums)
         np.multiply(self._sums, self._unit, out)
 
 
@@ -121,17 +142,18 @@ class Union:
     Best where the same axons spike again and again, as those of a population code do.
     """
 
-    def __init__(self, weight: NDArray[Any], timesteps: int) -> None:
-        self._weight = weight
+    def __init__(self, weight: Weights, bias: Weights, timesteps: int) -> None:
+        self._weight, self._bias = weight, bias
         self._sums = np.empty((timesteps, weight.shape[1]), weight.dtype)
         self.cost = 6 * CALL
         self.cost_per_axon = (FETCH32 + MULTIPLY * timesteps) * weight.shape[1]
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, 1, N) in state units."""
-        axons = raster.per_axon()[0].nonzero()[0]
+        axons = raster.axons()
         spikes = raster.rows[:, 0].take(axons, 1).astype(self._weight.dtype)
         np.matmul(spikes, self._weight.take(axons, 0), self._sums)
+        np.add(self._sums, self._bias, self._sums)
         np.copyto(out[:, 0], self._sums)
 
 
@@ -144,8 +166,7 @@ class Cheapest:
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, 1, N) in state units."""
         gather = self.gather.cost + self.gather.cost_per_spike * raster.total()
-        axons = np.count_nonzero(raster.per_axon())
-        union = self.union.cost + self.union.cost_per_axon * axons
+        union = self.union.cost + self.union.cost_per_axon * len(raster.axons())
         if min(gather, union) > self.dense.cost:
             self.dense(raster, out)
         elif gather < union:

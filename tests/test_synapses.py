@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.program import Synapses
 from runtime.synapses import Cheapest, Dense, Gather, Raster, Union, summing
 
 
@@ -30,13 +29,14 @@ def test_all_ways_give_the_exact_sums(seed, axons, timesteps, rate, dtype):
     rng = np.random.default_rng(seed)
     weight = rng.integers(-255, 256, (axons, NEURONS)).astype(np.int16)
     rows = (rng.random((timesteps, 1, axons)) < rate).astype(dtype)
-    expected = 64 * (rows.astype(np.int64) @ weight.astype(np.int64))
-    scaled = (weight * 64.0).astype(np.float32)
+    bias = rng.integers(-255, 256, NEURONS).astype(np.int16)
+    expected = 64 * (rows.astype(np.int64) @ weight.astype(np.int64) + bias)
+    scaled = [(array * 64.0).astype(np.float32) for array in (weight, bias)]
     ways = [
-        Dense(scaled, timesteps, 1),
-        Gather(weight.astype(np.int32), 64, timesteps),
-        Union(scaled, timesteps),
-        summing(Synapses("input", weight, 1), 255 * axons, 64, timesteps, 1),
+        Dense(*scaled, timesteps, 1),
+        Gather(weight.astype(np.int32), bias.astype(np.int32), 64, timesteps),
+        Union(*scaled, timesteps),
+        summing(weight, bias, 255 * (axons + 1), 64, timesteps, 1),
     ]
     for way in ways:
         np.testing.assert_array_equal(sums(way, Raster(rows)), expected)
@@ -55,15 +55,15 @@ def test_all_ways_give_the_exact_sums(seed, axons, timesteps, rate, dtype):
     ],
 )
 def test_number_types_are_as_small_as_the_bounds_allow(partial, batch, kinds):
-    weight = np.zeros((4, 3), np.int16)
-    way = summing(Synapses("input", weight, 1), partial, 64, 5, batch)
+    weight, bias = np.zeros((4, 3), np.int16), np.zeros(3, np.int64)
+    way = summing(weight, bias, partial, 64, 5, batch)
     dense = way.dense if isinstance(way, Cheapest) else way
     gathered = way.gather._weight.dtype if isinstance(way, Cheapest) else None
     assert (type(way), gathered, dense._weight.dtype) == kinds
 
 
 def chosen(rows, neurons=512):
-    way = summing(Synapses("input", np.zeros((770, neurons), np.int16), 1), 1000, 64, 5, 1)
+    way = summing(np.zeros((770, neurons), np.int16), np.zeros(neurons), 1000, 64, 5, 1)
     taken = []
     for name in ("gather", "union", "dense"):
         setattr(way, name, Spy(name, getattr(way, name), taken))
