@@ -142,8 +142,11 @@ class Advance:
         # (2, 1, N): one multiplication decays currents and membranes
         keep = np.stack([layer.current_keep, layer.membrane_keep])[:, None]
         self._keep = keep / float(fixed.decay_one if fixed else 1)
-        self._threshold = layer.threshold.astype(np.float64)
-        self._bias = layer.voltage_bias.astype(np.float64) if layer.voltage_bias.any() else None
+        # arrays of one shape take NumPy's shortest way; a (N,) beside a (1, N) costs half a us more
+        shape = spikes[0].shape
+        self._threshold = np.broadcast_to(layer.threshold.astype(np.float64), shape).copy()
+        bias = np.broadcast_to(layer.voltage_bias.astype(np.float64), shape).copy()
+        self._bias = bias if bias.any() else None
         self._kept = kept
         self._ticks = [
             (states[t], states[t + 1], states[t + 1, 0], states[t + 1, 1], drive[t], spikes[t])

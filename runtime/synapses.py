@@ -96,12 +96,13 @@ class Dense:
     """All axons times all weights: one matrix product for the window."""
 
     def __init__(self, weight: Weights, bias: Weights, timesteps: int, batch: int) -> None:
-        self._weight, self._bias = weight, bias
+        self._weight = weight
         axons, neurons = weight.shape
         # matrices over the same memory: BLAS wants two axes
         self._spikes = np.empty((timesteps, batch, axons), weight.dtype)
         self._flat = self._spikes.reshape(-1, axons)
         self._sums = np.empty((timesteps * batch, neurons), weight.dtype)
+        self._bias = _filled(self._sums, bias)
         self._shaped = self._sums.reshape(timesteps, batch, neurons)
         self.cost = 3 * CALL + MULTIPLY * timesteps * batch * weight.size
 
@@ -120,9 +121,10 @@ class Gather:
     """
 
     def __init__(self, weight: Weights, bias: Weights, unit: int, timesteps: int) -> None:
-        self._weight, self._bias = weight, bias
+        self._weight = weight
         self._unit = np.float64(unit)
         self._sums = np.empty((timesteps, 1, weight.shape[1]), weight.dtype)
+        self._bias = _filled(self._sums, bias)
         self._rows = list(self._sums[:, 0])
         self.cost = (1 + 3 * timesteps) * CALL
         self.cost_per_spike = FETCH16 * weight.itemsize / 2 * weight.shape[1]
@@ -143,8 +145,9 @@ class Union:
     """
 
     def __init__(self, weight: Weights, bias: Weights, timesteps: int) -> None:
-        self._weight, self._bias = weight, bias
+        self._weight = weight
         self._sums = np.empty((timesteps, weight.shape[1]), weight.dtype)
+        self._bias = _filled(self._sums, bias)
         self.cost = 6 * CALL
         self.cost_per_axon = (FETCH32 + MULTIPLY * timesteps) * weight.shape[1]
 
@@ -173,3 +176,8 @@ class Cheapest:
             self.gather(raster, out)
         else:
             self.union(raster, out)
+
+
+def _filled(like: Weights, row: Weights) -> Weights:
+    """The row on every row: arrays of one shape are added in half the time."""
+    return np.broadcast_to(row, like.shape).astype(like.dtype)
