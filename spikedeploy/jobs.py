@@ -1,6 +1,7 @@
 """Jobs: pure functions of a specification, run one after another or in processes of one thread."""
 
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -54,12 +55,21 @@ def workers(count: int | None) -> Iterator[Jobs]:
     if count == 1:
         yield Jobs(None)
         return
-    with _environment(WORKER_ENVIRONMENT), ProcessPoolExecutor(count, get_context("spawn")) as pool:
+    context = get_context("spawn")
+    with (
+        _environment(WORKER_ENVIRONMENT),
+        ProcessPoolExecutor(count, context, initializer=_leave_interrupts) as pool,
+    ):
         try:
             yield Jobs(pool)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C reaches every process of the terminal; only the one that asked shall answer it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def cores() -> int:

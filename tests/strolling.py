@@ -8,6 +8,7 @@ import numpy as np
 import envs
 from runtime.artifact import save
 from runtime.origin import Origin
+from spikedeploy import zoo
 from tests.networks import popsan
 
 ID = "test/Stroll-v0"
@@ -51,6 +52,16 @@ def install(monkeypatch):
     spec = envs.EnvSpec("stroll", ID, "tests.strolling:Stroll", "twenty steps")
     monkeypatch.setitem(envs.ENVS, "stroll", spec)
     envs.register()
+
+
+def ship(monkeypatch, folder):
+    """Make the world known, with a zoo in `folder` that ships a policy of each kind for it."""
+    install(monkeypatch)
+    monkeypatch.setattr(zoo, "FOLDER", folder)
+    (folder / "stroll").mkdir(parents=True)
+    ann(folder / "stroll/sac.onnx")
+    snn(folder / "stroll/popsan.nir")
+    return folder / "stroll"
 
 
 def snn(path, env=ID, seed=0):

@@ -23,11 +23,7 @@ VERBS = [verb for verbs in cli.COMMANDS.values() for verb in verbs]
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    strolling.install(monkeypatch)
-    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "zoo")
-    (tmp_path / "zoo/stroll").mkdir(parents=True)
-    strolling.ann(tmp_path / "zoo/stroll/sac.onnx")
-    strolling.snn(tmp_path / "zoo/stroll/popsan.nir")
+    strolling.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -18,12 +18,7 @@ SEEDS = range(10_000, 10_003)
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    strolling.install(monkeypatch)
-    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "zoo")
-    folder = tmp_path / "zoo/stroll"
-    folder.mkdir(parents=True)
-    strolling.ann(folder / "sac.onnx")
-    strolling.snn(folder / "popsan.nir")
+    folder = strolling.ship(monkeypatch, tmp_path / "zoo")
     for name in ("linear", "phase", "zigzag"):
         strolling.ann(folder / f"{name}.onnx", hidden=(), kind="control", seed=len(name))
     return folder

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from spikedeploy import report, zoo
+from spikedeploy import report
 from spikedeploy.columns import scaled, tables
 from spikedeploy.compare import compare
 from spikedeploy.lineup import line_up
@@ -16,11 +16,7 @@ from tests import strolling
 
 @pytest.fixture
 def document(monkeypatch, tmp_path):
-    strolling.install(monkeypatch)
-    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "zoo")
-    (tmp_path / "zoo/stroll").mkdir(parents=True)
-    strolling.ann(tmp_path / "zoo/stroll/sac.onnx")
-    strolling.snn(tmp_path / "zoo/stroll/popsan.nir")
+    strolling.ship(monkeypatch, tmp_path / "zoo")
     entries = line_up("stroll", (), ("loihi1",))
     return report.document(compare("stroll", entries, range(10_000, 10_003), processes=1))
 

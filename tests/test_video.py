@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from envs.errors import EnvError
-from spikedeploy import demo, zoo
+from spikedeploy import demo
 from spikedeploy.lineup import line_up
 from spikedeploy.run import run
 from spikedeploy.video import captioned, mp4, side_by_side
@@ -14,11 +14,7 @@ from tests import strolling
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    strolling.install(monkeypatch)
-    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "zoo")
-    (tmp_path / "zoo/stroll").mkdir(parents=True)
-    strolling.ann(tmp_path / "zoo/stroll/sac.onnx")
-    strolling.snn(tmp_path / "zoo/stroll/popsan.nir")
+    strolling.ship(monkeypatch, tmp_path / "zoo")
     return tmp_path
 
 
