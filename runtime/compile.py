@@ -2,6 +2,7 @@
 
 import nir
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.artifact import Artifact
 from runtime.chip import Chip
@@ -87,7 +88,7 @@ def _layer(
     )
 
 
-def _threshold(name: str, neuron: Discrete) -> np.ndarray:
+def _threshold(name: str, neuron: Discrete) -> NDArray[np.float64]:
     if neuron.threshold is None or neuron.v_reset.any():
         raise RuleError(
             f"layer {name!r}: v_reset goes to {neuron.v_reset.max():g}; on a chip a spike resets "

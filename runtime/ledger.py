@@ -88,7 +88,10 @@ class Recorder:
         if self._used + batch > len(self._counts):
             more = np.zeros((len(self._counts) + batch, *self._counts.shape[1:]), np.int64)
             self._counts = np.concatenate([self._counts, more])
-        return self._counts[self._used : self._used + batch]
+        rows = self._counts[self._used : self._used + batch]
+        # a run that was interrupted may have left something
+        rows.fill(0)
+        return rows
 
     def close(self, counts: Counts | None, timesteps: int, steps: int) -> None:
         """The rows are complete; each took so many timesteps of a layer and so many of the chip."""
