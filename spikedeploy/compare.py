@@ -13,9 +13,8 @@ from spikedeploy.episodes import Episode, Job, play
 from spikedeploy.jobs import workers
 from spikedeploy.lineup import Entry
 from spikedeploy.policies import FLOAT, check_fit
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.terminal import progress
-
-EVALUATION_SEED = 10_000
 
 
 def compare(
@@ -25,7 +24,7 @@ def compare(
 
     env        short name or id of the environment
     entries    of spikedeploy.lineup; an entry's reference is an entry too
-    seeds      (n,) from EVALUATION_SEED up, which no training sees
+    seeds      (n,) from EVALUATION up, which no training sees
     processes  that play, one for each core by default
     """
     _check(env, entries, seeds)
@@ -85,9 +84,9 @@ class Plan:
 
 def _check(env: str, entries: Sequence[Entry], seeds: Sequence[int]) -> None:
     """Refuse training seeds, strangers' policies and unknown chips before anything is played."""
-    if min(seeds) < EVALUATION_SEED:
+    if min(seeds) < EVALUATION:
         raise ConfigError(
-            f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION_SEED}"
+            f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
         )
     world = envs.make(env)
     for entry in entries:

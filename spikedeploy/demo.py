@@ -8,10 +8,11 @@ from typing import Any
 import envs
 from envs.errors import EnvError
 from spikedeploy import report, zoo
-from spikedeploy.compare import EVALUATION_SEED, compare
+from spikedeploy.compare import compare
 from spikedeploy.lineup import Entry, line_up
 from spikedeploy.policies import open_policy
 from spikedeploy.run import DEFAULT_CHIP
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.terminal import print_comparison, progress, say
 from spikedeploy.video import Frame, captioned, mp4, side_by_side
 
@@ -36,7 +37,7 @@ def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
             continue
         into = folder if not documents else folder / env
         entries = line_up(env, (), (DEFAULT_CHIP,))
-        seeds = range(EVALUATION_SEED, EVALUATION_SEED + episodes)
+        seeds = range(EVALUATION, EVALUATION + episodes)
         document = report.document(compare(env, entries, seeds))
         video = _film(env, entries, into / "film.mp4") if not documents else None
         files = report.write(document, into, video)
@@ -69,8 +70,8 @@ def _frames(env: str, entry: Entry) -> Iterator[Frame]:
     world: Any = envs.make(env, render_mode="rgb_array")
     player = open_policy(entry.candidate, entry.chip, world)
     skip = round(1 / (FPS * world.unwrapped.CONTROL_DT))
-    observation, _ = world.reset(seed=EVALUATION_SEED)
-    player.reset(EVALUATION_SEED)
+    observation, _ = world.reset(seed=EVALUATION)
+    player.reset(EVALUATION)
     for step in islice(range(world.unwrapped.max_steps), skip * FPS * SECONDS):
         if step % skip == 0:
             yield captioned(world.render(), f"{KINDS[entry.candidate.kind]}: {entry.label}")

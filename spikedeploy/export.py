@@ -14,13 +14,13 @@ from exporters.check import Check
 from exporters.parity import check
 from spikedeploy import runs
 from spikedeploy.formats.run import TorchController
+from spikedeploy.seeds import VALIDATION
 from trainers.run_folder import RunFolder, load_policy
 
 if TYPE_CHECKING:
     from trainers.policies import Policy
 
 OBSERVATIONS = 1000
-FIRST_SEED = 5_000  # neither trained on nor evaluated on
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def recorded(run: Path, count: int) -> NDArray[np.float64]:
     controller = TorchController(str(run))
     episodes: list[NDArray[np.float64]] = []
     while sum(map(len, episodes)) < count:
-        seed = FIRST_SEED + len(episodes)
+        seed = VALIDATION[len(episodes)]
         episodes.append(rollout(env, controller, seed).observation)
     env.close()
     return np.concatenate(episodes)[:count]

@@ -10,13 +10,14 @@ import envs
 from runtime.errors import SpikedeployError
 from spikedeploy import runs, zoo
 from spikedeploy.card import markdown
-from spikedeploy.compare import EVALUATION_SEED, compare
+from spikedeploy.compare import compare
 from spikedeploy.export import Exported, export
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.lineup import Entry
 from spikedeploy.plots import draw_curves
 from spikedeploy.policies import FLOAT, find
 from spikedeploy.run import DEFAULT_CHIP
+from spikedeploy.seeds import EVALUATION
 from trainers.config import differences
 from trainers.run_folder import RunFolder
 from trainers.train import algorithm
@@ -110,7 +111,7 @@ def _evaluation(
     if candidate.kind == "snn":
         twin = Entry(candidate, FLOAT)
         entries = [twin, Entry(candidate, DEFAULT_CHIP, twin)]
-    seeds = range(EVALUATION_SEED, EVALUATION_SEED + episodes)
+    seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare(env, entries, seeds, processes).as_json()
     return [{**row, "file": path.name} for row in rows]
 

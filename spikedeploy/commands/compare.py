@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import EVALUATION_SEED, Json, Seed, Workers
+from spikedeploy import seeds
+from spikedeploy.commands.options import Json, Seed, Workers
 
 
 def compare(
@@ -21,7 +22,7 @@ def compare(
     ] = None,
     chips: Annotated[str, typer.Option(help="Chips for the spiking policies.")] = "loihi1",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
-    seed: Seed = EVALUATION_SEED,
+    seed: Seed = seeds.EVALUATION,
     workers: Workers = None,
     output: Annotated[
         Path | None,

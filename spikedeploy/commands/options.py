@@ -13,4 +13,3 @@ Seed = Annotated[
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
 ]
-EVALUATION_SEED = 10_000

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import EVALUATION_SEED, Json, Seed
+from spikedeploy import seeds
+from spikedeploy.commands.options import Json, Seed
 
 
 def run(
@@ -22,7 +23,7 @@ def run(
         ),
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
-    seed: Seed = EVALUATION_SEED,
+    seed: Seed = seeds.EVALUATION,
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from spikedeploy import seeds
 from spikedeploy.commands.options import Json
 
 
@@ -20,7 +21,13 @@ def train(
         typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set env.count=8."),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=4999, help="Seed of the training.", show_default="0")
+        int | None,
+        typer.Option(
+            min=seeds.TRAINING.start,
+            max=seeds.TRAINING.stop - 1,
+            help="Seed of the training.",
+            show_default="0",
+        ),
     ] = None,
     resume: Annotated[
         str | None, typer.Option(metavar="RUN|last", help="Go on with a run, or with the newest.")
