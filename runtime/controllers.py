@@ -10,9 +10,10 @@ from runtime.chip import Chip
 from runtime.compile import compile
 from runtime.errors import ArtifactError
 from runtime.float_machine import FloatMachine
-from runtime.ledger import Ledger, Rows
+from runtime.ledger import Ledger
 from runtime.machine_pool import MachinePool
 from runtime.program import Program
+from runtime.recorder import Rows
 
 
 class SpikingController:

@@ -10,8 +10,9 @@ from runtime.chip import chip
 from runtime.compile import compile
 from runtime.errors import RuleError
 from runtime.float_graph import FloatGraph
-from runtime.ledger import Ledger, Recorder, Rows, count
+from runtime.ledger import Ledger, count
 from runtime.program import Program
+from runtime.recorder import Recorder, Rows
 
 
 class FloatMachine:
@@ -41,7 +42,7 @@ class FloatMachine:
         trace = self.graph.run(spikes)
         output = trace.pop("output").astype(np.float64)
         self.spikes = {name: rows.astype(np.uint8) for name, rows in trace.items()}
-        if self._recorder is not None:
+        if self._recorder is not None and self._recorder.keeps:
             self._count(self._recorder, spikes)
         return output
 
@@ -60,9 +61,6 @@ class FloatMachine:
         return self._program
 
     def _count(self, recorder: Recorder, spikes: NDArray[Any]) -> None:
-        batch, timesteps, _ = spikes.shape
-        counts = recorder.open(batch)
-        if counts is None:
-            return
-        counts += count(self.program, {self.program.input: spikes, **self.spikes})
-        recorder.close(counts, timesteps, self.program.steps(timesteps))
+        timesteps = spikes.shape[1]
+        counts = count(self.program, {self.program.input: spikes, **self.spikes})
+        recorder.add(counts, timesteps, self.program.steps(timesteps))

@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import ConfigError
 from runtime.program import Program
 
 Counts = NDArray[np.int64]
-Rows = Literal["each", "total", "none"]
 
 EVENTS = (
     "spike_in",  # spikes sent to a layer
@@ -61,62 +59,6 @@ class Ledger:
     def sparsity(self) -> float:
         """Part of all neuron-timesteps without a spike (NeuroBench's activation sparsity)."""
         return 1 - self.total("spike_out") / max(sum(self.neurons) * self.timesteps, 1)
-
-
-class Recorder:
-    """The ledger while it grows.
-
-    rows: "each" keeps a row per control step; "total" adds them up; "none" keeps nothing.
-    """
-
-    def __init__(self, program: Program, rows: Rows = "each") -> None:
-        if rows not in get_args(Rows):
-            raise ConfigError(f"ledger {rows!r} is unknown. Choose 'each', 'total' or 'none'.")
-        self.rows = rows
-        self._layers = tuple(layer.name for layer in program.layers)
-        self._neurons = tuple(layer.size for layer in program.layers)
-        self._counts = np.zeros((1, len(self._layers), len(EVENTS)), np.int64)
-        self._used = 0
-        self._inferences = self._timesteps = self._steps = 0
-
-    def open(self, batch: int) -> Counts | None:
-        """Empty rows (B, L, E) to be added to and then closed; None where nothing is kept."""
-        if self.rows == "none":
-            return None
-        if self.rows == "total":
-            return np.zeros((batch, *self._counts.shape[1:]), np.int64)
-        if self._used + batch > len(self._counts):
-            more = np.zeros((len(self._counts) + batch, *self._counts.shape[1:]), np.int64)
-            self._counts = np.concatenate([self._counts, more])
-        rows = self._counts[self._used : self._used + batch]
-        # a run that was interrupted may have left something
-        rows.fill(0)
-        return rows
-
-    def close(self, counts: Counts | None, timesteps: int, steps: int) -> None:
-        """The rows are complete; each took so many timesteps of a layer and so many of the chip."""
-        if counts is None:
-            return
-        batch = len(counts)
-        if self.rows == "each":
-            self._used += batch
-        else:
-            self._used = 1
-            self._counts[0] += counts.sum(axis=0)
-        self._inferences += batch
-        self._timesteps += batch * timesteps
-        self._steps += batch * steps
-
-    def ledger(self) -> Ledger:
-        """Everything recorded so far."""
-        return Ledger(
-            layers=self._layers,
-            neurons=self._neurons,
-            counts=self._counts[: self._used].copy(),
-            inferences=self._inferences,
-            timesteps=self._timesteps,
-            steps=self._steps,
-        )
 
 
 def count(

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import ConfigError, ObservationError
-from runtime.ledger import EVENTS, Counts, Ledger, Recorder, Rows
+from runtime.ledger import EVENTS, Ledger
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
+from runtime.recorder import Recorder, Rows
 
 Floats = NDArray[np.float64]
 
@@ -59,18 +60,9 @@ class Machine:
     def infer(self, spikes: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the spikes (B, T, M); states as the convention says."""
         rows = self._checked(spikes, 3).swapaxes(0, 1)
-        timesteps, steps = len(rows), self.program.steps(len(rows))
         if not self._kept:
             self.reset()
-        counts = self._recorder.open(self.batch)
-        if self.program.feed_forward:
-            heard = self._run(self._prepared("window", timesteps), [rows], counts)
-        else:
-            # a loop is closed by going through it timestep by timestep
-            heard = self._run(self._prepared("row", 1), np.split(rows, timesteps), counts)
-            if counts is not None:
-                counts[:, :, IDLE] += [(steps - timesteps) * a.size for a in self.program.layers]
-        self._recorder.close(counts, timesteps, steps)
+        heard = self._window(rows) if self.program.feed_forward else self._rows(rows)
         return self._output(heard)
 
     def step(self, spikes: NDArray[Any]) -> Floats:
@@ -79,9 +71,10 @@ class Machine:
         Layers run on from step to step until `reset`; spikes travel as late as on the chip.
         """
         rows = self._checked(spikes, 2)[None]
-        counts = self._recorder.open(self.batch)
-        heard = self._prepared("step", 1).run(rows, counts, self._step).astype(np.float64)
-        self._recorder.close(counts, 1, 1)
+        pipeline = self._prepared("step", 1)
+        heard = pipeline.run(rows, self._step)
+        if self._recorder.keeps:
+            self._recorder.observe(pipeline.tally, pipeline.observe())
         self._step += 1
         return np.asarray(self._output(heard)[:, 0])
 
@@ -142,22 +135,38 @@ class Machine:
             schedule = Schedule(1, late, kept=True, steps=1)
         return Pipeline(program, schedule, self.batch)
 
-    def _run(
-        self, pipeline: Pipeline, parts: list[NDArray[Any]], counts: Counts | None
-    ) -> NDArray[Any]:
-        """What the readout hears (T, B, N) of an input that comes in parts."""
-        heard, seen = [], []
-        for part in parts:
-            # the pipeline uses its memory again for the next part
-            heard.append(pipeline.run(part, counts).astype(np.float64))
+    def _window(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """What the readout hears (T, B, N) when each layer runs all timesteps at once."""
+        pipeline = self._prepared("window", len(rows))
+        heard = pipeline.run(rows)
+        if self._recorder.keeps:
+            self._recorder.observe(pipeline.tally, pipeline.observe())
+        if self._trace:
+            self.recordings = pipeline.recordings()
+        return heard
+
+    def _rows(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """The same when all layers run one timestep after another, which closes loops."""
+        pipeline, steps = self._prepared("row", 1), self.program.steps(len(rows))
+        heard, seen, traced = [], [], []
+        for row in rows:
+            # the pipeline uses its memory again for the next row
+            heard.append(pipeline.run(row[None])[0].copy())
+            seen.append(pipeline.observe())
             if self._trace:
-                seen.append(pipeline.recordings())
-        self.recordings = joined(seen)
-        return heard[0] if len(heard) == 1 else np.concatenate(heard)
+                traced.append(pipeline.recordings())
+        if self._recorder.keeps:
+            counts = pipeline.tally.count(seen).reshape(len(rows), self.batch, -1, len(EVENTS))
+            total = counts.sum(axis=0)
+            total[:, :, IDLE] += [(steps - len(rows)) * a.size for a in self.program.layers]
+            self._recorder.add(total, len(rows), steps)
+        self.recordings = joined(traced)
+        return np.stack(heard)
 
     def _output(self, heard: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the rows (T, B, N) that leave the chip."""
-        output = self.program.readout(heard) if self.program.readout else heard
+        spikes = heard.astype(np.float64)
+        output = self.program.readout(spikes) if self.program.readout else spikes
         return np.asarray(output.swapaxes(0, 1))
 
 

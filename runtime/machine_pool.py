@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.ledger import Ledger, Recorder, Rows
+from runtime.ledger import Ledger
 from runtime.machine import Machine
 from runtime.program import Program
+from runtime.recorder import Recorder, Rows
 
 # inferences that are computed at once: enough to fill matrix products, few enough for the cache
 CHUNK = 64

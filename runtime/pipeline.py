@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.kernels import Window
-from runtime.ledger import Counts
 from runtime.program import Layer, Program
 from runtime.relay import Relay
 from runtime.synapses import Raster
-from runtime.tally import Tally
+from runtime.tally import Observation, Tally
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,8 @@ class Pipeline:
             Window(program, layer, schedule.timesteps, batch, schedule.kept)
             for layer in program.layers
         ]
-        self._tally = Tally(program, self.windows, schedule.steps)
+        self.tally = Tally(program, self.windows, schedule.steps)
+        self._emitted: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
         # layer, its window, and what it hears how many rows late
         self._route = [
@@ -70,12 +70,9 @@ class Pipeline:
             for window in self.windows:
                 window.reset()
 
-    def run(
-        self, rows: NDArray[Any], counts: Counts | None, step: int | None = None
-    ) -> NDArray[Any]:
+    def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) that the readout hears, given those of the input (T, B, M).
 
-        counts: (B, L, E) to add events to.
         step: chip timestep of a single row; layers that start later only wait.
         """
         emitted = {self.program.input: Raster(rows)}
@@ -86,11 +83,14 @@ class Pipeline:
                 continue
             heard = [self._relay.heard(*wire, emitted, timesteps) for wire in wires]
             emitted[layer.name] = window.run(heard)
-        if counts is not None:
-            self._tally(emitted, counts)
+        self._emitted = emitted
         spikes = self._relay.heard(self.program.output, self._lag, emitted, timesteps)
         self._relay.keep(emitted)
         return spikes.rows
+
+    def observe(self) -> Observation:
+        """What the ledger needs of the last window."""
+        return self.tally.observe(self._emitted)
 
     def recordings(self) -> dict[str, Recording]:
         """What each layer did in the last window."""

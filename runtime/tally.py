@@ -1,97 +1,123 @@
-"""The tally: a layer's line of the ledger, counted while the window is still in memory."""
+"""The tally: what the ledger needs of a window, taken while it is in memory, and counted later.
+
+Taking is part of every inference and must be quick; counting is done for many at once.
+"""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.kernels import Window
-from runtime.ledger import Counts
-from runtime.program import Program
+from runtime.ledger import EVENTS, Counts
+from runtime.program import Layer, Program
 from runtime.synapses import Raster
 
-Number: TypeAlias = int | NDArray[Any]
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Observation:
+    """One window of all layers.
+
+    per_axon: of the input and of each layer, spikes (B, N) of each neuron.
+    updates: (L, B) neuron-timesteps with something to add up; (L,) where the batch is 1.
+    overflows: (L, B) numbers that did not fit; None where all did.
+    running: (L,) whether a layer has started; None where all have.
+    """
+
+    per_axon: list[NDArray[Any]]
+    updates: list[Any]
+    overflows: list[Any] | None
+    running: list[bool] | None
 
 
 class Tally:
-    """Counts the events of all layers; equal to runtime.ledger.count.
+    """Observes the windows of all layers; its counts are those of runtime.ledger.count.
 
     windows: of the layers, in their order.
     steps: chip timesteps that a window stands for, those in which a layer only waits included.
     """
 
     def __init__(self, program: Program, windows: Sequence[Window], steps: int) -> None:
-        self._layers = [LayerTally(program, window, steps) for window in windows]
+        self.steps = steps
+        self.timesteps, self.batch, _ = windows[0].spikes.shape
+        self._program, self._windows = program, windows
+        self._busy = [Busy(window) for window in windows]
 
-    def __call__(self, emitted: Mapping[str, Raster], counts: Counts) -> None:
-        """Add what happened in the windows that have just run to counts (B, L, E)."""
-        events = [count(emitted) for count in self._layers]
-        if len(counts) == 1:
-            counts += np.array(events, np.int64)
-        else:
-            for index, columns in enumerate(events):
-                counts[:, index] += np.stack(np.broadcast_arrays(*columns), axis=1)
+    def observe(self, emitted: Mapping[str, Raster]) -> Observation:
+        """The windows that have just run, with the spikes of the input and of each layer."""
+        overflows = running = None
+        if any(window.interpreted for window in self._windows):
+            overflows = [w.overflows * w.interpreted for w in self._windows]
+        if any(window.waiting for window in self._windows):
+            running = [not window.waiting for window in self._windows]
+        per_axon = [raster.per_axon() for raster in emitted.values()]
+        return Observation(per_axon, [busy() for busy in self._busy], overflows, running)
+
+    def count(self, observations: Sequence[Observation]) -> Counts:
+        """Counts (S, L, E): a row for each observation and each of its batch."""
+        layers = self._program.layers
+        none, all_ = np.zeros((len(layers), self.batch)), [True] * len(layers)
+        updates = self._rows([o.updates for o in observations])
+        overflows = self._rows([none if o.overflows is None else o.overflows for o in observations])
+        running = np.repeat([o.running or all_ for o in observations], self.batch, axis=0)
+        spikes = {
+            name: np.concatenate([o.per_axon[index] for o in observations])
+            for index, name in enumerate(self._program.sizes)
+        }
+        counts = np.zeros((*updates.shape, len(EVENTS)), np.int64)
+        for index, layer in enumerate(layers):
+            events = self._events(layer, spikes, running[:, index])
+            events["neuron_update"] = updates[:, index] * running[:, index]
+            events["neuron_idle"] = layer.size * self.steps - events["neuron_update"]
+            events["saturation"] = overflows[:, index]
+            counts[:, index] = np.stack([events[name] for name in EVENTS], axis=1)
+        return counts
+
+    def _events(
+        self, layer: Layer, spikes: Mapping[str, NDArray[Any]], running: NDArray[np.bool_]
+    ) -> dict[str, Counts]:
+        """What follows from the spikes (S, N) of each neuron alone."""
+        heard = [(synapses, spikes[synapses.source]) for synapses in layer.synapses]
+        spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in heard)
+        spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)
+        always_on = self.timesteps * running
+        to_host = spike_out * (layer.name == self._program.output)
+        return {
+            "spike_in": spike_in,
+            # float64 is exact up to 2**53, and has the matrix product that int64 lacks
+            "sop": sum((rows @ s.fan_out.astype(np.float64)).astype(np.int64) for s, rows in heard),
+            "bias_sop": always_on * layer.bias_fan_out,
+            "spike_out": spike_out,
+            "message": spike_in + always_on * (layer.bias_fan_out > 0) + to_host,
+        }
+
+    def _rows(self, values: Sequence[Any]) -> Counts:
+        """Values of observations, layers and batch as rows (S, L)."""
+        layers = len(self._program.layers)
+        shaped = np.array(values, np.int64).reshape(-1, layers, self.batch)
+        return np.asarray(shaped.swapaxes(1, 2).reshape(-1, layers))
 
 
-class LayerTally:
-    """Counts the events of one layer."""
+class Busy:
+    """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
 
-    def __init__(self, program: Program, window: Window, steps: int) -> None:
-        layer = window.layer
-        timesteps, self._batch, _ = window.spikes.shape
-        self._window = window
-        self._neurons = steps * layer.size
-        self._bias_sops = timesteps * layer.bias_fan_out
-        self._bias_messages = timesteps * (layer.bias_fan_out > 0)
-        self._to_host = layer.name == program.output
-        self._sources = [(s.source, s.fan_out.astype(np.float64)) for s in layer.synapses]
-        self._biased = layer.voltage_bias != 0 if layer.voltage_bias.any() else None
+    def __init__(self, window: Window) -> None:
+        self._states = window.states
+        voltage_bias = window.layer.voltage_bias
+        self._biased = voltage_bias != 0 if voltage_bias.any() else None
         self._alive = np.empty(window.states.shape, np.bool_)
         self._current, self._membrane_before = self._alive[1:, 0], self._alive[:-1, 1]
         self._busy = np.empty_like(window.spikes)
 
-    def __call__(self, emitted: Mapping[str, Raster]) -> tuple[Number, ...]:
-        """Each of runtime.ledger.EVENTS: a number where the batch is 1, and (B,) or 1 elsewhere."""
-        heard: Number = 0
-        sops: Number = 0
-        for source, fan_out in self._sources:
-            heard = heard + self._spikes(emitted[source])
-            sops = sops + self._sops(emitted[source], fan_out)
-        if self._window.waiting:
-            return heard, sops, 0, 0, self._neurons, 0, heard, 0
-        updates = self._updates()
-        idle = self._neurons - updates
-        spikes = self._spikes(emitted[self._window.layer.name])
-        messages = heard + self._bias_messages
-        if self._to_host:
-            messages = messages + spikes
-        return heard, sops, self._bias_sops, updates, idle, spikes, messages, self._overflows()
-
-    def _spikes(self, raster: Raster) -> Number:
-        if self._batch == 1:
-            return raster.total()
-        return np.asarray(raster.per_axon().sum(axis=1, dtype=np.int64))
-
-    def _sops(self, raster: Raster, fan_out: NDArray[np.float64]) -> Number:
-        # float64 is exact up to 2**53, and has the dot product that int64 lacks; dot() is @ for
-        # those in a hurry
-        sops = raster.per_axon().astype(np.float64).dot(fan_out)
-        return int(sops[0]) if self._batch == 1 else sops.astype(np.int64)
-
-    def _updates(self) -> Number:
-        """Neuron-timesteps with a membrane, a current or a bias to add up."""
+    def __call__(self) -> Any:  # noqa: ANN401
+        """Of the last window, (B,); a number where the batch is 1."""
         busy = self._busy
-        np.not_equal(self._window.states, 0.0, self._alive)
+        np.not_equal(self._states, 0.0, self._alive)
         np.logical_or(self._current, self._membrane_before, busy)
         if self._biased is not None:
             np.logical_or(busy, self._biased, busy)
-        if self._batch == 1:
-            return int(np.count_nonzero(busy))
-        return np.asarray(np.count_nonzero(busy, axis=(0, 2)))
-
-    def _overflows(self) -> Number:
-        if not self._window.interpreted:
-            return 0
-        overflows = self._window.overflows
-        return int(overflows[0]) if self._batch == 1 else overflows
+        if busy.shape[1] == 1:
+            return np.count_nonzero(busy)
+        return np.count_nonzero(busy, axis=(0, 2))

@@ -10,9 +10,10 @@ from runtime.compile import compile
 from runtime.convention import Convention
 from runtime.errors import ConfigError
 from runtime.fixed import Register
-from runtime.ledger import EVENTS, Recorder
+from runtime.ledger import EVENTS
 from runtime.machine import Machine
 from runtime.program import Program, Synapses
+from runtime.recorder import Recorder
 from tests.networks import popsan
 from tests.programs import layer, rasters
 
