@@ -113,8 +113,8 @@ class Drive:
     def __call__(self, arriving: Sequence[Raster]) -> None:
         """Fill `sums`."""
         self._first(arriving[0], self.sums)
-        for summed, raster in zip(self._others, arriving[1:], strict=True):
-            summed(raster, self._more)
+        for index, summed in enumerate(self._others, start=1):
+            summed(arriving[index], self._more)
             np.add(self.sums, self._more, self.sums)
 
     def weights(self) -> NDArray[np.int64]:

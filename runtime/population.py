@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from runtime.errors import ArtifactError
+from runtime.patterns import spike_pattern
 from runtime.record import Record, Tree
 
 
@@ -50,17 +51,8 @@ class PopulationEncoder:
 
     def encode(self, x: NDArray[np.floating], timesteps: int) -> NDArray[np.uint8]:
         """Spikes (B, T, M) of the normalised observations x (B, obs)."""
-        drive = self._drive(x)
-        spikes = np.empty((len(x), timesteps, self.width), dtype=np.bool_)
-        membrane = drive.copy()
-        for t in range(timesteps):
-            if t:
-                # v = (v - threshold * s) + A
-                membrane -= self.threshold * spikes[:, t - 1]
-                membrane += drive
-            # s = v > threshold
-            np.greater(membrane, self.threshold, out=spikes[:, t])
-        return spikes.view(np.uint8)
+        spikes = spike_pattern(self._drive(x), self.threshold, timesteps)
+        return np.asarray(spikes.swapaxes(0, 1))
 
     def astype(self, dtype: DTypeLike) -> "PopulationEncoder":
         """The same encoder computing in another float type."""

@@ -109,7 +109,7 @@ class Dense:
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, B, N) in state units."""
         np.copyto(self._spikes, raster.rows)
-        np.matmul(self._flat, self._weight, self._sums)
+        self._flat.dot(self._weight, self._sums)
         np.add(self._sums, self._bias, self._sums)
         np.copyto(out, self._shaped)
 
@@ -155,7 +155,7 @@ class Union:
         """Write the sums (T, 1, N) in state units."""
         axons = raster.axons()
         spikes = raster.rows[:, 0].take(axons, 1).astype(self._weight.dtype)
-        np.matmul(spikes, self._weight.take(axons, 0), self._sums)
+        spikes.dot(self._weight.take(axons, 0), self._sums)
         np.add(self._sums, self._bias, self._sums)
         np.copyto(out[:, 0], self._sums)
 
