@@ -54,6 +54,11 @@ class Window:
         self.states[-1] = 0.0
         self._silent[:] = 0
 
+    @property
+    def ordinary(self) -> bool:
+        """Whether the last window ran, and ran fast."""
+        return not (self.waiting or self.interpreted)
+
     def run(self, arriving: Sequence[Raster]) -> Raster:
         """Spikes of the window, given what each synapse of the layer hears."""
         self.waiting = False
@@ -202,15 +207,25 @@ class Checks:
         """Whether no register overflowed on the way to these states."""
         if self._never:
             return False
-        if self._open_current and np.abs(states[:, 0]).max() > self._current:
+        current, membrane = states[:, 0], states[:, 1]
+        if self._open_current and max(_highest(current), -_lowest(current)) > self._current:
             return False
-        if self._open_below and states[:, 1].min() < -self._membrane:
+        if self._open_below and _lowest(membrane) < -self._membrane:
             return False
         if not self._open_above:
             return True
         # a membrane before its reset is not kept, but cannot have been higher than this
-        highest = max(states[:, 1].max(), 0.0) + states[:, 0].max() + self._bias
-        return bool(highest <= self._membrane)
+        highest = max(_highest(membrane), 0.0) + _highest(current) + self._bias
+        return highest <= self._membrane
+
+
+def _highest(values: Floats) -> float:
+    # what max() does, without its detour through Python
+    return float(np.maximum.reduce(values, axis=None))
+
+
+def _lowest(values: Floats) -> float:
+    return float(np.minimum.reduce(values, axis=None))
 
 
 def _subtract(membrane: Floats, fired: Bits, threshold: Floats) -> None:

@@ -4,8 +4,7 @@ Taking is part of every inference and must be quick; counting is done for many a
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +15,13 @@ from runtime.program import Layer, Program
 from runtime.synapses import Raster
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Observation:
+class Observation(NamedTuple):
     """One window of all layers.
 
     per_axon: of the input and of each layer, spikes (B, N) of each neuron.
     updates: (L, B) neuron-timesteps with something to add up; (L,) where the batch is 1.
-    overflows: (L, B) numbers that did not fit; None where all did.
-    running: (L,) whether a layer has started; None where all have.
+    overflows: (L, B) numbers that did not fit; None where all did and all layers ran.
+    running: (L,) whether a layer has started; None likewise.
     """
 
     per_axon: list[NDArray[Any]]
@@ -48,9 +46,8 @@ class Tally:
     def observe(self, emitted: Mapping[str, Raster]) -> Observation:
         """The windows that have just run, with the spikes of the input and of each layer."""
         overflows = running = None
-        if any(window.interpreted for window in self._windows):
+        if not all([window.ordinary for window in self._windows]):
             overflows = [w.overflows * w.interpreted for w in self._windows]
-        if any(window.waiting for window in self._windows):
             running = [not window.waiting for window in self._windows]
         per_axon = [raster.per_axon() for raster in emitted.values()]
         return Observation(per_axon, [busy() for busy in self._busy], overflows, running)
