@@ -48,7 +48,7 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
             "",
             "## Learning curve",
             "",
-            f"![return against environment steps]({name}.png)",
+            f"![learning curve]({name}.png)",
             "",
         ]
     )

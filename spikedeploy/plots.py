@@ -1,6 +1,6 @@
 """Figures of a comparison and of training runs, PNG; drawn without a display."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.columns import Row, label
+from spikedeploy.curves import Curve
 from spikedeploy.files import replacing
 
 if TYPE_CHECKING:
@@ -76,18 +77,18 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
     return save(figure, path)
 
 
-def draw_curves(curves: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -> Path:
-    """Validation return against environment steps, a line a run.
+def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
+    """Return against steps, a line a run."""
+    from matplotlib.ticker import EngFormatter
 
-    curves    run name -> {"step": (n,), "return": (n,)}
-    """
     figure, axes = _figure(7)
     axes.grid(axis="y", color="#E6E8EB")
-    for name, curve in curves.items():
-        axes.plot(curve["step"], curve["return"], linewidth=1.8, label=name)
-    axes.set_xlabel("environment steps")
-    axes.set_ylabel("return of an episode")
-    axes.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:,.0f}k" if steps else "0")
+    for curve in curves:
+        axes.plot(curve.steps, curve.returns, linewidth=1.8, label=curve.name)
+    axes.set_xlabel(" or ".join(dict.fromkeys(curve.unit for curve in curves)))
+    signals = " or ".join(dict.fromkeys(curve.signal for curve in curves))
+    axes.set_ylabel(f"return of an episode, {signals}")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.legend(frameon=False, loc="lower right")
     return save(figure, path)
 

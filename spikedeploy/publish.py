@@ -11,6 +11,7 @@ from runtime.errors import SpikedeployError
 from spikedeploy import runs, zoo
 from spikedeploy.card import markdown
 from spikedeploy.compare import compare
+from spikedeploy.curves import curve
 from spikedeploy.export import Exported, export
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.lineup import Entry
@@ -49,7 +50,7 @@ def publish(
         file,
         write_text(file.with_suffix(".json"), as_text(record)),
         write_text(file.with_suffix(".md"), markdown(name, record)),
-        draw_curves({name: runs.curve(source)}, file.with_suffix(".png")),
+        draw_curves([curve(source / "metrics.csv", name)], file.with_suffix(".png")),
         _copied(source / "metrics.csv", file.with_suffix(".csv")),
     ]
 

@@ -9,7 +9,6 @@ from runtime.errors import ConfigError
 from runtime.origin import Origin
 from spikedeploy.policies import env_id
 from spikedeploy.versions import own
-from trainers.metrics import read
 
 
 def settings(run: Path) -> dict[str, Any]:
@@ -39,17 +38,6 @@ def origin(run: Path) -> Origin:
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
     )
-
-
-def curve(run: Path) -> dict[str, list[float]]:
-    """Steps and returns of a run: of its validation where it has one, else of its training."""
-    rows = read(run / "metrics.csv")
-    for signal in ("eval_return", "episode_return"):
-        points = [(row[next(iter(row))], row[signal]) for row in rows if signal in row]
-        if points:
-            steps, returns = zip(*points, strict=True)
-            return {"step": list(steps), "return": list(returns)}
-    raise ConfigError(f"{run} has no returns yet: train on")
 
 
 def _read(path: Path) -> dict[str, Any]:

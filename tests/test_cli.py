@@ -198,8 +198,10 @@ def test_export_fails_with_exit_code_1_when_a_check_does(command, stroll, monkey
 def test_visualize_draws_the_curves_of_runs(command, stroll):
     run = strolling.run_folder(stroll / "runs", MlpConfig(hidden=(4,)))
     _, out, _ = command("visualize", run, "-o", "curves.png", "--json")
-    (curve,) = json.loads(out)["curves"].values()
-    assert curve == {"step": [5.0], "return": [3.0]}
+    (curve,) = json.loads(out)["curves"]
+    assert curve["name"] == run.name
+    assert (curve["unit"], curve["signal"]) == ("environment steps", "validation")
+    assert (curve["steps"], curve["returns"]) == ([5.0], [3.0])
     assert (stroll / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 

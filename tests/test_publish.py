@@ -56,7 +56,7 @@ def test_the_page_says_how_to_make_the_policy_again(tmp_path):
     assert "- note: grown in a pot" in page
     assert "| small · loihi1 |" in page
     assert "- ✓ spikes: torch = NumPy, float64" in page
-    assert "![return against environment steps](small.png)" in page
+    assert "![learning curve](small.png)" in page
     assert str(tmp_path) not in page + (tmp_path / "zoo/stroll/small.json").read_text()
 
 

@@ -19,13 +19,13 @@ def visualize(
     json: Json = False,
 ) -> None:
     """Draw the learning curves of training runs into one PNG."""
+    from spikedeploy.curves import curve
     from spikedeploy.plots import draw_curves
-    from spikedeploy.runs import curve
     from spikedeploy.terminal import print_json
 
-    curves = {run.resolve().name: curve(run) for run in runs}
+    curves = [curve(run / "metrics.csv", run.resolve().name) for run in runs]
     picture = draw_curves(curves, output)
     if json:
-        print_json({"path": str(picture), "curves": curves})
+        print_json({"path": str(picture), "curves": [vars(each) for each in curves]})
     else:
         typer.echo(f"wrote {picture}")
