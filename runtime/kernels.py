@@ -191,41 +191,31 @@ class Advance:
 class Checks:
     """Whether the fast way may be believed.
 
-    What the bounds prove costs nothing; what they leave open is looked up in the states.
+    What the bounds prove costs nothing; where they leave something open, the states are looked at:
+    all at once, which may find a window doubtful that is not, and is quick.
     """
 
     def __init__(self, layer: Layer, fixed: FixedPoint, limits: Bounds) -> None:
-        self._current, self._membrane = room(fixed.current), room(fixed.membrane)
-        self._bias = float(layer.voltage_bias.max(initial=0))
-        self._open_current = limits.current > self._current
-        self._open_above = limits.above > self._membrane
-        self._open_below = limits.below > self._membrane
+        current, membrane = room(fixed.current), room(fixed.membrane)
+        self._room = min(current, membrane)
+        self._push = float(layer.voltage_bias.max(initial=0))
+        self._open = limits.current > current or max(limits.above, limits.below) > membrane
+        self._open_above = limits.above > membrane
         # refractory and accumulators that overflow are left to the interpreter
         self._never = fixed.refractory > 1 or limits.drive > room(fixed.accumulator)
 
     def passed(self, states: Floats) -> bool:
         """Whether no register overflowed on the way to these states."""
-        if self._never:
-            return False
-        current, membrane = states[:, 0], states[:, 1]
-        if self._open_current and max(_highest(current), -_lowest(current)) > self._current:
-            return False
-        if self._open_below and _lowest(membrane) < -self._membrane:
-            return False
-        if not self._open_above:
-            return True
-        # a membrane before its reset is not kept, but cannot have been higher than this
-        highest = max(_highest(membrane), 0.0) + _highest(current) + self._bias
-        return highest <= self._membrane
-
-
-def _highest(values: Floats) -> float:
-    # what max() does, without its detour through Python
-    return float(np.maximum.reduce(values, axis=None))
-
-
-def _lowest(values: Floats) -> float:
-    return float(np.minimum.reduce(values, axis=None))
+        if self._never or not self._open:
+            return not self._never
+        # what max() and min() do, without their detour through Python
+        highest = float(np.maximum.reduce(states, axis=None))
+        lowest = float(np.minimum.reduce(states, axis=None))
+        if self._open_above:
+            # a membrane before its reset is not kept, but cannot have been higher than this: what
+            # the one before left, and the current
+            highest = 2 * max(highest, 0.0) + self._push
+        return -self._room <= lowest and highest <= self._room
 
 
 def _subtract(membrane: Floats, fired: Bits, threshold: Floats) -> None:

@@ -5,7 +5,7 @@ that their number type is proven to hold exactly, so they agree bit for bit, in 
 summation and on any BLAS. (`ideal` has no whole numbers and always multiplies in float64.)
 """
 
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,12 @@ class Raster:
     rows: (T, B, M), uint8 or bool.
     """
 
-    __slots__ = ("_axons", "_per_axon", "_total", "rows")
+    __slots__ = ("_axons", "_per_axon", "rows")
 
     def __init__(self, rows: NDArray[Any]) -> None:
         self.rows = rows
         self._per_axon: NDArray[Any] | None = None
         self._axons: NDArray[np.intp] | None = None
-        self._total: int | None = None
 
     def per_axon(self) -> NDArray[Any]:
         """(B, M) spikes of each axon."""
@@ -49,14 +48,9 @@ class Raster:
     def axons(self) -> NDArray[np.intp]:
         """Which axons spiked at least once; batch 1."""
         if self._axons is None:
-            self._axons = self.per_axon()[0].nonzero()[0]
+            # bool, for nonzero is slower on numbers
+            self._axons = self.per_axon()[0].astype(np.bool_).nonzero()[0]
         return self._axons
-
-    def total(self) -> int:
-        """All spikes of all B."""
-        if self._total is None:
-            self._total = int(np.count_nonzero(self.rows))
-        return self._total
 
 
 class Sum(Protocol):
@@ -168,14 +162,17 @@ class Cheapest:
 
     def __call__(self, raster: Raster, out: Floats) -> None:
         """Write the sums (T, 1, N) in state units."""
-        gather = self.gather.cost + self.gather.cost_per_spike * raster.total()
-        union = self.union.cost + self.union.cost_per_axon * len(raster.axons())
-        if min(gather, union) > self.dense.cost:
-            self.dense(raster, out)
-        elif gather < union:
-            self.gather(raster, out)
-        else:
-            self.union(raster, out)
+        axons = len(raster.axons())
+        cost, way = self.dense.cost, cast("Sum", self.dense)
+        union = self.union.cost + self.union.cost_per_axon * axons
+        if union < cost:
+            cost, way = union, self.union
+        # every axon spiked at least once; only where that is not too much, count exactly
+        if self.gather.cost + self.gather.cost_per_spike * axons < cost:
+            spikes = int(np.count_nonzero(raster.rows))
+            if self.gather.cost + self.gather.cost_per_spike * spikes < cost:
+                way = self.gather
+        way(raster, out)
 
 
 def _filled(like: Weights, row: Weights) -> Weights:
