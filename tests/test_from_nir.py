@@ -1,0 +1,45 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from exporters.from_nir import from_nir
+from exporters.parity import check
+from exporters.to_nir import to_nir
+from runtime.artifact import save
+from runtime.errors import ArtifactError
+from runtime.origin import Origin
+from spikedeploy import zoo
+from tests.networks import popsan
+from trainers.policies import PopsanPolicy
+
+ORIGIN = Origin("test/World-v0", "smoke", seed=0, steps=1, created="2026-01-01", version="0.1.0")
+
+
+def test_what_is_written_and_read_back_is_the_same_policy_to_the_last_bit(tmp_path):
+    torch.manual_seed(0)
+    policy = PopsanPolicy(5, 3, hidden=(16, 12), populations=4, timesteps=6, alpha=0.7, beta=0.95)
+    with torch.no_grad():
+        policy.encoder.log_std += 0.1 * torch.randn_like(policy.encoder.log_std)
+        policy.normalizer.mean += torch.randn(5)
+    found = from_nir(to_nir(policy, ORIGIN, tmp_path / "policy.nir"))
+    assert found.spec() == policy.spec()
+    for name, tensor in policy.state_dict().items():
+        assert torch.equal(found.state_dict()[name], tensor), name
+
+
+@pytest.mark.parametrize("env", ["hexapod", "hexapod-command"])
+def test_the_shipped_policies_spike_alike_in_torch_in_numpy_and_compiled(env):
+    (file,) = [path for path in zoo.policies(env) if path.suffix == ".nir"]
+    observations = np.random.default_rng(0).normal(size=(50, 77))
+    checks = check(from_nir(file), file, observations)
+    assert len(checks) == 5
+    assert all(each.passed for each in checks), checks
+
+
+def test_a_network_of_another_tool_is_refused_in_one_line(tmp_path):
+    foreign = replace(popsan(), codec=None, origin=None)
+    save(foreign, tmp_path / "foreign.nir")
+    with pytest.raises(ArtifactError, match="only what spikedeploy exported"):
+        from_nir(tmp_path / "foreign.nir")
