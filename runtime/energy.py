@@ -86,7 +86,7 @@ HOROWITZ45 = EnergyTable(
     name="horowitz45",
     source="Horowitz 2014, ISSCC: 45 nm, 0.9 V",
     provenance="arithmetic in float32 and one weight fetched from an 8 KB SRAM per operation, the "
-    "best case; neuron updates derived: three multiplications, three additions, four accesses",
+    "best case; neuron updates derived: two multiplications, three additions, four accesses",
     joules={
         "mac": (3.7 + 0.9 + 10 / 2) * PICO,
         "sop": (0.9 + 10 / 2) * PICO,
