@@ -1,10 +1,10 @@
 """The card of a shipped policy, as a page for people."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from spikedeploy.columns import Column, Row, tables
+from spikedeploy.columns import markdown as tables_of
 
 KINDS = {
     "ann": "float network (ONNX)",
@@ -16,11 +16,6 @@ KINDS = {
 def markdown(name: str, record: Mapping[str, Any]) -> str:
     """The page: what it is, how it was made, how it does."""
     rows = record["evaluation"]
-    evaluation = [
-        line
-        for title, columns in tables(rows).items()
-        for line in (f"### {title}", "", *_table(columns, rows), "")
-    ]
     facts = {
         "what": KINDS[record["kind"]],
         "environment": record["env"],
@@ -41,7 +36,7 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
             "",
             "## Evaluation",
             "",
-            *evaluation,
+            *tables_of(rows),
             "## Parity of the file with the trained policy",
             "",
             *checks,
@@ -58,9 +53,3 @@ def command(record: Mapping[str, Any]) -> str:
     """The command that trains the policy again."""
     options = [f"--set {shlex.quote(change)}" for change in record["overrides"]]
     return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])
-
-
-def _table(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
-    lines = [[column.title for column in columns], ["---"] * len(columns)]
-    lines += [[column.cell(row) for column in columns] for row in rows]
-    return [f"| {' | '.join(line)} |" for line in lines]

@@ -183,3 +183,18 @@ def _prices(rows: Sequence[Row]) -> list[Column]:
 
 def _filled(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
     return [column for column in columns if any(column.cell(row) != ABSENT for row in rows)]
+
+
+def markdown(rows: Sequence[Row]) -> list[str]:
+    """The tables as lines of Markdown."""
+    return [
+        line
+        for title, columns in tables(rows).items()
+        for line in (f"### {title}", "", *_markdown(columns, rows), "")
+    ]
+
+
+def _markdown(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
+    lines = [[column.title for column in columns], ["---"] * len(columns)]
+    lines += [[column.cell(row) for column in columns] for row in rows]
+    return [f"| {' | '.join(line)} |" for line in lines]

@@ -1,4 +1,4 @@
-"""The report of a comparison: `report.json` for machines, one self-contained `report.html`."""
+"""The report of a comparison: report.json for machines, report.html and report.md for people."""
 
 import shlex
 import sys
@@ -14,7 +14,7 @@ from typing import Any
 import envs
 from runtime.artifact import load
 from runtime.energy import energy_table
-from spikedeploy.columns import Column, Row, tables
+from spikedeploy.columns import Column, Row, markdown, tables
 from spikedeploy.comparison import Comparison
 from spikedeploy.files import as_text, write_text
 from spikedeploy.meaning import meaning
@@ -56,7 +56,7 @@ def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:
-    """Write report.json, its plots and report.html into the folder; the files, in that order."""
+    """Write page, numbers, Markdown and plots into the folder; the files, in that order."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = document["rows"]
     pictures = {
@@ -65,7 +65,14 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
     }
     numbers = write_text(folder / "report.json", as_text(document))
     page = write_text(folder / "report.html", html(document, pictures, video))
-    return [page, numbers, *pictures.values(), *([video] if video else [])]
+    text = write_text(folder / "report.md", page_of_text(document))
+    return [page, numbers, text, *pictures.values(), *([video] if video else [])]
+
+
+def page_of_text(document: Document) -> str:
+    """The tables in Markdown, under the command that made them."""
+    lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
+    return "\n".join(lines)
 
 
 def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:

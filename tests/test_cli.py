@@ -110,7 +110,7 @@ def test_compare_prints_every_promised_field_and_writes_its_report(command, stro
     for row in document["rows"]:
         assert row.keys() >= FIELDS
     names = {path.name for path in (stroll / "out").iterdir()}
-    assert names == {"report.json", "report.html", "returns.png", "energy.png"}
+    assert names == {"report.json", "report.html", "report.md", "returns.png", "energy.png"}
     assert json.loads((stroll / "out/report.json").read_text())["rows"] == document["rows"]
 
 
