@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from spikedeploy import costs
+from spikedeploy import costs, zoo
 from spikedeploy.agreement import median_divergence, pooled_rmse
 from spikedeploy.episodes import Episode
 from spikedeploy.lineup import Entry
@@ -119,7 +119,7 @@ def _identity(row: Row) -> dict[str, Any]:
         "policy": candidate.name,
         "kind": candidate.kind,
         "chip": row.entry.chip,
-        "file": candidate.path,
+        "file": zoo.called(candidate.path),
     }
 
 

@@ -72,3 +72,8 @@ def test_each_task_has_a_float_ann_a_spiking_policy_and_the_three_controls(env):
     assert {stem for stem, kind in kinds.items() if kind == "control"} >= {
         "phase", "bilinear", "linear",
     }  # fmt: skip
+
+
+def test_reports_name_shipped_files_without_the_folders_of_the_machine():
+    assert all(zoo.called(str(path)) == "/".join(path.parts[-2:]) for path in zoo.policies())
+    assert zoo.called("elsewhere/policy.nir") == "elsewhere/policy.nir"

@@ -25,6 +25,12 @@ def path(name: str) -> Path | None:
     return next((p for p in policies() if f"{p.parent.name}/{p.stem}" == wanted), None)
 
 
+def called(file: str) -> str:
+    """A policy's file as reports name it: `hexapod/popsan.nir` where it is shipped."""
+    place = Path(file)
+    return str(place.relative_to(FOLDER)) if place.is_relative_to(FOLDER) else file
+
+
 def card(name: str) -> dict[str, Any]:
     """What the card of a shipped policy says; nothing for a policy without one."""
     file = path(name)
