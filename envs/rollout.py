@@ -124,8 +124,9 @@ def rollout(
     controller: Controller,
     seed: int,
     on_frame: Callable[[Frame], None] | None = None,
+    frame_every: int = 1,
 ) -> Rollout:
-    """Run one episode; on_frame is given a picture (H, W, 3) at reset and after every step."""
+    """Run one episode; on_frame is given a picture (H, W, 3) at reset and every so many steps."""
     observation, _ = env.reset(seed=seed)
     controller.reset(seed)
     observations = [_finite("observation", observation, env.observation_space, 0)]
@@ -142,7 +143,8 @@ def rollout(
         actions.append(action)
         rewards.append(float(reward))
         infos.append(_numbers(info))
-        _show(env, on_frame)
+        if len(actions) % frame_every == 0:
+            _show(env, on_frame)
     return Rollout(
         env_id=env.spec.id if env.spec else type(env.unwrapped).__name__,
         seed=seed,

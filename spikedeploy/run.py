@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import envs
 from envs.rollout import rollout
@@ -15,7 +16,7 @@ from spikedeploy.terminal import progress
 from spikedeploy.video import Frame, captioned, mp4
 
 DEFAULT_CHIP = "loihi1"
-FPS = 50
+FPS = 25  # drawing takes most of the time, and smoother pictures show nothing more
 
 
 def run(
@@ -35,13 +36,14 @@ def run(
     """
     candidate = find(reference)
     entry = Entry(candidate, chip or _default_chip(candidate))
-    world = envs.make(env or _made_for(candidate), render_mode="rgb_array" if video else None)
+    world: Any = envs.make(env or _made_for(candidate), render_mode="rgb_array" if video else None)
     player = open_policy(candidate, entry.chip, world)
+    every = round(1 / (FPS * world.unwrapped.CONTROL_DT)) if video else 1
     episodes = []
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds:
             with _film(video if seed == seeds[0] else None, entry.label) as on_frame:
-                played = rollout(world, player, seed, on_frame)
+                played = rollout(world, player, seed, on_frame, every)
             episodes.append(summarise(candidate, player, played))
             done()
     world.close()

@@ -56,7 +56,7 @@ def test_every_package_says_that_it_is_typed(wheel):
     assert {f"{package}/py.typed" for package in PACKAGES} <= set(wheel.namelist())
 
 
-def test_the_wheel_installs_the_command_and_registers_the_environments(wheel):
+def test_the_wheel_installs_the_command(wheel):
     (name,) = (name for name in wheel.namelist() if name.endswith("entry_points.txt"))
     text = wheel.read(name).decode()
     assert "spikedeploy = spikedeploy.cli:main" in text
