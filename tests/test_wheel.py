@@ -60,4 +60,3 @@ def test_the_wheel_installs_the_command(wheel):
     (name,) = (name for name in wheel.namelist() if name.endswith("entry_points.txt"))
     text = wheel.read(name).decode()
     assert "spikedeploy = spikedeploy.cli:main" in text
-    assert "spikedeploy = envs:register" in text

@@ -75,7 +75,10 @@ class ReplayBuffer:
     def load(self, path: Path) -> None:
         """Take over the transitions of a file; more than fit lose the oldest."""
         if not path.is_file():
-            raise ConfigError(f"{path} is missing: without its replay, a run cannot go on")
+            raise ConfigError(
+                f"{path} is missing: a run goes on with its replay only, which a finished run no "
+                "longer has. Start a new one with more steps."
+            )
         held = load_file(path)["rows"]
         if held.shape[1] != self.rows.shape[1]:
             raise ConfigError(
