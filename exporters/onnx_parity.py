@@ -2,14 +2,15 @@
 
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import onnxruntime
 import torch
 from numpy.typing import NDArray
 
 from exporters.check import Check, Gap, batches
 from exporters.onnx_graph import ACTION, OBSERVATION
+from trainers.onnx_session import session
 from trainers.policies import Policy
 
 TOLERANCE = 1e-5  # of an action in [-1, 1]: float32 sums in another order
@@ -21,12 +22,12 @@ Single = NDArray[np.float32]
 def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[Check]:
     """Return the checks of the file on observations (n, obs)."""
     single = deepcopy(policy).float()
-    session = _session(path)
+    network = session(path)
     together, alone = Gap(), Gap()
     for batch in batches(observations):
-        together.add(_run(session, batch), _act(single, batch))
+        together.add(_run(network, batch), _act(single, batch))
     for row in observations[:ALONE, None]:
-        alone.add(_run(session, row), _act(single, row))
+        alone.add(_run(network, row), _act(single, row))
     return [
         _check("actions: torch = ONNX Runtime", together, len(observations)),
         _check("actions, one at a time", alone, min(ALONE, len(observations))),
@@ -38,14 +39,8 @@ def _check(name: str, gap: Gap, count: int) -> Check:
     return Check(name, gap.within(TOLERANCE), detail)
 
 
-def _session(path: Path) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-
-
-def _run(session: onnxruntime.InferenceSession, observation: NDArray[np.float64]) -> Single:
-    action: Single = session.run([ACTION], {OBSERVATION: observation.astype(np.float32)})[0]
+def _run(network: Any, observation: NDArray[np.float64]) -> Single:  # noqa: ANN401
+    action: Single = network.run([ACTION], {OBSERVATION: observation.astype(np.float32)})[0]
     return action
 
 

@@ -1,7 +1,6 @@
 """The progress bar of a run: how far, how long to go, how well."""
 
 from collections.abc import Mapping
-from types import TracebackType
 
 from rich.progress import (
     BarColumn,
@@ -43,12 +42,7 @@ class ProgressBar:
         self._progress.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
     def at(self, step: int, total: int) -> None:

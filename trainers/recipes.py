@@ -33,7 +33,7 @@ def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> dict[str
 
 
 POPSAN: dict[str, Any] = {"policy": {"kind": "popsan"}}
-WIDE: dict[str, Any] = {"policy": {"kind": "mlp"}}
+MLP: dict[str, Any] = {"policy": {"kind": "mlp"}}
 NARROW: dict[str, Any] = {"policy": {"hidden": [256, 256]}, "critic_hidden": [256, 256]}
 
 # The seed's table is the default of `SacConfig`; the ramps are those of the walking task.
@@ -65,9 +65,9 @@ SMOKE: dict[str, Any] = {
 }
 
 RECIPES: dict[str, Recipe] = {
-    "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(HEXAPOD, WIDE)),
+    "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(HEXAPOD, MLP)),
     "hexapod-sac-256": Recipe(
-        "sac", "float MLP 77-256-256-18 that walks", merged(HEXAPOD, WIDE, NARROW)
+        "sac", "float MLP 77-256-256-18 that walks", merged(HEXAPOD, MLP, NARROW)
     ),
     "hexapod-popsan": Recipe(
         "sac", "PopSAN 77-770-512-512-180-18 that walks", merged(HEXAPOD, POPSAN)
@@ -76,12 +76,12 @@ RECIPES: dict[str, Recipe] = {
         "sac", "PopSAN 77-770-256-256-180-18 that walks", merged(HEXAPOD, POPSAN, NARROW)
     ),
     "hexapod-command-sac": Recipe(
-        "sac", "float MLP 77-512-512-18 that follows commands", merged(COMMAND, WIDE)
+        "sac", "float MLP 77-512-512-18 that follows commands", merged(COMMAND, MLP)
     ),
     "hexapod-command-popsan": Recipe(
         "sac", "PopSAN 77-770-512-512-180-18 that follows commands", merged(COMMAND, POPSAN)
     ),
-    "smoke": Recipe("sac", "a tiny float MLP, seconds", merged(SMOKE, WIDE)),
+    "smoke": Recipe("sac", "a tiny float MLP, seconds", merged(SMOKE, MLP)),
     "smoke-popsan": Recipe(
         "sac", "a tiny PopSAN, seconds", merged(SMOKE, POPSAN, {"policy": {"populations": 3}})
     ),

@@ -84,19 +84,17 @@ def _from_run(path: str) -> Teacher:
 
 
 def _from_onnx(path: str) -> Teacher:
-    import onnxruntime
+    from trainers.onnx_session import session
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    entry, exit_ = session.get_inputs()[0], session.get_outputs()[0]
+    network = session(path)
+    entry, exit_ = network.get_inputs()[0], network.get_outputs()[0]
 
     def act_all(observation: Numbers) -> Numbers:
         feed = {entry.name: observation.astype(np.float32)}
-        action: Numbers = session.run([exit_.name], feed)[0].astype(np.float64)
+        action: Numbers = network.run([exit_.name], feed)[0].astype(np.float64)
         return action
 
-    env = session.get_modelmeta().custom_metadata_map.get("env", "")
+    env = network.get_modelmeta().custom_metadata_map.get("env", "")
     return Teacher(act_all, entry.shape[1], exit_.shape[1], env)
 
 

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from envs.rollout import Rollout
@@ -12,6 +11,7 @@ from runtime.energy import energy_table, mac_energy
 from runtime.errors import ArtifactError, ObservationError
 from spikedeploy.costs import Costs
 from spikedeploy.policies import Candidate, env_id
+from trainers.onnx_session import session
 
 KINDS = ("ann", "control")
 ENERGY_TABLES = ("horowitz45", "horowitz45-int8")
@@ -30,7 +30,7 @@ class OnnxController:
 
     def __init__(self, path: str | Path) -> None:
         self.path = path
-        self._session = _session(Path(path))
+        self._session = session(path)
         self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
         self._input = self._session.get_inputs()[0]
         self._output, *self._heard = self._session.get_outputs()
@@ -113,16 +113,6 @@ def costs(controller: OnnxController, played: Rollout) -> Costs:
         dense=macs,
         energy_j={name: mac_energy(macs, energy_table(name)) for name in ENERGY_TABLES},
     )
-
-
-def _session(path: Path) -> Any:  # noqa: ANN401
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
-    except Exception as error:  # the runtime's own kinds of error share no other base
-        raise ArtifactError(f"{path} is not an ONNX file that can be run: {error}") from error
 
 
 def _width(path: str | Path, value: Any) -> int:  # noqa: ANN401
