@@ -29,6 +29,7 @@ STRANGERS = {
     "exporters": {"numpy", "torch", "nir", "onnx", "onnxruntime"},
     "spikedeploy": {
         "numpy", "typer", "rich", "matplotlib", "onnxruntime", "av", "PIL", "gymnasium", "torch",
+        "pygame",
     },
 }  # fmt: skip
 
