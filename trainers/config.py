@@ -25,6 +25,7 @@ from trainers.settings import (
     SacConfig,
     Section,
     Share,
+    SpikingMlpConfig,
     ValidationConfig,
 )
 
@@ -47,6 +48,7 @@ __all__ = [
     "SacConfig",
     "Section",
     "Share",
+    "SpikingMlpConfig",
     "ValidationConfig",
     "amended",
     "differences",

@@ -19,9 +19,9 @@ class PopulationEncoder(nn.Module):
     threshold: membrane above which an encoding neuron spikes
     """
 
-    def __init__(self, observations: int, populations: int) -> None:
+    def __init__(self, observations: int, populations: int, reach: float = REACH) -> None:
         super().__init__()
-        spread = torch.linspace(-REACH, REACH, populations) if populations > 1 else torch.zeros(1)
+        spread = torch.linspace(-reach, reach, populations) if populations > 1 else torch.zeros(1)
         self.mean = nn.Parameter(spread.repeat(observations, 1))
         # the logarithm is what is learned, so that a width cannot turn negative
         self.log_std = nn.Parameter(torch.full_like(self.mean, math.log(INITIAL_STD)))

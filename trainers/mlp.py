@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from trainers.features import Features
 from trainers.normalizer import Normalizer
-from trainers.policy import Latent, Policy, full_precision
+from trainers.policy import Head, Latent, Policy, full_precision
 
 
 class MlpPolicy(Policy):
@@ -29,8 +29,10 @@ class MlpPolicy(Policy):
         hidden: Sequence[int] = (512, 512),
         features: Features | None = None,
         clip: float = 4.0,
+        head: Head = "continuous",
     ) -> None:
         super().__init__()
+        self.head = head
         self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
         self.features = features or Features("all", observations, [], [])
         self.normalizer = Normalizer(self.features.size, clip)
@@ -59,4 +61,5 @@ class MlpPolicy(Policy):
             "hidden": list(self.hidden),
             "features": self.features.spec(),
             "clip": self.normalizer.clip,
+            "head": self.head,
         }

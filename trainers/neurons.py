@@ -24,7 +24,8 @@ class Surrogate:
     """The derivative that stands in for a spike's, as a function of membrane minus threshold.
 
     name: key of `SURROGATES`
-    width: alpha of atan [1/membrane], half-width of rectangular [membrane]
+    width: alpha of atan and slope of fast-sigmoid [1/membrane], half-width of rectangular
+        [membrane]
     """
 
     name: str
@@ -47,8 +48,15 @@ def rectangular(excess: Tensor, width: float) -> Tensor:
     return (excess.abs() < width).to(excess.dtype)
 
 
+def fast_sigmoid(excess: Tensor, slope: float) -> Tensor:
+    """Return the derivative of x / (1 + k |x|) (Zenke and Ganguli 2018), as snnTorch's."""
+    # ds/dv = 1 / (1 + k |v - threshold|)^2
+    return excess.abs().mul_(slope).add_(1).square_().reciprocal_()
+
+
 SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
     "atan": (atan, 2.0),
+    "fast-sigmoid": (fast_sigmoid, 25.0),
     "rectangular": (rectangular, 0.5),
 }
 
@@ -71,6 +79,11 @@ def cuba_lif(
     """
     spikes: Tensor = _CubaLif.apply(drive, alpha, beta, threshold, gradient)  # type: ignore[no-untyped-call]
     return spikes
+
+
+def lif(drive: Tensor, beta: float, threshold: float, gradient: Surrogate) -> Tensor:
+    """Return the spikes (T, B, N) of a leaky integrate-and-fire layer at rest; see `cuba_lif`."""
+    return cuba_lif(drive, 0.0, beta, threshold, gradient)
 
 
 class _CubaLif(torch.autograd.Function):

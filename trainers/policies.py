@@ -3,17 +3,28 @@
 from collections.abc import Mapping
 from typing import Any
 
-from trainers.config import MlpConfig, PopsanConfig, known
+from trainers.config import PolicyConfig, known
 from trainers.features import Features, features
 from trainers.mlp import MlpPolicy
-from trainers.policy import Latent, Policy
+from trainers.policy import Head, Latent, Policy
 from trainers.popsan import PopsanPolicy
+from trainers.spiking_mlp import SpikingMlpPolicy
 
-__all__ = ["POLICIES", "Latent", "MlpPolicy", "Policy", "PopsanPolicy", "build", "from_config"]
+__all__ = [
+    "POLICIES",
+    "Latent",
+    "MlpPolicy",
+    "Policy",
+    "PopsanPolicy",
+    "SpikingMlpPolicy",
+    "build",
+    "from_config",
+]
 
-POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy]] = {
+POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy] | type[SpikingMlpPolicy]] = {
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
+    "spiking-mlp": SpikingMlpPolicy,
 }
 
 
@@ -29,14 +40,17 @@ def build(spec: Mapping[str, Any]) -> Policy:
 
 
 def from_config(
-    config: MlpConfig | PopsanConfig,
+    config: PolicyConfig,
     observations: int,
     actions: int,
     clip: float = 4.0,
     columns: Mapping[str, slice] | None = None,
+    head: Head = "continuous",
 ) -> Policy:
     """Return an untrained policy as configured; `columns` is the environment's OBSERVATION."""
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
-    if isinstance(config, MlpConfig):
-        spec["features"] = features(config.features, observations, columns).spec()
+    if "features" in spec:
+        spec["features"] = features(spec["features"], observations, columns).spec()
+    if head == "discrete":
+        spec["head"] = head  # PopSAN has no such head, and says so
     return build(spec)

@@ -2,19 +2,21 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
 
 from trainers.normalizer import Normalizer
 
+Head = Literal["continuous", "discrete"]
+
 
 @dataclass(frozen=True)
 class Latent:
-    """What a policy computes before it squashes.
+    """What a policy computes before it decides.
 
-    mean: (B, act) action before tanh
+    mean: (B, act) action before tanh, or the logit of each action
     hidden: (B, H) last activities, from which an algorithm may read more than the action
     rates: mean firing rate of each spiking layer, none in a float network [spikes / timestep]
     """
@@ -25,9 +27,10 @@ class Latent:
 
 
 class Policy(nn.Module):
-    """Observation (B, obs) in, deterministic action (B, act) in [-1, 1] out.
+    """Observation (B, obs) in, deterministic action out.
 
     observations, actions: their numbers
+    head: "continuous", actions (B, act) in [-1, 1], or "discrete", the index (B,) of one of them
     normalizer: shift, scale and clip of the observations, part of the policy
     latent_size: width H of `Latent.hidden`
     """
@@ -37,6 +40,7 @@ class Policy(nn.Module):
     actions: int
     latent_size: int
     normalizer: Normalizer
+    head: Head = "continuous"
 
     @abstractmethod
     def latent(self, observation: Tensor) -> Latent:
@@ -47,8 +51,16 @@ class Policy(nn.Module):
         """Return what `build` needs to make an equal policy, for JSON."""
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Return the deterministic action (B, act)."""
-        return torch.tanh(self.latent(observation).mean)
+        """Return the deterministic action: (B, act), or (B,) int64 of a discrete head."""
+        return self.decide(self.latent(observation).mean)
+
+    def scores(self, observation: Tensor) -> Tensor:
+        """Return the action before tanh, or the logits (B, act)."""
+        return self.latent(observation).mean
+
+    def decide(self, mean: Tensor) -> Tensor:
+        """Return the deterministic action of `Latent.mean`."""
+        return mean.argmax(-1) if self.head == "discrete" else torch.tanh(mean)
 
     def seen(self, observation: Tensor) -> Tensor:
         """Return what the normaliser sees (B, F) of raw observations."""

@@ -61,7 +61,25 @@ class PopsanConfig(Section):
     surrogate_width: Rate | None = None  # None: 2.0 for atan (alpha), 0.5 for rectangular
 
 
-PolicyConfig = Annotated[MlpConfig | PopsanConfig, Field(discriminator="kind")]
+class SpikingMlpConfig(Section):
+    """Layers of LIF neurons and a linear readout of their mean spikes, as kart-simulator's.
+
+    coding: how a number in [-1, 1] becomes spikes: "regular" and "bernoulli" are rate codes, evenly
+        spaced or at random; "population" is PopSAN's, `populations` neurons for each number
+    """
+
+    kind: Literal["spiking-mlp"] = "spiking-mlp"
+    hidden: tuple[Positive, ...] = Field(default=(64, 64), min_length=1)
+    coding: Literal["regular", "bernoulli", "population"] = "regular"
+    populations: Positive = 4
+    timesteps: Positive = 16
+    beta: Share = 0.9
+    threshold: Rate = 0.7
+    surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "fast-sigmoid"
+    surrogate_width: Rate | None = None  # None: 25 for fast-sigmoid, others as in PopsanConfig
+
+
+PolicyConfig = Annotated[MlpConfig | PopsanConfig | SpikingMlpConfig, Field(discriminator="kind")]
 
 
 class NormaliserConfig(Section):

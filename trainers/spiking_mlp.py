@@ -1,0 +1,126 @@
+"""The spiking multilayer perceptron: rate or population code, LIF layers, linear readout."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from trainers.encoder import PopulationEncoder
+from trainers.neurons import lif, surrogate
+from trainers.normalizer import Normalizer
+from trainers.policy import Head, Latent, Policy
+from trainers.popsan import mean_over_time, mean_rate
+from trainers.rate import RateEncoder
+
+Coding = Literal["regular", "bernoulli", "population"]
+
+
+class SpikingMlpPolicy(Policy):
+    """Layers of LIF neurons whose mean spikes are read linearly.
+
+    encoder: of `coding`, from normalised observations to spikes
+    layers: nn.Linear into each spiking layer
+    readout: nn.Linear from the last layer's rates to `Latent.mean`
+    beta, threshold: membrane decay and threshold of every neuron; a spike sets it to zero
+    surrogate, surrogate_width: see `trainers.neurons`
+    """
+
+    kind = "spiking-mlp"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: Sequence[int] = (64, 64),
+        coding: Coding = "regular",
+        populations: int = 4,
+        timesteps: int = 16,
+        beta: float = 0.9,
+        threshold: float = 0.7,
+        surrogate: str = "fast-sigmoid",
+        surrogate_width: float | None = None,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        super().__init__()
+        self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
+        self.coding, self.populations, self.timesteps = coding, populations, timesteps
+        self.beta, self.threshold = beta, threshold
+        self.surrogate, self.surrogate_width = surrogate, surrogate_width
+        self.head = head
+        self.normalizer = Normalizer(observations, clip)
+        self.encoder = _encoder(coding, observations, populations)
+        inputs = observations * (populations if coding == "population" else 1)
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise((inputs, *hidden)))
+        for layer in self.layers:
+            # (He et al. 2015); without it, deep layers start silent
+            nn.init.kaiming_uniform_(layer.get_parameter("weight"), nonlinearity="relu")
+            nn.init.zeros_(layer.get_parameter("bias"))
+        self.readout = nn.Linear(hidden[-1], actions)
+        self.latent_size = hidden[-1]
+
+    def encode(self, observation: Tensor) -> Tensor:
+        """Return the input spikes (T, B, M), drawn anew at every call by a random code."""
+        spikes: Tensor = self.encoder(self.normalizer(observation), self.timesteps)
+        return spikes
+
+    def spikes(self, raster: Tensor) -> list[Tensor]:
+        """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
+        gradient = surrogate(self.surrogate, self.surrogate_width)
+        rasters = [raster]
+        for layer in self.layers:
+            rasters.append(lif(layer(rasters[-1]), self.beta, self.threshold, gradient))
+        return rasters[1:]
+
+    def heard(self, raster: Tensor) -> Latent:
+        """Return what input spikes (T, B, M) lead to."""
+        layers = self.spikes(raster)
+        rates = mean_over_time(layers[-1])
+        return Latent(self.readout(rates), rates, tuple(mean_rate(layer) for layer in layers))
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return mean, output rates and the layers' mean rates."""
+        return self.heard(self.encode(observation))
+
+    def trace(self, observation: Tensor, raster: Tensor | None = None) -> dict[str, Tensor]:
+        """Return spikes (B, T, N) under "input", "lif1", "lif2" ..., and the "action".
+
+        raster: (B, T, M) takes the place of the encoder's spikes
+        """
+        heard = self.encode(observation) if raster is None else raster.transpose(0, 1)
+        # spikes have the weights' type, which float64 checks rely on
+        rasters = [heard.to(self.readout.weight.dtype)]
+        rasters += self.spikes(rasters[0])
+        names = ["input", *(f"lif{k}" for k in range(1, len(rasters)))]
+        spikes = {
+            name: raster.transpose(0, 1).to(torch.uint8)
+            for name, raster in zip(names, rasters, strict=True)
+        }
+        mean = self.readout(mean_over_time(rasters[-1]))
+        return {**spikes, "action": self.decide(mean)}
+
+    def spec(self) -> dict[str, Any]:
+        """Return what `build` needs to make an equal policy, for JSON."""
+        return {
+            "kind": self.kind,
+            "observations": self.observations,
+            "actions": self.actions,
+            "hidden": list(self.hidden),
+            "coding": self.coding,
+            "populations": self.populations,
+            "timesteps": self.timesteps,
+            "beta": self.beta,
+            "threshold": self.threshold,
+            "surrogate": self.surrogate,
+            "surrogate_width": self.surrogate_width,
+            "clip": self.normalizer.clip,
+            "head": self.head,
+        }
+
+
+def _encoder(coding: Coding, observations: int, populations: int) -> nn.Module:
+    if coding == "population":
+        return PopulationEncoder(observations, populations, reach=1.0)  # of numbers in [-1, 1]
+    return RateEncoder(observations, coding)
