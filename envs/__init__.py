@@ -52,12 +52,14 @@ class EnvSpec:
     id       gymnasium's identifier
     target   "module:class"
     summary  one line for people
+    controls built-in players that every comparison shows; the first is the zero of its score
     """
 
     short: str
     id: str
     target: str
     summary: str
+    controls: tuple[str, ...] = ()
 
 
 ENVS: dict[str, EnvSpec] = {
@@ -68,12 +70,14 @@ ENVS: dict[str, EnvSpec] = {
             "spikedeploy/Hexapod-v0",
             "envs.hexapod:HexapodEnv",
             "walk straight ahead at 0.4 m/s over 3 cm bumps",
+            controls=("gait",),
         ),
         EnvSpec(
             "hexapod-command",
             "spikedeploy/HexapodCommand-v0",
             "envs.hexapod_command:HexapodCommandEnv",
             "follow commanded speed and turn rate over 5-9 cm bumps",
+            controls=("gait",),
         ),
     )
 }
