@@ -45,7 +45,7 @@ def test_it_learns_to_point_in_a_few_hundred_updates(recipe, tmp_path, pointing)
 def test_training_never_touches_the_seeds_of_validation_and_evaluation(pointing):
     batch = EnvBatch(EnvConfig(count=3), np.random.default_rng(0))
     for _ in range(200):
-        batch.step(batch.uniform(), hoist=0.0)
+        batch.step(batch.uniform())
     assert len(set(Pointing.seeds)) > 30
     assert max(Pointing.seeds) < 5_000
 
@@ -62,7 +62,7 @@ def test_validation_uses_the_same_seeds_every_time(pointing):
 
 def test_the_hoist_reaches_the_environment_in_training_only(pointing):
     batch = EnvBatch(EnvConfig(count=1), np.random.default_rng(0))
-    batch.step(batch.uniform(), hoist=0.75)
+    batch.hoist(0.75)
     assert batch._envs[0].hoist == 0.75
     validate = Validator(EnvConfig(), resolve(SacConfig, "smoke").validation)
     validate(MlpPolicy(2, 2, ()))

@@ -9,6 +9,7 @@ from trainers.recipes import RECIPES, Recipe
 ALGORITHMS: dict[str, str] = {
     "sac": "trainers.sac:Sac",
     "distill": "trainers.distill:Distill",
+    "ppo": "trainers.ppo:Ppo",
 }
 
 __all__ = ["ALGORITHMS", "RECIPES", "Recipe"]

@@ -1,13 +1,16 @@
 """Experience: several copies of one environment, stepped as a batch in one process."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 import envs
 from trainers.config import EnvConfig
+from trainers.policy import Head
 
 SEEDS = 5_000  # training draws its seeds below this; validation and evaluation are above
 
@@ -17,16 +20,19 @@ class Steps:
     """One step of every copy.
 
     observation, following: (B, obs) before and after it
-    action: (B, act)
+    action: (B, act), or (B,) of discrete ones
     reward: (B,)
-    terminated: (B,) whether the episode ended by itself
+    terminated, truncated: (B,) whether the episode ended by itself, and whether by the clock
+    infos: (B,) of the environments
     """
 
     observation: NDArray[np.float64]
     action: NDArray[np.float64]
     reward: NDArray[np.float64]
     terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
     following: NDArray[np.float64]
+    infos: tuple[Mapping[str, Any], ...]
 
 
 class EnvBatch:
@@ -54,35 +60,56 @@ class EnvBatch:
         return getattr(self._envs[0].unwrapped, "OBSERVATION", None)
 
     @property
+    def env_id(self) -> str:
+        """Gymnasium's identifier."""
+        return str(self._envs[0].spec.id)
+
+    @property
+    def head(self) -> Head:
+        """Kind of actions."""
+        discrete = isinstance(self._envs[0].action_space, gymnasium.spaces.Discrete)
+        return "discrete" if discrete else "continuous"
+
+    @property
     def actions(self) -> int:
         """Number of actions."""
-        return int(self._envs[0].action_space.shape[0])
+        space = self._envs[0].action_space
+        return int(space.n if self.head == "discrete" else space.shape[0])
 
     def uniform(self) -> NDArray[np.float64]:
         """Return actions (B, act) drawn uniformly."""
         return self._rng.uniform(-1.0, 1.0, (len(self), self.actions))
 
-    def step(self, action: NDArray[np.float64], hoist: float) -> Steps:
-        """Step every copy under a fraction of the full hoisting force."""
-        before = self.observation
-        results = [self._step(k, action[k], hoist) for k in range(len(self))]
-        following, reward, terminated, current = zip(*results, strict=True)
-        self.observation = np.stack(current)
-        return Steps(before, action, np.array(reward), np.array(terminated), np.stack(following))
+    def hoist(self, fraction: float) -> None:
+        """Apply a fraction of the full hoisting force from now on, where robots can be hoisted."""
+        for env in self._envs:
+            env.unwrapped.hoist = fraction
 
-    def _step(
-        self, k: int, action: NDArray[np.float64], hoist: float
-    ) -> tuple[NDArray[np.float64], float, bool, NDArray[np.float64]]:
-        """Return what followed, reward, terminated, and what the copy sees now."""
-        env = self._envs[k]
-        env.unwrapped.hoist = hoist
-        following, reward, terminated, truncated, _ = env.step(action)
-        self._totals[k] += reward
-        if not (terminated or truncated):
-            return following, reward, terminated, following
+    def step(self, action: NDArray[Any]) -> Steps:
+        """Step every copy."""
+        before = self.observation
+        results = [env.step(a) for env, a in zip(self._envs, action, strict=True)]
+        following, reward, terminated, truncated, infos = zip(*results, strict=True)
+        steps = Steps(
+            before,
+            action,
+            np.array(reward, dtype=np.float64),
+            np.array(terminated),
+            np.array(truncated),
+            np.stack(following),
+            infos,
+        )
+        self._totals += steps.reward
+        self.observation = steps.following.copy()
+        for k in np.flatnonzero(steps.terminated | steps.truncated):
+            self._begin(int(k))
+        return steps
+
+    def _begin(self, k: int) -> None:
+        """Start the next episode of a copy."""
         self.returns.append(float(self._totals[k]))
         self._totals[k] = 0.0
-        return following, reward, terminated, self._reset(env)
+        self.observation[k] = self._reset(self._envs[k])
 
     def _reset(self, env: Any) -> NDArray[np.float64]:  # noqa: ANN401
         observation: NDArray[np.float64] = env.reset(seed=int(self._rng.integers(SEEDS)))[0]

@@ -51,5 +51,5 @@ def walk(
         action = labels[-1] if taught.all() else student.act_all(envs.observation)
         action = np.where(taught[:, None], labels[-1], action)
         noise = config.noise * rng.standard_normal(action.shape)
-        envs.step(np.clip(action + noise, -1.0, 1.0), hoist=0.0)
+        envs.step(np.clip(action + noise, -1.0, 1.0))
     return Walk(np.concatenate(visited), np.concatenate(labels), envs.returns)

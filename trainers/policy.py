@@ -62,6 +62,17 @@ class Policy(nn.Module):
         """Return the deterministic action of `Latent.mean`."""
         return mean.argmax(-1) if self.head == "discrete" else torch.tanh(mean)
 
+    def perceive(self, observation: Tensor) -> Tensor:
+        """Return what chance has made of the observation, (B, ...); without chance, itself.
+
+        An algorithm keeps it, so that it learns from the same draw that was acted on.
+        """
+        return observation
+
+    def respond(self, perceived: Tensor) -> Latent:
+        """Return the state before deciding, for what was perceived."""
+        return self.latent(perceived)
+
     def seen(self, observation: Tensor) -> Tensor:
         """Return what the normaliser sees (B, F) of raw observations."""
         return observation

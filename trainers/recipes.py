@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trainers.distill_recipes import DISTILL
+from trainers.kart_recipes import KARTS
 
 
 @dataclass(frozen=True)
@@ -86,4 +87,5 @@ RECIPES: dict[str, Recipe] = {
         "sac", "a tiny PopSAN, seconds", merged(SMOKE, POPSAN, {"policy": {"populations": 3}})
     ),
     **{name: Recipe("distill", summary, settings) for name, (summary, settings) in DISTILL.items()},
+    **{name: Recipe("ppo", summary, settings) for name, (summary, settings) in KARTS.items()},
 }

@@ -99,7 +99,8 @@ class Sac:
 
     def _collect(self) -> None:
         """Take one step in every environment and remember it."""
-        steps = self._envs.step(self._actions(), self._hoist)
+        self._envs.hoist(self._hoist)
+        steps = self._envs.step(self._actions())
         self._buffer.add(
             steps.observation, steps.action, steps.reward, steps.terminated, steps.following
         )

@@ -80,6 +80,18 @@ class SpikingMlpPolicy(Policy):
         rates = mean_over_time(layers[-1])
         return Latent(self.readout(rates), rates, tuple(mean_rate(layer) for layer in layers))
 
+    def perceive(self, observation: Tensor) -> Tensor:
+        """Return the input spikes (B, T, M) of a random code; other codes draw nothing."""
+        if self.coding != "bernoulli":
+            return observation
+        return self.encode(observation).transpose(0, 1).to(torch.uint8)
+
+    def respond(self, perceived: Tensor) -> Latent:
+        """Return the state before deciding, for what was perceived."""
+        if self.coding != "bernoulli":
+            return self.latent(perceived)
+        return self.heard(perceived.transpose(0, 1).to(self.readout.weight.dtype))
+
     def latent(self, observation: Tensor) -> Latent:
         """Return mean, output rates and the layers' mean rates."""
         return self.heard(self.encode(observation))

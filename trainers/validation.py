@@ -12,7 +12,13 @@ from trainers.policy import Policy
 
 MEANS = {"speed": "eval_speed"}
 SQUARES = {"speed_error": "eval_speed_rmse", "turn_error": "eval_turn_rmse"}
-LASTS = {"cot": "eval_cot", "fall": "eval_falls"}
+LASTS = {
+    "cot": "eval_cot",
+    "fall": "eval_falls",
+    "finish": "eval_finish",
+    "crash": "eval_crash",
+    "gates": "eval_gates",
+}
 
 
 @dataclass
@@ -51,7 +57,8 @@ class Validator:
         while running:
             observation = np.stack([episode.observation for episode in running])
             latent = policy.latent(torch.from_numpy(observation).float())
-            actions = torch.tanh(latent.mean).double().numpy()
+            decided = policy.decide(latent.mean)
+            actions = (decided.double() if decided.is_floating_point() else decided).numpy()
             rates.append([float(rate) for rate in latent.rates])
             running = [
                 episode

@@ -1,0 +1,159 @@
+"""What PPO updates: the policy with its exploration, and the critic."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from trainers import adam
+from trainers.critic import Critic
+from trainers.experience import Batch, Moment, advantages, stacked
+from trainers.heads import exploration
+from trainers.policy import Policy
+from trainers.ppo_config import PpoConfig
+
+SMALL = 0.01  # initial scale of the last layer: all actions alike (Andrychowicz et al. 2021)
+
+
+class PpoLearner:
+    """One gradient-based step after another on a policy and a critic.
+
+    policy: what is learned and deployed
+    head: its exploration, which is not deployed
+    critic: value of an observation, a float network even for a spiking policy
+    """
+
+    def __init__(self, config: PpoConfig, policy: Policy) -> None:
+        self._config = config
+        self.policy = policy
+        _shrink(policy)
+        self.head = exploration(policy.head, policy.actions, config.spread)
+        self.critic = Critic(policy.observations, config.critic_hidden)
+        self.actor = nn.ModuleList([policy, self.head])
+        self._actor_adam = adam.adam(self.actor, config.actor_rate.start)
+        self._critic_adam = adam.adam(self.critic, config.critic_rate)
+
+    @torch.no_grad()
+    def explore(self, observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return what was perceived, what was drawn, and its log-probability (B,)."""
+        perceived = self.policy.perceive(observation)
+        mean = self.policy.respond(perceived).mean
+        drawn = self.head.draw(mean)
+        return perceived, drawn, self.head.log_probability(mean, drawn)
+
+    def learn(self, moments: list[Moment], step: int) -> dict[str, float]:
+        """Learn from K steps of every copy; return the metrics."""
+        for group in self._actor_adam.param_groups:
+            group["lr"] = self._config.actor_rate.at(step)
+        batch = self._assessed(stacked(moments))
+        rows = [row for epoch in self._epochs(batch) for row in epoch]
+        return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
+
+    def _epochs(self, batch: Batch) -> list[list[dict[str, float]]]:
+        """Pass over the batch until the policy has moved far enough; return the metrics."""
+        passes: list[list[dict[str, float]]] = []
+        for _ in range(self._config.epochs):
+            passes.append(
+                [self._update(part) for part in batch.minibatches(self._config.minibatch)]
+            )
+            divergence = sum(row["kl"] for row in passes[-1]) / len(passes[-1])
+            if 0 < self._config.target_kl < divergence:
+                break
+        return passes
+
+    @torch.no_grad()
+    def _assessed(self, steps: Moment) -> Batch:
+        """Return the steps (K, B) as one batch with advantages and targets."""
+        normalise = self.policy.normalizer
+        value, following = (
+            self.critic(normalise(seen)) for seen in (steps.observation, steps.following)
+        )
+        gained = advantages(
+            steps.reward,
+            value,
+            following,
+            steps.terminated,
+            steps.ended,
+            self._config.gamma,
+            self._config.trace,
+        )
+        columns = (
+            steps.perceived,
+            steps.observation,
+            steps.drawn,
+            steps.log_probability,
+            (gained - gained.mean()) / (gained.std() + 1e-8),
+            gained + value,
+        )
+        return Batch(*(column.flatten(0, 1) for column in columns))
+
+    def _update(self, part: Batch) -> dict[str, float]:
+        """Take one gradient step of actor and critic."""
+        row = self._improve_actor(part)
+        loss = functional.mse_loss(
+            self.critic(self.policy.normalizer(part.observation)), part.target
+        )
+        _descend(self._critic_adam, self.critic, loss, self._config.gradient_norm)
+        return {**row, "critic_loss": float(loss.detach())}
+
+    def _improve_actor(self, part: Batch) -> dict[str, float]:
+        latent = self.policy.respond(part.perceived)
+        change = self.head.log_probability(latent.mean, part.drawn) - part.log_probability
+        ratio = change.exp()
+        limited = ratio.clamp(1.0 - self._config.clip, 1.0 + self._config.clip)
+        # L = -E[min(ratio A, clip(ratio) A)] - c H
+        gain = torch.min(ratio * part.advantage, limited * part.advantage).mean()
+        entropy = self.head.entropy(latent.mean).mean()
+        loss = self._overactive(latent.rates) - gain - self._config.entropy * entropy
+        _descend(self._actor_adam, self.actor, loss, self._config.gradient_norm)
+        with torch.no_grad():
+            return {
+                "actor_loss": float(loss),
+                "entropy": float(entropy),
+                # (r - 1) - log r is never negative, and its mean is the divergence
+                "kl": float((ratio - 1.0 - change).mean()),
+                "clipped": float((ratio != limited).float().mean()),
+            }
+
+    def _overactive(self, rates: tuple[Tensor, ...]) -> Tensor:
+        """Return the penalty on layers that fire more than they should."""
+        if not rates or not self._config.rate_penalty:
+            return torch.zeros(())
+        excess = (torch.stack(rates) - self._config.rate_target).clamp(min=0)
+        return self._config.rate_penalty * excess.mean()
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what a checkpoint needs besides the policy."""
+        parts: dict[str, Mapping[str, Tensor]] = {
+            "head": self.head.state_dict(),
+            "critic": self.critic.state_dict(),
+            "actor_adam": adam.tensors(self._actor_adam),
+            "critic_adam": adam.tensors(self._critic_adam),
+        }
+        return {f"{part}.{key}": t for part, named in parts.items() for key, t in named.items()}
+
+    def load(self, named: dict[str, Tensor]) -> None:
+        """Take over a checkpoint, policy included."""
+        self.policy.load_state_dict(adam.under("policy", named))
+        self.head.load_state_dict(adam.under("head", named))
+        self.critic.load_state_dict(adam.under("critic", named))
+        adam.load(self._actor_adam, adam.under("actor_adam", named))
+        adam.load(self._critic_adam, adam.under("critic_adam", named))
+
+
+@torch.no_grad()
+def _shrink(policy: Policy) -> None:
+    """Make the policy's last layer small."""
+    last = [module for module in policy.modules() if isinstance(module, nn.Linear)][-1]
+    last.weight.mul_(SMALL)
+    last.bias.zero_()
+
+
+def _descend(
+    optimizer: torch.optim.Adam, module: nn.Module, loss: Tensor, gradient_norm: float
+) -> None:
+    optimizer.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    nn.utils.clip_grad_norm_(module.parameters(), gradient_norm)
+    optimizer.step()
