@@ -15,6 +15,7 @@ EXPORTS = {
     "Normaliser": "runtime.codec:Normaliser",
     "Origin": "runtime.origin:Origin",
     "PopulationEncoder": "runtime.population:PopulationEncoder",
+    "RateEncoder": "runtime.rate:RateEncoder",
     "load": "runtime.artifact:load",
     "save": "runtime.artifact:save",
     # the chip

@@ -1,18 +1,20 @@
 """The codec: observations to spikes, output to actions; NumPy float64 is the reference."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol, cast, get_args
+from typing import Any, ClassVar, Literal, Protocol, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from runtime.errors import ArtifactError, ObservationError
 from runtime.population import PopulationEncoder
+from runtime.rate import RateEncoder
 from runtime.record import Record, Tree
+from runtime.xorshift import Xorshift
 
-__all__ = ["ENCODERS", "Codec", "Encoder", "Normaliser", "PopulationEncoder"]
+__all__ = ["ENCODERS", "Codec", "Encoder", "Normaliser", "PopulationEncoder", "RateEncoder"]
 
-Squash = Literal["tanh", "none"]
+Squash = Literal["tanh", "none", "argmax"]
 
 
 class Encoder(Protocol):
@@ -28,8 +30,17 @@ class Encoder(Protocol):
     def width(self) -> int:
         """Neurons: M."""
 
-    def encode(self, x: NDArray[np.floating], timesteps: int) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the normalised observations x (B, obs)."""
+    @property
+    def random(self) -> bool:
+        """Whether the same observation may spike otherwise next time."""
+
+    def encode(
+        self, x: NDArray[np.floating], timesteps: int, dice: Xorshift | None = None
+    ) -> NDArray[np.uint8]:
+        """Spikes (B, T, M) of the normalised observations x (B, obs).
+
+        What is random comes from the dice; without, from new ones of seed 0.
+        """
 
     def astype(self, dtype: DTypeLike) -> "Encoder":
         """The same encoder computing in another float type."""
@@ -44,6 +55,7 @@ class Encoder(Protocol):
 
 ENCODERS: dict[str, type[Encoder]] = {
     PopulationEncoder.kind: PopulationEncoder,
+    RateEncoder.kind: RateEncoder,
 }
 
 
@@ -108,7 +120,8 @@ class Codec:
     normaliser: of the observation.
     encoder: of the normalised observation; one of ENCODERS.
     timesteps: T, network updates per inference.
-    squash: what the mean of the readout goes through to become an action.
+    squash: what the mean of the readout goes through to become an action; "argmax" chooses, and
+        the action is the index of the largest mean, the lowest of equals.
     """
 
     normaliser: Normaliser
@@ -133,22 +146,34 @@ class Codec:
                 f"{', '.join(get_args(Squash))}. Export the policy again."
             )
 
-    def encode(self, obs: ArrayLike) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the observations (B, obs)."""
+    @property
+    def chooses(self) -> bool:
+        """Whether an action is one of several, and not numbers."""
+        return self.squash == "argmax"
+
+    def encode(self, obs: ArrayLike, dice: Xorshift | None = None) -> NDArray[np.uint8]:
+        """Spikes (B, T, M) of the observations (B, obs); a random code throws the dice."""
         observed = np.asarray(obs, dtype=self.normaliser.mean.dtype)
         self._check_observation(observed)
-        return self.encoder.encode(self.normaliser(observed), self.timesteps)
+        return self.encoder.encode(self.normaliser(observed), self.timesteps, dice)
 
-    def decode(self, output: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Actions (B, act) of the readout's output (B, T, act)."""
+    def decode(self, output: NDArray[np.floating]) -> NDArray[Any]:
+        """Actions (B, act), or (B,) where one is chosen, of the readout's output (B, T, act)."""
+        scores = self.scores(output)
+        if self.chooses:
+            return np.asarray(scores.argmax(axis=1))
+        return np.tanh(scores) if self.squash == "tanh" else scores
+
+    def scores(self, output: NDArray[np.floating]) -> NDArray[np.floating]:
+        """What an action is made of: the mean (B, act) of the readout's output (B, T, act)."""
         if output.ndim != 3 or output.shape[1] != self.timesteps:
             raise ObservationError(
                 f"decode: the output has shape {output.shape}; the codec needs "
                 f"(B, {self.timesteps}, act), one row per timestep of an inference."
             )
-        # action = squash(1/T sum_t output[t])
-        action: NDArray[np.floating] = np.add.reduce(output, axis=1) / self.timesteps
-        return np.tanh(action) if self.squash == "tanh" else action
+        # score = 1/T sum_t output[t]
+        mean: NDArray[np.floating] = np.add.reduce(output, axis=1) / self.timesteps
+        return mean
 
     def astype(self, dtype: DTypeLike) -> "Codec":
         """The same codec computing in another float type."""

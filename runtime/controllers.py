@@ -14,6 +14,8 @@ from runtime.ledger import Ledger
 from runtime.machine_pool import MachinePool
 from runtime.program import Program
 from runtime.recorder import Rows
+from runtime.sampler import Sampler
+from runtime.xorshift import Xorshift
 
 
 class SpikingController:
@@ -22,6 +24,7 @@ class SpikingController:
     artifact: the policy.
     chip: what it runs on; None is the float twin, in float64.
     ledger: rows to keep, as in Recorder.
+    sampled: draw one of several actions from the softmax of their scores; else the best is taken.
     options: for compile.
     """
 
@@ -30,6 +33,7 @@ class SpikingController:
         artifact: Artifact,
         chip: Chip | None = None,
         ledger: Rows = "each",
+        sampled: bool = False,
         **options: Any,  # noqa: ANN401
     ) -> None:
         if artifact.codec is None:
@@ -38,32 +42,45 @@ class SpikingController:
                 "Export the policy with spikedeploy, or run the network open loop with emulate."
             )
         self.codec = artifact.codec
+        self._kept = artifact.convention.state == "kept"
+        self._sampler = Sampler(self.codec.chooses) if sampled else None
         self.network: FloatMachine | MachinePool = (
             FloatMachine(artifact, ledger)
             if chip is None
             else MachinePool(compile(artifact, chip, **options), ledger)
         )
+        self.reset(0)
 
     @property
     def program(self) -> Program:
         """What runs; that of the float twin is the one without rounding."""
         return self.network.program
 
-    def reset(self, seed: int) -> None:
-        """Start an episode: forget every state. Nothing here is random; any seed does the same."""
-        self.network.reset()
+    @property
+    def remembers(self) -> bool:
+        """Whether an action depends on more than its observation."""
+        return self._kept or self.codec.encoder.random or self._sampler is not None
 
-    def act(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Action (act,) for the observation (obs,)."""
+    def reset(self, seed: int) -> None:
+        """Start an episode: forget every state; what is random in it comes from the seed."""
+        self.network.reset()
+        self._dice = Xorshift(seed, self.codec.encoder.width)
+        if self._sampler is not None:
+            self._sampler.reset(seed)
+
+    def act(self, observation: ArrayLike) -> NDArray[Any]:
+        """Action (act,), or () int where one of several is chosen, for the observation (obs,)."""
         return np.asarray(self.act_batch(np.asarray(observation)[None])[0])
 
-    def act_batch(self, observations: ArrayLike) -> NDArray[np.float64]:
-        """Actions (B, act) for the observations (B, obs) of B robots.
+    def act_batch(self, observations: ArrayLike) -> NDArray[Any]:
+        """Actions (B, act), or (B,) int, for the observations (B, obs) of B robots.
 
         Where states are kept, B must stay the same until `reset`.
         """
-        output = self.network.infer(self.codec.encode(observations))
-        return np.asarray(self.codec.decode(output), dtype=np.float64)
+        output = self.network.infer(self.codec.encode(observations, self._dice))
+        if self._sampler is not None:
+            return self._sampler(self.codec.scores(output))
+        return self.codec.decode(output)
 
     @property
     def ledger(self) -> Ledger:

@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 from runtime.errors import ArtifactError
 from runtime.patterns import spike_pattern
 from runtime.record import Record, Tree
+from runtime.xorshift import Xorshift
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,15 @@ class PopulationEncoder:
         """Neurons: M = obs * P; neuron i * P + p is the p-th of observation i."""
         return int(self.mean.size)
 
-    def encode(self, x: NDArray[np.floating], timesteps: int) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the normalised observations x (B, obs)."""
+    @property
+    def random(self) -> bool:
+        """Whether the same observation may spike otherwise next time."""
+        return False
+
+    def encode(
+        self, x: NDArray[np.floating], timesteps: int, dice: Xorshift | None = None
+    ) -> NDArray[np.uint8]:
+        """Spikes (B, T, M) of the normalised observations x (B, obs); no dice are thrown."""
         spikes = spike_pattern(self._drive(x), self.threshold, timesteps)
         return np.asarray(spikes.swapaxes(0, 1))
 
