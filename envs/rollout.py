@@ -25,8 +25,8 @@ class Controller(Protocol):
     def reset(self, seed: int) -> None:
         """Forget the last episode; the seed is for controllers that draw at random."""
 
-    def act(self, observation: FloatArray) -> FloatArray:
-        """Return the action (act,) for an observation (obs,)."""
+    def act(self, observation: FloatArray) -> NDArray[Any]:
+        """Return the action (act,), or () int where it is one of several, for (obs,)."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Rollout:
     env_id       gymnasium's identifier
     seed         of the episode
     observation  (S + 1, obs)
-    action       (S, act) as the controller gave it
+    action       (S, act) as the controller gave it; (S,) int64 where it is one of several
     reward       (S,)
-    terminated   ended by a fall
+    terminated   ended by what happened: a fall, a crash, the finish
     truncated    ended by the clock
     info         (S,) each: the numbers in the step infos; reward terms as "reward/<name>"
     """
@@ -46,7 +46,7 @@ class Rollout:
     env_id: str
     seed: int
     observation: FloatArray
-    action: FloatArray
+    action: NDArray[Any]
     reward: FloatArray
     terminated: bool
     truncated: bool
@@ -130,15 +130,17 @@ def rollout(
     observation, _ = env.reset(seed=seed)
     controller.reset(seed)
     observations = [_finite("observation", observation, env.observation_space, 0)]
-    actions: list[FloatArray] = []
+    actions: list[NDArray[Any]] = []
     rewards: list[float] = []
     infos: list[dict[str, float]] = []
     terminated = truncated = False
     _show(env, on_frame)
     while not (terminated or truncated):
         step = len(actions)
-        action = _finite("action", controller.act(observations[-1]), env.action_space, step)
-        observation, reward, terminated, truncated, info = env.step(action)
+        action = _action(controller.act(observations[-1]), env.action_space, step)
+        # an index is what a list of actions takes
+        given = action if action.ndim else int(action)
+        observation, reward, terminated, truncated, info = env.step(given)
         observations.append(_finite("observation", observation, env.observation_space, step + 1))
         actions.append(action)
         rewards.append(float(reward))
@@ -155,6 +157,17 @@ def rollout(
         truncated=bool(truncated),
         info={name: np.array([numbers[name] for numbers in infos]) for name in infos[-1]},
     )
+
+
+def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[Any]:
+    """Copy an action: numbers in float64, or the index of one of several in int64."""
+    action = _finite("action", value, space, step)
+    if not isinstance(space, gymnasium.spaces.Discrete):
+        return action
+    if action % 1 or not space.start <= action < space.start + space.n:
+        last = space.start + space.n - 1
+        raise EnvError(f"action of step {step}: {action:g} is none of {space.start} to {last}")
+    return action.astype(np.int64)
 
 
 def _finite(what: str, value: object, space: gymnasium.Space[Any], step: int) -> FloatArray:

@@ -5,6 +5,7 @@ import pytest
 import envs
 from envs.errors import EnvError
 from envs.rollout import Rollout, rollout
+from tests.choosing import Choosing
 
 
 class Constant:
@@ -129,3 +130,30 @@ def test_an_observation_that_is_not_finite_is_refused(env):
 def test_frames_need_a_camera(env):
     with pytest.raises(EnvError, match="render_mode"):
         rollout(env, Constant(np.zeros(18)), 0, on_frame=lambda frame: None)
+
+
+class Quadrant(Constant):
+    def act(self, observation):
+        return np.int64(observation[0] > 0) + 2 * np.int64(observation[1] > 0)
+
+
+def test_a_choice_is_kept_as_the_index_that_was_played(tmp_path):
+    played = rollout(Choosing(), Quadrant(0), 3)
+    assert played.total == 10.0  # the best action at every step
+    assert played.action.shape == (10,)
+    assert played.action.dtype == np.int64
+    played.save(tmp_path / "played.npz")
+    loaded = Rollout.load(tmp_path / "played.npz")
+    np.testing.assert_array_equal(loaded.action, played.action)
+    assert loaded.action.dtype == np.int64
+
+
+@pytest.mark.parametrize("wrong", [4, -1, 0.5])
+def test_a_choice_that_the_environment_does_not_have_is_refused(wrong):
+    with pytest.raises(EnvError, match=f"action of step 0: {wrong} is none of 0 to 3"):
+        rollout(Choosing(), Constant(wrong), 0)
+
+
+def test_numbers_where_a_choice_is_due_are_refused():
+    with pytest.raises(EnvError, match=r"action of step 0: shape \(4,\) instead of \(\)"):
+        rollout(Choosing(), Constant(np.zeros(4)), 0)
