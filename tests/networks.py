@@ -9,6 +9,7 @@ from runtime.artifact import Artifact
 from runtime.codec import Codec, Normaliser, PopulationEncoder
 from runtime.convention import Convention
 from runtime.origin import Origin
+from runtime.rate import RateEncoder
 
 ORIGIN = Origin("spikedeploy/Hexapod-v0", "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z")
 
@@ -60,3 +61,20 @@ def popsan(obs=3, act=2, hidden=(16, 12), populations=10, seed=0, dt=1e-3):
     nodes.append(nir.Affine(readout, rng.normal(size=act)))
     network = chain(*nodes, width=sizes[0], act=act)
     return Artifact(network, codec(obs, populations), Convention(dt), ORIGIN)
+
+
+def spiking_mlp(obs=6, act=4, hidden=(32, 24), timesteps=16, beta=0.9, squash="argmax", seed=0):
+    """A spiking multilayer perceptron of LIF neurons on a rate code, with random weights."""
+    rng = np.random.default_rng(seed)
+    dt, tau = 1e-3, 1e-3 / (1 - beta)
+    nodes = []
+    for fan_in, size in pairwise((obs, *hidden)):
+        weight = 2 * rng.normal(size=(size, fan_in)) / fan_in**0.5
+        neurons = lif(size, tau, tau / dt, threshold=0.7)
+        neurons.v_reset = np.zeros(size)
+        nodes += [nir.Affine(weight, 0.1 * rng.normal(size=size)), neurons]
+    nodes.append(nir.Affine(rng.normal(size=(act, hidden[-1])), 0.1 * rng.normal(size=act)))
+    network = chain(*nodes, width=obs, act=act)
+    code = RateEncoder(np.full(obs, -1.0), np.ones(obs))
+    identity = Normaliser(np.zeros(obs), np.ones(obs), 1.0)
+    return Artifact(network, Codec(identity, code, timesteps, squash), Convention(dt), ORIGIN)

@@ -75,6 +75,23 @@ def test_decoding_squashes_the_mean_over_time():
     np.testing.assert_allclose(codec(2, squash="none").decode(output), [[0.4, 1.0]])
 
 
+def test_a_choice_is_the_action_with_the_largest_mean_and_the_first_of_equals():
+    output = np.zeros((3, 5, 4))
+    output[0, :, 2] = 1.0
+    output[1, 0, 3], output[1, 1:, 1] = 1.0, 0.25  # a mean of 1/5 each
+    output[2] = -1.0
+    choosing = codec(2, squash="argmax")
+    assert choosing.decode(output).tolist() == [2, 1, 0]
+    assert choosing.chooses
+    np.testing.assert_allclose(choosing.scores(output)[1], [0.0, 0.2, 0.0, 0.2])
+    assert not codec(2).chooses
+
+
+def test_scores_are_what_is_squashed():
+    output = np.random.default_rng(0).normal(size=(3, 5, 2))
+    np.testing.assert_array_equal(np.tanh(codec(2).scores(output)), codec(2).decode(output))
+
+
 def test_float32_encodes_in_float32_and_differs_in_few_spikes():
     obs = np.random.default_rng(0).normal(size=(300, 20))
     double, single = codec(20), codec(20).astype(np.float32)
@@ -117,7 +134,7 @@ def test_the_table_lists_encoders_under_their_kind(kind):
 def test_an_unknown_encoder_is_refused_with_the_known_ones():
     record = codec(3).to_record()
     record["encoder"]["kind"] = "latency"
-    with pytest.raises(ArtifactError, match="'latency'; known encoders are population"):
+    with pytest.raises(ArtifactError, match="'latency'; known encoders are population, rate"):
         Codec.from_record(Record(record, "codec"))
 
 
@@ -125,7 +142,7 @@ def test_an_unknown_encoder_is_refused_with_the_known_ones():
     ("change", "message"),
     [
         ({"timesteps": 0}, "at least 1"),
-        ({"squash": "sigmoid"}, "known are tanh, none"),
+        ({"squash": "sigmoid"}, "known are tanh, none, argmax"),
         ({"encoder": codec(4).encoder}, "takes 3 numbers and the encoder 4"),
     ],
 )

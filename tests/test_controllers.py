@@ -8,11 +8,16 @@ import pytest
 
 from runtime.artifact import Artifact
 from runtime.chip import chip
+from runtime.compile import compile
 from runtime.controllers import SpikingController
-from runtime.errors import ArtifactError, ObservationError, RuleError
+from runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from runtime.float_machine import FloatMachine
-from tests.networks import chain, cuba, popsan
+from runtime.machine_pool import MachinePool
+from runtime.rate import RateEncoder
+from runtime.sampler import Sampler
+from tests.networks import chain, cuba, popsan, spiking_mlp
 
+LOIHI1 = chip("loihi1")
 OBSERVATIONS = np.random.default_rng(5).normal(size=(200, 3))
 
 
@@ -102,3 +107,115 @@ def test_the_float_twin_keeps_no_rows_when_told_so():
     controller = SpikingController(popsan(), ledger="none")
     controller.act_batch(OBSERVATIONS)
     assert controller.ledger.inferences == 0
+
+
+CHIPS = [None, "ideal", "loihi1"]
+
+
+def kept(artifact):
+    return replace(artifact, convention=replace(artifact.convention, state="kept"))
+
+
+def random(artifact):
+    low, high = artifact.codec.encoder.low, artifact.codec.encoder.high
+    code = replace(artifact.codec, encoder=RateEncoder(low, high, "bernoulli"))
+    return replace(artifact, codec=code)
+
+
+def driven(artifact, name, seed=0, count=30, **options):
+    """The actions of one robot that sees the observations one after another."""
+    controller = SpikingController(artifact, name and chip(name), **options)
+    controller.reset(seed)
+    seen = np.random.default_rng(1).uniform(-1, 1, (count, artifact.codec.encoder.observed))
+    return [controller.act(each).tolist() for each in seen]
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_choice_is_an_index_for_one_robot_and_for_many(name):
+    controller = SpikingController(spiking_mlp(), name and chip(name))
+    action = controller.act(np.zeros(6))
+    assert (action.shape, action.dtype) == ((), np.int64)
+    assert controller.act_batch(np.zeros((4, 6))).tolist() == [int(action)] * 4
+
+
+def test_a_random_code_acts_alike_with_the_same_seed_and_otherwise_with_another():
+    policy = random(spiking_mlp(squash="tanh"))
+    assert driven(policy, "loihi1", seed=3) == driven(policy, "loihi1", seed=3)
+    assert driven(policy, "loihi1", seed=3) != driven(policy, "loihi1", seed=4)
+
+
+def test_a_chip_hears_the_same_dice_as_its_float_twin():
+    policy = random(spiking_mlp(squash="tanh"))
+    np.testing.assert_allclose(driven(policy, "ideal", 3), driven(policy, None, 3), atol=1e-12)
+
+
+def test_robots_in_a_batch_throw_their_own_dice():
+    controller = SpikingController(random(spiking_mlp(squash="tanh")))
+    actions = controller.act_batch(np.zeros((5, 6)))
+    assert len({tuple(action) for action in actions.tolist()}) == 5
+    controller.reset(0)
+    np.testing.assert_allclose(controller.act(np.zeros(6)), actions[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_sampled_actions_come_from_the_seed_of_the_episode(name):
+    policy = spiking_mlp()
+    drawn = driven(policy, name, 3, sampled=True)
+    assert drawn == driven(policy, name, 3, sampled=True)
+    assert drawn != driven(policy, name, 4, sampled=True)
+    assert drawn != driven(policy, name, 3)
+
+
+def test_actions_are_drawn_as_often_as_the_softmax_says():
+    scores = np.array([0.0, 1.0, -np.inf, 2.0, 1000.0 - 999.0])
+    expected = np.exp(scores) / np.exp(scores).sum()
+    drawn = Sampler(True)(np.tile(scores, (20_000, 1)))
+    found = np.bincount(drawn, minlength=5) / 20_000
+    np.testing.assert_allclose(found, expected, atol=4 * 0.5 / 20_000**0.5)
+    assert found[2] == 0
+
+
+def test_large_scores_do_not_overflow():
+    assert Sampler(True)(np.array([[1e4, 0.0], [0.0, 1e4]])).tolist() == [0, 1]
+
+
+def test_numbers_cannot_be_sampled():
+    with pytest.raises(ConfigError, match="only one of several actions can be sampled"):
+        SpikingController(popsan(), sampled=True)
+
+
+def test_what_remembers_says_so():
+    policy = spiking_mlp()
+    assert not SpikingController(policy).remembers
+    assert SpikingController(policy, sampled=True).remembers
+    assert SpikingController(random(policy)).remembers
+    assert SpikingController(kept(policy)).remembers
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_kept_membranes_of_robots_in_a_batch_are_their_own(name):
+    policy = kept(spiking_mlp(squash="tanh"))
+    seen = np.random.default_rng(1).uniform(-1, 1, (8, 3, 6))
+    together = SpikingController(policy, name and chip(name))
+    actions = np.stack([together.act_batch(step) for step in seen])
+    for robot in range(3):
+        alone = SpikingController(policy, name and chip(name))
+        expected = np.stack([alone.act(step[robot]) for step in seen])
+        np.testing.assert_allclose(actions[:, robot], expected, rtol=0, atol=1e-12)
+
+
+def test_kept_membranes_make_the_ideal_chip_act_as_the_float_twin():
+    policy = kept(spiking_mlp(squash="tanh"))
+    np.testing.assert_allclose(driven(policy, "ideal"), driven(policy, None), atol=1e-12)
+    assert driven(policy, None) != driven(spiking_mlp(squash="tanh"), None)
+
+
+def test_a_kept_state_is_one_long_inference():
+    # two inferences of 16 timesteps are one of 32, spike by spike
+    policy = kept(spiking_mlp())
+    raster = (np.random.default_rng(0).random((3, 32, 6)) < 0.4).astype(np.uint8)
+    for make in (lambda: FloatMachine(policy), lambda: MachinePool(compile(policy, LOIHI1))):
+        whole, parts = make(), make()
+        halves = [parts.infer(raster[:, :16]), parts.infer(raster[:, 16:])]
+        joined = np.concatenate(halves, axis=1)
+        np.testing.assert_allclose(whole.infer(raster), joined, rtol=0, atol=1e-12)
