@@ -4,11 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from spikedeploy.metrics import METRICS
+from spikedeploy.metrics import DRIVING, WALKING, drives
 
 Row = Mapping[str, Any]
 Cell = Callable[[Row], str]
 ABSENT = "–"
+COST = "What does an inference cost?"
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,20 @@ def difference(row: Row) -> str:
     return f"{row['difference_mean']:+,.0f} [{low:+,.0f}, {high:+,.0f}]"
 
 
+def share(row: Row) -> str:
+    """The success rate with its interval in percent: `97% [92, 99]`."""
+    low, high = row["success_ci95"]
+    return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def points(row: Row) -> str:
+    """The paired difference of the success rate in percentage points: `+1.0 [-1.0, +3.0]`."""
+    if row["success_difference_mean"] is None or not drives(row):
+        return ABSENT
+    low, high = row["success_difference_ci95"]
+    return f"{100 * row['success_difference_mean']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
+
+
 def score(row: Row) -> str:
     """The normalised score in percent."""
     value = row["normalised_score"]
@@ -87,7 +102,13 @@ WALK = (
     Column("success", "episodes that succeed", number("success_rate", ".0%")),
     Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
-    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in METRICS),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in WALKING),
+)
+DRIVE = (
+    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", share),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
+    Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
+    Column("score", "normalised return: random actions are 0, the float ANN 100", score),
 )
 AGREEMENT = (
     Column(
@@ -101,6 +122,18 @@ AGREEMENT = (
         difference,
     ),
     Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
+    Column(
+        "finished",
+        "paired difference of the finish rate on the same seeds, in percentage points, with its "
+        "95% bootstrap interval",
+        points,
+    ),
+    Column(
+        "same action",
+        "share of equal actions, both asked on the observations that the reference recorded",
+        number("actions_equal", ".1%"),
+    ),
+    Column("as ANN", "the same, with the float ANN", number("actions_equal_to_ann", ".1%")),
     Column(
         "action RMSE",
         "RMSE over all actions, both asked on the observations that the reference recorded",
@@ -155,10 +188,14 @@ OPERATIONS = (
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns, as far as some row has something to say in them."""
     found = {
-        "Does the robot still walk?": _filled(WALK, rows),
+        **(
+            {"Does the kart still finish?": _filled(DRIVE, rows)}
+            if any(map(drives, rows))
+            else {"Does the robot still walk?": _filled(WALK, rows)}
+        ),
         "Does it act like its reference?": _filled(AGREEMENT, rows),
         "What does an inference take?": _filled(OPERATIONS, rows),
-        "What does an inference cost?": _filled(_prices(rows), rows),
+        COST: _filled(_prices(rows), rows),
     }
     return {title: [NAME, *columns] for title, columns in found.items() if columns}
 

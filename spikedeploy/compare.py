@@ -1,9 +1,12 @@
 """Paired comparison: every row of a line-up plays the same seeds, in processes side by side."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any
 
 import envs
 from runtime.chip import chip
@@ -15,10 +18,15 @@ from spikedeploy.lineup import Entry
 from spikedeploy.policies import FLOAT, check_fit
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.terminal import progress
+from spikedeploy.worlds import made
 
 
 def compare(
-    env: str, entries: Sequence[Entry], seeds: Sequence[int], processes: int | None = None
+    env: str,
+    entries: Sequence[Entry],
+    seeds: Sequence[int],
+    processes: int | None = None,
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Comparison:
     """Play every entry on every seed.
 
@@ -26,15 +34,16 @@ def compare(
     entries    of spikedeploy.lineup; an entry's reference is an entry too
     seeds      (n,) from EVALUATION up, which no training sees
     processes  that play, one for each core by default
+    options    of the environment
     """
-    _check(env, entries, seeds)
+    _check(env, options, entries, seeds)
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
         workers(processes) as jobs,
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
-        plan = Plan(env, entries, seeds, Path(folder))
+        plan = Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder))
         for wave in plan.waves():
             episodes = jobs.run(play, [job for entry in wave for job in plan.jobs(entry)], done)
             for place, entry in enumerate(wave):
@@ -48,12 +57,14 @@ class Plan:
     """Which jobs a comparison needs, and in which order.
 
     env      short name or id
+    options  of the environment, as JSON
     entries  all of them
     seeds    (n,)
     folder   where the rollouts lie that others are measured against
     """
 
     env: str
+    options: str
     entries: Sequence[Entry]
     seeds: Sequence[int]
     folder: Path
@@ -69,6 +80,7 @@ class Plan:
         return [
             Job(
                 env=self.env,
+                options=self.options,
                 candidate=entry.candidate,
                 chip=entry.chip,
                 seed=seed,
@@ -82,13 +94,15 @@ class Plan:
         return self.folder / f"{self.entries.index(entry)}-{seed}.npz"
 
 
-def _check(env: str, entries: Sequence[Entry], seeds: Sequence[int]) -> None:
+def _check(
+    env: str, options: Mapping[str, Any], entries: Sequence[Entry], seeds: Sequence[int]
+) -> None:
     """Refuse training seeds, strangers' policies and unknown chips before anything is played."""
     if min(seeds) < EVALUATION:
         raise ConfigError(
             f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
         )
-    world = envs.make(env)
+    world = made(env, options)
     for entry in entries:
         check_fit(entry.candidate, world)
         if entry.chip not in (None, FLOAT):

@@ -1,16 +1,17 @@
 """The comparison: what every row's episodes say, beside those of its reference."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from spikedeploy import costs, zoo
-from spikedeploy.agreement import median_divergence, pooled_rmse
+from spikedeploy.agreement import median_divergence, pooled_equality, pooled_rmse
 from spikedeploy.episodes import Episode
 from spikedeploy.lineup import Entry
-from spikedeploy.statistics import bootstrap, iqm, paired_difference
+from spikedeploy.policies import BASELINES
+from spikedeploy.statistics import bootstrap, iqm, paired_difference, share
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,11 @@ class Row:
     def returns(self) -> list[float]:
         """Return of each episode (n,)."""
         return [episode.total for episode in self.episodes]
+
+    @property
+    def successes(self) -> list[bool]:
+        """Whether each episode succeeded (n,)."""
+        return [episode.success for episode in self.episodes]
 
     @property
     def mean(self) -> float:
@@ -52,9 +58,9 @@ class Comparison:
         """The row of an entry."""
         return next((row for row in self.rows if row.entry == entry), None)
 
-    def of_kind(self, kind: str) -> Row | None:
-        """The first row of a kind."""
-        return next((row for row in self.rows if row.entry.candidate.kind == kind), None)
+    def of_kind(self, *kinds: str) -> Row | None:
+        """The first row of one of the kinds."""
+        return next((row for row in self.rows if row.entry.candidate.kind in kinds), None)
 
     def as_json(self) -> list[dict[str, Any]]:
         """The rows as a report has them."""
@@ -64,17 +70,18 @@ class Comparison:
         ]
 
     def _walk(self, row: Row) -> dict[str, Any]:
-        """How well it walks, alone and beside the float ANN and the gait."""
-        ann, gait = self.of_kind("ann"), self.of_kind("gait")
-        estimate = bootstrap(row.returns, _rng())
+        """How well it walks or drives, alone and beside the float ANN and the baseline."""
+        ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
+        estimate, succeeded = bootstrap(row.returns, _rng()), share(row.successes)
         return {
             "episodes": len(row.episodes),
             "return_mean": estimate.mean,
             "return_iqm": iqm(row.returns),
             "return_ci95": estimate.ci95,
-            "success_rate": float(np.mean([episode.success for episode in row.episodes])),
+            "success_rate": succeeded.mean,
+            "success_ci95": succeeded.ci95,
             "ratio_to_float_ann": row.mean / ann.mean if ann else None,
-            "normalised_score": _score(row, gait, ann) if ann and gait else None,
+            "normalised_score": _score(row, baseline, ann) if ann and baseline else None,
             "returns": row.returns,
         }
 
@@ -84,6 +91,7 @@ class Comparison:
         if reference is None:
             return dict.fromkeys(_AGREEMENT)
         difference = paired_difference(row.returns, reference.returns, _rng())
+        success = paired_difference(row.successes, reference.successes, _rng())
         agreements = {
             name: [episode.agreement[name] for episode in row.episodes]
             for name in row.episodes[0].agreement
@@ -96,8 +104,12 @@ class Comparison:
             "difference_mean": difference.mean,
             "difference_ci95": difference.ci95,
             "ratio_to_reference": row.mean / reference.mean,
+            "success_difference_mean": success.mean,
+            "success_difference_ci95": success.ci95,
             "action_rmse": pooled_rmse(with_reference),
             "rmse_to_ann": pooled_rmse(with_ann) if with_ann else None,
+            "actions_equal": pooled_equality(with_reference),
+            "actions_equal_to_ann": pooled_equality(with_ann) if with_ann else None,
             "first_divergence": median_divergence(with_reference),
         }
 
@@ -107,8 +119,12 @@ _AGREEMENT = (
     "difference_mean",
     "difference_ci95",
     "ratio_to_reference",
+    "success_difference_mean",
+    "success_difference_ci95",
     "action_rmse",
     "rmse_to_ann",
+    "actions_equal",
+    "actions_equal_to_ann",
     "first_divergence",
 )
 
@@ -123,11 +139,11 @@ def _identity(row: Row) -> dict[str, Any]:
     }
 
 
-def _score(row: Row, gait: Row, ann: Row) -> float | None:
-    """0 for the gait alone, 1 for the float ANN; None where the ANN is no better than the gait."""
-    # score = (return - gait) / (ANN - gait)
-    span = ann.mean - gait.mean
-    return (row.mean - gait.mean) / span if span > 0 else None
+def _score(row: Row, baseline: Row, ann: Row) -> float | None:
+    """0 for the baseline, 1 for the float ANN; None where the ANN is no better than that."""
+    # score = (return - baseline) / (ANN - baseline)
+    span = ann.mean - baseline.mean
+    return (row.mean - baseline.mean) / span if span > 0 else None
 
 
 def _costs(row: Row) -> dict[str, Any]:
@@ -148,9 +164,12 @@ def _costs(row: Row) -> dict[str, Any]:
 
 
 def _metrics(row: Row) -> dict[str, float]:
-    """Means over the episodes of every metric that they have."""
-    metrics: Mapping[str, float] = row.episodes[0].metrics
-    return {name: float(np.mean([e.metrics[name] for e in row.episodes])) for name in metrics}
+    """Means of every metric over the episodes that have it."""
+    names = dict.fromkeys(name for episode in row.episodes for name in episode.metrics)
+    return {
+        name: float(np.mean([e.metrics[name] for e in row.episodes if name in e.metrics]))
+        for name in names
+    }
 
 
 def _rng() -> np.random.Generator:

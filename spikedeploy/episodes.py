@@ -1,5 +1,6 @@
 """One episode of one row of a comparison, as a job: a pure function of its specification."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -9,12 +10,12 @@ from typing import Any
 
 import gymnasium
 
-import envs
 from envs.rollout import Rollout, rollout
 from spikedeploy.agreement import Agreement, agreement
 from spikedeploy.costs import Costs
 from spikedeploy.metrics import measure
 from spikedeploy.policies import Candidate, Player, open_policy, price
+from spikedeploy.worlds import made
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Job:
     """An episode to play.
 
     env        short name or id
+    options    of the environment, as JSON, so that jobs can be told apart
     candidate  the policy
     chip       as in lineup.Entry
     seed       of the episode
@@ -30,6 +32,7 @@ class Job:
     """
 
     env: str
+    options: str
     candidate: Candidate
     chip: str | None
     seed: int
@@ -59,8 +62,8 @@ class Episode:
 
 def play(job: Job) -> Episode:
     """Play the job's episode and measure it."""
-    player = _player(job.env, job.candidate, job.chip)
-    played = rollout(_environment(job.env), player, job.seed)
+    player = _player(job.env, job.options, job.candidate, job.chip)
+    played = rollout(_environment(job.env, job.options), player, job.seed)
     if job.record:
         played.save(job.record)
     others = {name: Rollout.load(path) for name, path in job.others.items()}
@@ -85,10 +88,10 @@ def summarise(
 
 
 @cache
-def _environment(name: str) -> gymnasium.Env[Any, Any]:
-    return envs.make(name)
+def _environment(name: str, options: str) -> gymnasium.Env[Any, Any]:
+    return made(name, json.loads(options))
 
 
 @cache
-def _player(env: str, candidate: Candidate, chip: str | None) -> Player:
-    return open_policy(candidate, chip, _environment(env))
+def _player(env: str, options: str, candidate: Candidate, chip: str | None) -> Player:
+    return open_policy(candidate, chip, _environment(env, options))

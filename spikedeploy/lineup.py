@@ -9,7 +9,7 @@ from runtime.errors import ConfigError
 from spikedeploy import zoo
 from spikedeploy.policies import FLOAT, Candidate, find
 
-CONTROLS = ("phase", "bilinear", "linear")
+CONTROLS = ("phase", "bilinear", "linear", "small")  # the well-known ones, in their order
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,13 @@ class Entry:
 
 
 def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]:
-    """Float ANNs, float SNNs, each SNN on each chip, the gait alone and the shipped controls.
+    """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
     env     short name or id of the environment
     files   policies to compare; none stands for all that are shipped for the environment
     """
-    short = envs.spec(env).short
+    spec = envs.spec(env)
+    short = spec.short
     shipped = [find(str(path)) for path in zoo.policies(short)]
     chosen = _distinct([find(file) for file in files]) or shipped
     if not chosen:
@@ -64,8 +65,9 @@ def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]
         twin = Entry(candidate, FLOAT, ann)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         entries += [twin, *(Entry(candidate, chip, twin) for chip in chips if exported)]
-    compared = [find("gait"), *_controls([*chosen, *shipped])]
-    return entries + [Entry(candidate, None, ann) for candidate in compared]
+    built_in = [find(name) for name in spec.controls]
+    rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]
+    return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
 
 
 def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:

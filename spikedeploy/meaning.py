@@ -3,15 +3,19 @@
 from collections.abc import Sequence
 
 from spikedeploy.columns import Row
+from spikedeploy.metrics import drives
+from spikedeploy.policies import BASELINES
 
 NEEDED = 0.95  # of the ANN's return: a control that reaches it puts the network's worth in doubt
+NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
 
 
 def meaning(rows: Sequence[Row]) -> str:
     """The sentences: what the chip keeps, and what the network was worth in the first place."""
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
-    sentences = [_on_chip(row) for row in on_chip]
-    return " ".join([*sentences, _worth(rows)]).strip()
+    racing = any(map(drives, rows))
+    sentences = [_finishes(row) if racing else _on_chip(row) for row in on_chip]
+    return " ".join([*sentences, _race(rows) if racing else _worth(rows)]).strip()
 
 
 def _on_chip(row: Row) -> str:
@@ -31,8 +35,9 @@ def _share(row: Row) -> str:
 
 
 def _worth(rows: Sequence[Row]) -> str:
-    """What the gait alone and the best control reach without a network."""
-    plain = [r for r in rows if r["kind"] in ("gait", "control") and r["ratio_to_float_ann"]]
+    """What the baseline and the best control reach without a network."""
+    kinds = (*BASELINES, "control")
+    plain = [r for r in rows if r["kind"] in kinds and r["ratio_to_float_ann"]]
     if not plain:
         return ""
     best = max(plain, key=lambda row: row["return_mean"])
@@ -42,13 +47,40 @@ def _worth(rows: Sequence[Row]) -> str:
         if share >= NEEDED
         else "so the rest is what the network is worth"
     )
-    gait = next((row for row in plain if row["kind"] == "gait"), None)
+    baseline = next((row for row in plain if row["kind"] in BASELINES), None)
     alone = (
-        f"The gait alone earns {gait['ratio_to_float_ann']:.1%} of the float ANN's return"
-        if gait
+        f"{NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%} of the float ANN's "
+        "return"
+        if baseline
         else ""
     )
-    if best is gait:
+    if best is baseline:
         return f"{alone}, {verdict}."
     control = f"the best control ({best['policy']}) {share:.1%}"
     return f"{alone}, {control}: {verdict}."
+
+
+def _finishes(row: Row) -> str:
+    """How often an SNN on a chip finishes, beside its float twin."""
+    low, high = (100 * bound for bound in row["success_difference_ci95"])
+    return (
+        f"{row['policy']} on {row['chip']} finishes {_share(row)} of {row['episodes']} episodes "
+        f"({100 * row['success_difference_mean']:+.1f} points to its float twin, 95% interval "
+        f"{low:+.1f} to {high:+.1f})."
+    )
+
+
+def _race(rows: Sequence[Row]) -> str:
+    """How often the float ANN finishes, and what drives without a trained network."""
+    ann = next((row for row in rows if row["kind"] == "ann"), None)
+    plain = [row for row in rows if row["kind"] in (*BASELINES, "control")]
+    if not ann or not plain:
+        return ""
+    others = ", ".join(f"{row['policy']} {row['success_rate']:.0%}" for row in plain)
+    best = max(plain, key=lambda row: row["success_rate"])
+    verdict = (
+        f"so on this track alone {best['policy']} is enough"
+        if best["success_rate"] >= NEEDED * ann["success_rate"]
+        else "so the rest is what the network is worth"
+    )
+    return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}: {verdict}."

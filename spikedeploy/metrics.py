@@ -1,10 +1,10 @@
 """What an episode's step infos say about the robot, one number a metric.
 
-Adding a metric is one line in `METRICS`; a metric whose signal an environment does not report is
-left out of its rows.
+Adding a metric is one line in `WALKING` or `DRIVING`; a metric whose signal an environment does not
+report is left out of its rows.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ class Metric:
     meaning   what it is, for a report
     form      how a cell formats it
     unless    a signal in whose presence the metric means nothing
+    after     a signal without which, at the last control step, the metric means nothing
     """
 
     name: str
@@ -33,6 +34,12 @@ class Metric:
     meaning: str
     form: str
     unless: str | None = None
+    after: str | None = None
+
+    def found(self, infos: Mapping[str, Signal]) -> bool:
+        """Whether an episode with these infos, each (S,), has the metric."""
+        present = self.signal in infos and self.unless not in infos
+        return present and (self.after is None or bool(infos[self.after][-1]))
 
 
 def last(signal: Signal) -> float:
@@ -60,7 +67,7 @@ def ever(signal: Signal) -> float:
     return float(signal.any())
 
 
-METRICS = (
+WALKING = (
     Metric("speed", "speed", mean, "m/s", "mean forward speed [m/s]", ".3f"),
     Metric("cot", "cot", last, "CoT", "cost of transport: energy / (m g distance)", ".2f"),
     Metric(
@@ -92,10 +99,32 @@ METRICS = (
 )
 
 
-def measure(infos: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+DRIVING = (
+    Metric(
+        "lap_time",
+        "lap_time",
+        last,
+        "lap [s]",
+        "time of the finished episodes [s]",
+        ".2f",
+        after="finish",
+    ),
+    Metric("crashes", "crash", ever, "crashes", "episodes that end at a wall", ".0%"),
+    Metric("stalls", "stalled", ever, "stalls", "episodes that end without progress", ".0%"),
+    Metric("gates", "gates", last, "gates", "gates passed, in order", ".1f"),
+    Metric("speed", "speed", mean, "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
+)
+
+
+def drives(signals: Iterable[str]) -> bool:
+    """Whether infos or rows with these names are a kart's, which passes gates."""
+    return "gates" in signals
+
+
+def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
     """The metrics of one episode from its infos, each (S,)."""
     return {
         metric.name: metric.reduce(np.asarray(infos[metric.signal], dtype=np.float64))
-        for metric in METRICS
-        if metric.signal in infos and metric.unless not in infos
+        for metric in (DRIVING if drives(infos) else WALKING)
+        if metric.found(infos)
     }

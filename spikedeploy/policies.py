@@ -3,7 +3,8 @@
 A format is a module of `spikedeploy.formats` with three functions:
 
     describe(path) -> Candidate
-    controller(candidate, chip, actions) -> Player
+    controller(candidate, chip, env, sampled) -> Player; `sampled` draws actions at random where
+                                                 the policy is a distribution over them
     costs(player, rollout) -> Costs, of the inferences of a rollout that it has just played
 """
 
@@ -31,8 +32,11 @@ FORMATS = {
     ".nir": "spikedeploy.formats.nir",
     "run": "spikedeploy.formats.run",
     "gait": "spikedeploy.formats.gait",
+    "random": "spikedeploy.formats.random",
+    "gap": "spikedeploy.formats.gap",
 }
-BUILT_IN = ("gait",)
+BUILT_IN = ("gait", "random", "gap")
+BASELINES = ("gait", "random")  # kinds of those that know nothing: the zero of a score
 FLOAT = "float"
 
 
@@ -42,11 +46,11 @@ class Candidate:
 
     path      of the file or run folder, or the name of a built-in
     name      short, for tables
-    kind      "ann", "snn", "gait" or "control"
+    kind      "ann", "snn", "control", or one of BASELINES
     format    key of FORMATS
     env       id of the environment it was made for; None fits any
     observed  numbers it observes; None fits any
-    actions   numbers it puts out; None fits any
+    actions   numbers it puts out, or actions that it chooses from; None fits any
     """
 
     path: str
@@ -65,14 +69,14 @@ class Player(Protocol):
         """Start an episode."""
 
     def act(self, observation: "Floats") -> "Floats":
-        """The action (act,) for an observation (obs,)."""
+        """The action (act,), or () where it is one of several, for an observation (obs,)."""
 
     def replay(self, observations: "Floats") -> "Floats":
-        """The actions (S, act) for the observations (S, obs) of an episode, in their order."""
+        """The actions (S, act) or (S,) for the observations (S, obs) of an episode, in order."""
 
 
 def find(reference: str) -> Candidate:
-    """The candidate at a path, in the zoo (`hexapod/popsan`), or built in (`gait`)."""
+    """The candidate at a path, in the zoo (`hexapod/popsan`), or built in (`gait`, `gap`)."""
     from spikedeploy import zoo
 
     if reference in BUILT_IN:
@@ -83,7 +87,12 @@ def find(reference: str) -> Candidate:
     return _describe(_format(path), path)
 
 
-def open_policy(candidate: Candidate, chip: str | None, env: "gymnasium.Env[Any, Any]") -> Player:
+def open_policy(
+    candidate: Candidate,
+    chip: str | None,
+    env: "gymnasium.Env[Any, Any]",
+    sampled: bool = False,
+) -> Player:
     """The player of the candidate in `env`; `chip` "float" is the float twin."""
     check_fit(candidate, env)
     if candidate.kind == "snn" and chip is None:
@@ -91,7 +100,7 @@ def open_policy(candidate: Candidate, chip: str | None, env: "gymnasium.Env[Any,
     if candidate.kind != "snn" and chip is not None:
         raise ConfigError(f"{candidate.name} does not spike, so no chip runs it: leave --chip out")
     module = import_module(FORMATS[candidate.format])
-    made: Player = module.controller(candidate, chip, _size(env.action_space))
+    made: Player = module.controller(candidate, chip, env, sampled)
     return made
 
 
@@ -123,7 +132,8 @@ def env_id(name: str) -> str | None:
 
 
 def _size(space: "gymnasium.Space[Any]") -> int:
-    return math.prod(space.shape or ())
+    """Numbers of a box, or actions to choose from."""
+    return int(getattr(space, "n", math.prod(space.shape or ())))
 
 
 def _describe(form: str, path: Path) -> Candidate:

@@ -14,7 +14,7 @@ from typing import Any
 import envs
 from runtime.artifact import load
 from runtime.energy import energy_table
-from spikedeploy.columns import Column, Row, markdown, tables
+from spikedeploy.columns import COST, Column, Row, markdown, tables
 from spikedeploy.comparison import Comparison
 from spikedeploy.files import as_text, write_text
 from spikedeploy.meaning import meaning
@@ -59,9 +59,10 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
     """Write page, numbers, Markdown and plots into the folder; the files, in that order."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = document["rows"]
+    how_well = next(iter(tables(rows)))
     pictures = {
-        "Does the robot still walk?": draw_returns(rows, folder / "returns.png"),
-        "What does an inference cost?": draw_energy(rows, folder / "energy.png"),
+        how_well: draw_returns(rows, folder / "returns.png"),
+        COST: draw_energy(rows, folder / "energy.png"),
     }
     numbers = write_text(folder / "report.json", as_text(document))
     page = write_text(folder / "report.html", html(document, pictures, video))
@@ -115,7 +116,7 @@ def _table(columns: Sequence[Column], rows: Sequence[Row]) -> str:
 
 
 def _class(row: Row) -> str:
-    """The style of a row: ann, snn, chip, gait or control."""
+    """The style of a row: ann, snn, chip, or what is only compared."""
     return "chip" if row["kind"] == "snn" and row["chip"] != "float" else str(row["kind"])
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 RESAMPLES = 10_000
 LEVEL = 0.95
+Z = 1.959964  # standard deviations that hold LEVEL of a normal distribution
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,19 @@ def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(means, (tail, 1 - tail))
     return Estimate(float(sample.mean()), (float(low), float(high)))
+
+
+def share(events: ArrayLike) -> Estimate:
+    """The share of `events` (n,) that happened, with its Wilson interval (Wilson 1927).
+
+    Of 100 successes in 100, a bootstrap would know nothing but successes.
+    """
+    happened = np.asarray(events, dtype=np.float64)
+    n, p = happened.size, float(happened.mean())
+    # (p + z^2/2n +- z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n)
+    middle = (p + Z**2 / (2 * n)) / (1 + Z**2 / n)
+    reach = Z * float(np.sqrt(p * (1 - p) / n + Z**2 / (4 * n**2))) / (1 + Z**2 / n)
+    return Estimate(p, (max(0.0, middle - reach), min(1.0, middle + reach)))
 
 
 def paired_difference(

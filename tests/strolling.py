@@ -49,7 +49,7 @@ class Stroll(gymnasium.Env):
 
 def install(monkeypatch):
     """Make the world known as `stroll`."""
-    spec = envs.EnvSpec("stroll", ID, "tests.strolling:Stroll", "twenty steps")
+    spec = envs.EnvSpec("stroll", ID, "tests.strolling:Stroll", "twenty steps", ("gait",))
     monkeypatch.setitem(envs.ENVS, "stroll", spec)
     envs.register()
 

@@ -1,11 +1,14 @@
 """The built-in `gait`: no policy at all, the environment's own movement with a zero residual."""
 
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from envs.rollout import Rollout
+from runtime.errors import ConfigError
 from spikedeploy.costs import NOTHING, Costs
 from spikedeploy.policies import Candidate
 
@@ -33,9 +36,14 @@ def describe(path: Path) -> Candidate:
     return Candidate(path=str(path), name="gait", kind="gait", format="gait")
 
 
-def controller(candidate: Candidate, chip: str | None, actions: int) -> ZeroController:
-    """A controller of `actions` zeros."""
-    return ZeroController(actions)
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> ZeroController:
+    """A controller of as many zeros as the environment has actions."""
+    space = env.action_space
+    if not isinstance(space, gymnasium.spaces.Box):
+        raise ConfigError("the gait is for robots that have one, with actions that are numbers")
+    return ZeroController(space.shape[0])
 
 
 def costs(controller: ZeroController, played: Rollout) -> Costs:

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -83,7 +85,9 @@ def describe(path: Path) -> Candidate:
     )
 
 
-def controller(candidate: Candidate, chip: str | None, actions: int) -> NirController:
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> NirController:
     """The network on the chip, or its float twin."""
     return NirController(candidate.path, chip or FLOAT)
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,7 +98,9 @@ def describe(path: Path) -> Candidate:
     )
 
 
-def controller(candidate: Candidate, chip: str | None, actions: int) -> OnnxController:
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> OnnxController:
     """The network, loaded."""
     return OnnxController(candidate.path)
 

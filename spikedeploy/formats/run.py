@@ -1,7 +1,9 @@
 """Run folders: the best checkpoint of a training run, played in torch as it was trained."""
 
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,7 +57,9 @@ def describe(path: Path) -> Candidate:
     )
 
 
-def controller(candidate: Candidate, chip: str | None, actions: int) -> TorchController:
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> TorchController:
     """The policy, loaded; a chip needs the exported file."""
     if chip not in (None, FLOAT):
         raise ConfigError(
