@@ -25,13 +25,13 @@ class Check:
 
 @dataclass
 class SpikeTally:
-    """Spikes compared so far, and those among them that differ."""
+    """Spikes, or other whole numbers, compared so far, and those among them that differ."""
 
     compared: int = 0
     differing: int = 0
 
     def add(
-        self, one: Mapping[str, NDArray[np.uint8]], other: Mapping[str, NDArray[np.uint8]]
+        self, one: Mapping[str, NDArray[np.integer]], other: Mapping[str, NDArray[np.integer]]
     ) -> None:
         """Compare the rasters (B, T, N) of every layer of `one` with their namesakes."""
         for name, raster in one.items():

@@ -8,72 +8,116 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from exporters.to_nir import SpikingPolicy
 from runtime.artifact import Artifact, load
-from runtime.discrete import discretise
+from runtime.codec import Codec
+from runtime.discrete import SPIKING, discretise
 from runtime.errors import ArtifactError
 from runtime.population import PopulationEncoder
-from trainers.policies import PopsanPolicy
+from runtime.rate import RateEncoder
+from trainers.policies import PopsanPolicy, SpikingMlpPolicy
 
 DIGITS = 12  # of a decay; what dt / tau loses of it lies behind them
 
+Arrays = dict[str, NDArray[np.floating[Any]]]
 
-def from_nir(path: str | Path) -> PopsanPolicy:
+
+def from_nir(path: str | Path) -> SpikingPolicy:
     """Return the policy that `to_nir` wrote, in float32 as it was trained."""
     try:
         return policy(load(path))
     except (KeyError, AttributeError) as error:
         raise ArtifactError(
-            f"{path} is not laid out as fc1, lif1, ..., readout with a population code ({error}); "
+            f"{path} is not laid out as fc1, lif1, ..., readout with a codec ({error}); "
             "only what spikedeploy exported can be read back as a torch policy"
         ) from error
 
 
-def policy(artifact: Artifact) -> PopsanPolicy:
+def policy(artifact: Artifact) -> SpikingPolicy:
     """Return the artifact as a torch policy."""
-    codec = artifact.codec
-    if codec is None or not isinstance(codec.encoder, PopulationEncoder):
-        raise AttributeError("no population encoder")
+    if artifact.codec is None:
+        raise AttributeError("no codec")
+    cuba = isinstance(artifact.graph.nodes["lif1"], nir.CubaLIF)
+    network = (_popsan if cuba else _spiking_mlp)(artifact, artifact.codec)
     layers = _layers(artifact.graph)
-    network = PopsanPolicy(
-        codec.encoder.observed,
-        artifact.graph.nodes["readout"].bias.size,
-        hidden=[layer.bias.size for layer in layers[:-1]],
-        populations=codec.encoder.mean.shape[1],
-        timesteps=codec.timesteps,
-        clip=codec.normaliser.clip,
-        **_neurons(artifact),
-    )
-    arrays = {
-        "normalizer.mean": codec.normaliser.mean,
-        "normalizer.std": codec.normaliser.std,
-        "encoder.mean": codec.encoder.mean,
-        "encoder.log_std": np.log(codec.encoder.std),
-        "decoder_weight": _blocks(artifact.graph.nodes["readout"].weight),
-        "decoder_bias": artifact.graph.nodes["readout"].bias,
+    arrays: Arrays = {
+        "normalizer.mean": artifact.codec.normaliser.mean,
+        "normalizer.std": artifact.codec.normaliser.std,
         **{f"layers.{k}.weight": layer.weight for k, layer in enumerate(layers)},
         **{f"layers.{k}.bias": layer.bias for k, layer in enumerate(layers)},
+        **_encoder(artifact.codec),
+        **_readout(artifact.graph.nodes["readout"], cuba),
     }
     # the file's float64 numbers are float32 ones, so this loses nothing
     network.load_state_dict({name: torch.from_numpy(a).float() for name, a in arrays.items()})
     return network
 
 
+def _popsan(artifact: Artifact, codec: Codec) -> PopsanPolicy:
+    return PopsanPolicy(
+        codec.encoder.observed,
+        artifact.graph.nodes["readout"].bias.size,
+        hidden=[layer.bias.size for layer in _layers(artifact.graph)[:-1]],
+        populations=codec.encoder.width // codec.encoder.observed,
+        timesteps=codec.timesteps,
+        clip=codec.normaliser.clip,
+        **_neurons(artifact),
+    )
+
+
+def _spiking_mlp(artifact: Artifact, codec: Codec) -> SpikingMlpPolicy:
+    return SpikingMlpPolicy(
+        codec.encoder.observed,
+        artifact.graph.nodes["readout"].bias.size,
+        hidden=[layer.bias.size for layer in _layers(artifact.graph)],
+        **_code(codec),
+        timesteps=codec.timesteps,
+        clip=codec.normaliser.clip,
+        head="discrete" if codec.chooses else "continuous",
+        **_neurons(artifact),
+    )
+
+
+def _code(codec: Codec) -> dict[str, Any]:
+    if isinstance(codec.encoder, RateEncoder):
+        return {"coding": codec.encoder.mode}
+    populations = codec.encoder.width // codec.encoder.observed
+    return {"coding": "population", "populations": populations}
+
+
 def _layers(graph: nir.NIRGraph) -> list[nir.Affine]:
     """Return fc1, fc2, ... in order."""
-    count = sum(isinstance(node, nir.CubaLIF) for node in graph.nodes.values())
+    count = sum(isinstance(node, SPIKING) for node in graph.nodes.values())
     return [graph.nodes[f"fc{number}"] for number in range(1, count + 1)]
 
 
 def _neurons(artifact: Artifact) -> dict[str, Any]:
     """Return the decays and the threshold that all neurons share."""
     neuron = discretise("lif1", artifact.graph.nodes["lif1"], artifact.convention)
-    if neuron.current_decay is None or neuron.threshold is None:
-        raise AttributeError("lif1 has no current or no threshold")
-    return {
-        "alpha": round(float(neuron.current_decay[0]), DIGITS),
+    if neuron.threshold is None:
+        raise AttributeError("lif1 has no threshold")
+    shared = {
         "beta": round(float(neuron.membrane_decay[0]), DIGITS),
         "threshold": float(neuron.threshold[0]),
     }
+    if neuron.current_decay is not None:
+        shared["alpha"] = round(float(neuron.current_decay[0]), DIGITS)
+    return shared
+
+
+def _encoder(codec: Codec) -> Arrays:
+    encoder = codec.encoder
+    if isinstance(encoder, PopulationEncoder):
+        return {"encoder.mean": encoder.mean, "encoder.log_std": np.log(encoder.std)}
+    if isinstance(encoder, RateEncoder):
+        return {"encoder.low": encoder.low, "encoder.high": encoder.high}
+    raise AttributeError(f"a code of kind {encoder.kind}")
+
+
+def _readout(readout: nir.Affine, cuba: bool) -> Arrays:
+    if cuba:
+        return {"decoder_weight": _blocks(readout.weight), "decoder_bias": readout.bias}
+    return {"readout.weight": readout.weight, "readout.bias": readout.bias}
 
 
 def _blocks(weight: NDArray[np.float64]) -> NDArray[np.float64]:

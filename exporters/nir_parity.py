@@ -3,9 +3,10 @@
     torch policy  =  NumPy float of the file  =  its program on the chip `ideal`
 
 With float32 arithmetic, which training uses, a few spikes fall on the other side of a threshold;
-how many is reported, not judged.
+how many is reported, not judged. A random code throws the same dice on both sides.
 """
 
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from exporters.check import Check, Gap, SpikeTally, batches
+from exporters.raster import raster as heard
+from exporters.to_nir import SpikingPolicy
 from runtime.artifact import Artifact, load
 from runtime.chip import chip
 from runtime.codec import Codec
@@ -23,12 +26,26 @@ from runtime.errors import ArtifactError, ConfigError
 from runtime.float_graph import FloatGraph
 from runtime.machine import Machine
 from runtime.program import Program
+from runtime.xorshift import Xorshift
 from trainers.policies import Policy, PopsanPolicy
 
-TOLERANCE = 1e-9  # of an action in [-1, 1]: float64 sums in another order
+TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in another order
 
 Spikes = dict[str, NDArray[np.uint8]]
-Actions = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What one implementation made of a batch.
+
+    spikes: (B, T, N) of the input and of each layer
+    actions: (B, act); scores where one of several is chosen
+    choices: (B,) indices of what is chosen, if so
+    """
+
+    spikes: Spikes
+    actions: NDArray[np.float64]
+    choices: NDArray[np.int64] | None
 
 
 @dataclass
@@ -37,22 +54,27 @@ class _Rung:
 
     spikes: SpikeTally = field(default_factory=SpikeTally)
     actions: Gap = field(default_factory=Gap)
+    choices: SpikeTally = field(default_factory=SpikeTally)
 
-    def add(self, one: tuple[Spikes, Actions], other: tuple[Spikes, Actions]) -> None:
-        self.spikes.add(one[0], other[0])
-        self.actions.add(one[1], other[1])
+    def add(self, one: _Outcome, other: _Outcome) -> None:
+        self.spikes.add(one.spikes, other.spikes)
+        self.actions.add(one.actions, other.actions)
+        if one.choices is not None and other.choices is not None:
+            self.choices.add({"choice": one.choices}, {"choice": other.choices})
 
     def checks(self, name: str) -> list[Check]:
         gap = f"largest difference {self.actions.largest:.1e}, limit {TOLERANCE:.0e}"
-        return [
-            Check(f"spikes: {name}", not self.spikes.differing, str(self.spikes)),
-            Check(f"actions: {name}", self.actions.within(TOLERANCE), gap),
-        ]
+        spikes = Check(f"spikes: {name}", not self.spikes.differing, str(self.spikes))
+        within = self.actions.within(TOLERANCE)
+        if not self.choices.compared:
+            return [spikes, Check(f"actions: {name}", within, gap)]
+        chosen = Check(f"choices: {name}", not self.choices.differing, str(self.choices))
+        return [spikes, Check(f"scores: {name}", within, gap), chosen]
 
 
 def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[Check]:
     """Return the checks of the file on observations (n, obs)."""
-    if not isinstance(policy, PopsanPolicy):
+    if not isinstance(policy, SpikingPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
     artifact = load(path)
     codec = _codec(artifact, path)
@@ -75,6 +97,8 @@ def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) ->
 def _report(rung: _Rung) -> Check:
     """Say how far float32 is away; nothing that it must reach."""
     detail = f"{rung.spikes}; largest difference of an action {rung.actions.largest:.1e}"
+    if rung.choices.compared:
+        detail += f"; choices: {rung.choices}"
     return Check("for information: torch float32 against NumPy float64", True, detail)
 
 
@@ -85,26 +109,43 @@ def _codec(artifact: Artifact, path: Path) -> Codec:
 
 
 @torch.no_grad()
-def _by_torch(policy: PopsanPolicy, observation: torch.Tensor) -> tuple[Spikes, Actions]:
-    trace = {name: value.numpy() for name, value in policy.trace(observation).items()}
-    action = trace.pop("action").astype(np.float64)
-    return trace, action
+def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
+    if isinstance(policy, PopsanPolicy):
+        spikes = policy.trace(observation)
+        action = spikes.pop("action")
+        return _Outcome(_arrays(spikes), _numbers(action), None)
+    spoken = heard(policy, observation, Xorshift(0, policy.observations))
+    spikes = policy.trace(observation, spoken.transpose(0, 1))
+    action = spikes.pop("action")
+    if policy.head == "continuous":
+        return _Outcome(_arrays(spikes), _numbers(action), None)
+    return _Outcome(_arrays(spikes), _numbers(policy.heard(spoken).mean), action.numpy())
 
 
-def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> tuple[Spikes, Actions]:
+def _arrays(tensors: Mapping[str, torch.Tensor]) -> Spikes:
+    return {name: tensor.numpy() for name, tensor in tensors.items()}
+
+
+def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
+    return tensor.double().numpy()
+
+
+def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> _Outcome:
+    graph.reset()
     values = graph.run(raster)
     spikes = {name: values[name].astype(np.uint8) for name in graph.spiking}
-    return {"input": raster, **spikes}, _decoded(codec, values["output"])
+    return _decoded(codec, {"input": raster, **spikes}, values["output"])
 
 
-def _by_machine(
-    program: Program, codec: Codec, raster: NDArray[np.uint8]
-) -> tuple[Spikes, Actions]:
+def _by_machine(program: Program, codec: Codec, raster: NDArray[np.uint8]) -> _Outcome:
     machine = Machine(program, len(raster), ledger="none", trace=True)
     output = machine.infer(raster)
     spikes = {name: recording.spikes for name, recording in machine.recordings.items()}
-    return {"input": raster, **spikes}, _decoded(codec, output)
+    return _decoded(codec, {"input": raster, **spikes}, output)
 
 
-def _decoded(codec: Codec, output: NDArray[np.generic]) -> Actions:
-    return codec.decode(output.astype(np.float64)).astype(np.float64)
+def _decoded(codec: Codec, spikes: Spikes, output: NDArray[np.generic]) -> _Outcome:
+    numbers = output.astype(np.float64)
+    if not codec.chooses:
+        return _Outcome(spikes, codec.decode(numbers), None)
+    return _Outcome(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))

@@ -9,88 +9,128 @@ code and the loop over timesteps, and fix a dt of their own.
 from copy import deepcopy
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeAlias
 
 import nir
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from runtime.artifact import Artifact, save
-from runtime.codec import Codec, Normaliser, PopulationEncoder
-from runtime.convention import Convention
+from runtime.codec import Codec, Encoder, Normaliser, PopulationEncoder, RateEncoder
+from runtime.convention import Convention, State
 from runtime.errors import ConfigError
 from runtime.origin import Origin
-from trainers.policies import Policy, PopsanPolicy
+from trainers.encoder import PopulationEncoder as TrainedPopulations
+from trainers.policies import Policy, PopsanPolicy, SpikingMlpPolicy
+from trainers.rate import RateEncoder as TrainedRates
+
+SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 
 DT = 1e-3  # [s] one timestep; the policy knows no seconds, chips of today run near this one
 
 Array = NDArray[np.float64]
 
 
-def to_nir(policy: Policy, origin: Origin, path: str | Path, dt: float = DT) -> Path:
-    """Write the policy to `path` and return it."""
+def to_nir(
+    policy: Policy,
+    origin: Origin,
+    path: str | Path,
+    dt: float = DT,
+    state: State = "reset",
+) -> Path:
+    """Write the policy to `path` and return it.
+
+    state: "reset" as policies are trained; "kept" carries membranes on to the next inference.
+    """
     path = Path(path)
-    save(artifact(policy, origin, dt), path)
+    save(artifact(policy, origin, dt, state), path)
     return path
 
 
-def artifact(policy: Policy, origin: Origin, dt: float = DT) -> Artifact:
+def artifact(policy: Policy, origin: Origin, dt: float = DT, state: State = "reset") -> Artifact:
     """Return the policy as an artifact, every number in float64."""
-    if not isinstance(policy, PopsanPolicy):
+    # deployment computes what the float32 weights mean, not what float32 arithmetic makes of them
+    precise = deepcopy(spiking(policy)).double()
+    convention = Convention(dt=dt, source="as trained")
+    if state != convention.state:
+        convention = convention.given({"state": state})
+    return Artifact(_graph(precise, dt), _codec(precise), convention, origin)
+
+
+def spiking(policy: Policy) -> SpikingPolicy:
+    """Return the policy if it spikes."""
+    if not isinstance(policy, SpikingPolicy):
         raise ConfigError(
             f"a policy of kind {policy.kind!r} has no spikes, and NIR describes spiking networks: "
             "export it with --to onnx"
         )
-    # deployment computes what the float32 weights mean, not what float32 arithmetic makes of them
-    precise = deepcopy(policy).double()
-    convention = Convention(dt=dt, source="as trained")
-    return Artifact(_graph(precise, dt), _codec(precise), convention, origin)
+    return policy
 
 
-def _graph(policy: PopsanPolicy, dt: float) -> nir.NIRGraph:
-    width = policy.observations * policy.populations
+def _graph(policy: SpikingPolicy, dt: float) -> nir.NIRGraph:
+    layers = [_affine(layer) for layer in policy.layers]
+    width = layers[0].weight.shape[1]
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
-    for number, layer in enumerate(policy.layers, start=1):
-        bias = _array(layer.get_parameter("bias"))
-        nodes[f"fc{number}"] = nir.Affine(_array(layer.get_parameter("weight")), bias)
-        nodes[f"lif{number}"] = _neurons(policy, bias.size, dt)
+    for number, layer in enumerate(layers, start=1):
+        nodes[f"fc{number}"] = layer
+        nodes[f"lif{number}"] = _neurons(policy, layer.bias.size, dt)
     nodes["readout"] = _readout(policy)
     nodes["output"] = nir.Output({"output": np.array([policy.actions])})
     return nir.NIRGraph(nodes, list(pairwise(nodes)))
 
 
-def _neurons(policy: PopsanPolicy, size: int, dt: float) -> nir.CubaLIF:
-    """Return CuBa-LIF neurons whose gains are one, so that dt can be read from them."""
-    # tau = dt / (1 - decay) ; w_in = tau_syn / dt ; r = tau_mem / dt
-    tau_syn = dt / (1.0 - _below_one("alpha", policy.alpha))
+def _affine(layer: nn.Module) -> nir.Affine:
+    return nir.Affine(_array(layer.get_parameter("weight")), _array(layer.get_parameter("bias")))
+
+
+def _neurons(policy: SpikingPolicy, size: int, dt: float) -> nir.CubaLIF | nir.LIF:
+    """Return neurons whose gains are one, so that dt can be read from them."""
+    # tau = dt / (1 - decay) ; r = tau_mem / dt ; w_in = tau_syn / dt
     tau_mem = dt / (1.0 - _below_one("beta", policy.beta))
+    membrane = {
+        "r": np.full(size, tau_mem / dt),
+        "v_leak": np.zeros(size),
+        "v_reset": np.zeros(size),
+        "v_threshold": np.full(size, policy.threshold),
+    }
+    if isinstance(policy, SpikingMlpPolicy):
+        return nir.LIF(tau=np.full(size, tau_mem), **membrane)
+    tau_syn = dt / (1.0 - _below_one("alpha", policy.alpha))
     return nir.CubaLIF(
         tau_syn=np.full(size, tau_syn),
         tau_mem=np.full(size, tau_mem),
-        r=np.full(size, tau_mem / dt),
         w_in=np.full(size, tau_syn / dt),
-        v_leak=np.zeros(size),
-        v_reset=np.zeros(size),
-        v_threshold=np.full(size, policy.threshold),
+        **membrane,
     )
 
 
-def _readout(policy: PopsanPolicy) -> nir.Affine:
-    """Return the decoder as an affine map in which every action hears its own population only."""
+def _readout(policy: SpikingPolicy) -> nir.Affine:
+    """Return the decoder as an affine map; PopSAN's actions hear their own population only."""
+    if isinstance(policy, SpikingMlpPolicy):
+        return _affine(policy.readout)
     actions, populations = policy.decoder_weight.shape
     weight = np.zeros((actions, actions, populations))
     weight[np.arange(actions), np.arange(actions)] = _array(policy.decoder_weight)
     return nir.Affine(weight.reshape(actions, -1), _array(policy.decoder_bias))
 
 
-def _codec(policy: PopsanPolicy) -> Codec:
-    normalizer, encoder = policy.normalizer, policy.encoder
+def _codec(policy: SpikingPolicy) -> Codec:
+    normalizer = policy.normalizer
     return Codec(
         Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
-        PopulationEncoder(_array(encoder.mean), _array(encoder.std), encoder.threshold),
+        _encoder(policy.encoder),
         policy.timesteps,
-        "tanh",
+        "argmax" if policy.head == "discrete" else "tanh",
     )
+
+
+def _encoder(encoder: nn.Module) -> Encoder:
+    if isinstance(encoder, TrainedRates):
+        return RateEncoder(_array(encoder.low), _array(encoder.high), encoder.mode)
+    if isinstance(encoder, TrainedPopulations):
+        return PopulationEncoder(_array(encoder.mean), _array(encoder.std), encoder.threshold)
+    raise ConfigError(f"{type(encoder).__name__} has no form in a file; teach it to {__name__}")
 
 
 def _below_one(name: str, decay: float) -> float:

@@ -12,7 +12,7 @@ from runtime.errors import ArtifactError
 from runtime.origin import Origin
 from spikedeploy import zoo
 from tests.networks import popsan
-from trainers.policies import PopsanPolicy
+from trainers.policies import PopsanPolicy, SpikingMlpPolicy
 
 ORIGIN = Origin("test/World-v0", "smoke", seed=0, steps=1, created="2026-01-01", version="0.1.0")
 
@@ -22,6 +22,21 @@ def test_what_is_written_and_read_back_is_the_same_policy_to_the_last_bit(tmp_pa
     policy = PopsanPolicy(5, 3, hidden=(16, 12), populations=4, timesteps=6, alpha=0.7, beta=0.95)
     with torch.no_grad():
         policy.encoder.log_std += 0.1 * torch.randn_like(policy.encoder.log_std)
+        policy.normalizer.mean += torch.randn(5)
+    found = from_nir(to_nir(policy, ORIGIN, tmp_path / "policy.nir"))
+    assert found.spec() == policy.spec()
+    for name, tensor in policy.state_dict().items():
+        assert torch.equal(found.state_dict()[name], tensor), name
+
+
+@pytest.mark.parametrize("coding", ["regular", "bernoulli", "population"])
+@pytest.mark.parametrize("head", ["discrete", "continuous"])
+def test_a_spiking_mlp_comes_back_to_the_last_bit(coding, head, tmp_path):
+    torch.manual_seed(0)
+    policy = SpikingMlpPolicy(
+        5, 3, hidden=(16, 12), coding=coding, timesteps=8, beta=0.8, threshold=0.6, head=head
+    )
+    with torch.no_grad():
         policy.normalizer.mean += torch.randn(5)
     found = from_nir(to_nir(policy, ORIGIN, tmp_path / "policy.nir"))
     assert found.spec() == policy.spec()

@@ -12,7 +12,7 @@ from exporters.to_onnx import to_onnx
 from runtime.artifact import Artifact, save
 from runtime.errors import ConfigError, ObservationError
 from runtime.origin import Origin
-from trainers.policies import MlpPolicy, PopsanPolicy
+from trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
 
 ORIGIN = Origin("spikedeploy/Hexapod-v0")
 
@@ -34,6 +34,13 @@ def popsan():
 def mlp():
     torch.manual_seed(0)
     return MlpPolicy(6, 2, hidden=(16,))
+
+
+def spiking_mlp(**settings):
+    torch.manual_seed(0)
+    policy = SpikingMlpPolicy(6, 4, hidden=(32, 24), **{"head": "discrete", **settings})
+    policy.normalizer.std.uniform_(0.5, 2.0)
+    return policy
 
 
 def failed(checks):
@@ -78,6 +85,44 @@ def test_a_file_that_is_stepped_differently_is_found(popsan, observations, tmp_p
         "spikes: torch = NumPy, float64",
         "actions: torch = NumPy, float64",
     ]
+
+
+@pytest.mark.parametrize("coding", ["regular", "bernoulli", "population"])
+@pytest.mark.parametrize("head", ["discrete", "continuous"])
+@pytest.mark.parametrize("state", ["reset", "kept"])
+def test_a_spiking_mlp_spikes_alike_everywhere(coding, head, state, observations, tmp_path):
+    policy = spiking_mlp(coding=coding, head=head)
+    path = to_nir(policy, ORIGIN, tmp_path / "p.nir", state=state)
+    checks = check(policy, path, observations)
+    assert not failed(checks)
+    assert len(checks) == (7 if head == "discrete" else 5)
+    # 300 observations, 16 timesteps
+    width = 6 * 4 if coding == "population" else 6
+    assert checks[0].detail == f"{300 * 16 * (width + 56):,} compared, all equal"
+
+
+@pytest.mark.parametrize("coding", ["regular", "bernoulli"])
+def test_a_changed_range_of_the_code_is_found(coding, observations, tmp_path):
+    policy = spiking_mlp(coding=coding)
+    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
+    policy.encoder.low[2] -= 0.1
+    assert "spikes: torch = NumPy, float64" in failed(check(policy, path, observations))
+
+
+def test_a_changed_score_is_found_where_no_choice_changes(observations, tmp_path):
+    policy = spiking_mlp()
+    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
+    with torch.no_grad():
+        policy.readout.bias += 1e-6
+    assert failed(check(policy, path, observations)) == ["scores: torch = NumPy, float64"]
+
+
+def test_a_changed_choice_is_found(observations, tmp_path):
+    policy = spiking_mlp()
+    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
+    with torch.no_grad():
+        policy.readout.bias[1] += 1.0
+    assert "choices: torch = NumPy, float64" in failed(check(policy, path, observations))
 
 
 def test_onnx_runtime_acts_like_torch(mlp, observations, tmp_path):

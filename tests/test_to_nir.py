@@ -9,7 +9,7 @@ from exporters.to_nir import artifact, to_nir
 from runtime.artifact import load
 from runtime.errors import ConfigError
 from runtime.origin import Origin
-from trainers.policies import MlpPolicy, PopsanPolicy
+from trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
 
 ORIGIN = Origin("spikedeploy/Hexapod-v0", "hexapod-popsan", seed=3, steps=7)
 
@@ -87,3 +87,41 @@ def test_a_float_policy_is_sent_to_onnx(tmp_path):
 def test_a_decay_without_a_time_constant_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"alpha is 1\.0"):
         to_nir(PopsanPolicy(6, 2, hidden=(4,), alpha=1.0), ORIGIN, tmp_path / "p.nir")
+
+
+def spiking_mlp(**settings):
+    torch.manual_seed(0)
+    return SpikingMlpPolicy(6, 4, **{"hidden": (16, 12), "head": "discrete", **settings})
+
+
+def test_a_spiking_mlp_is_lif_neurons_between_affine_maps(tmp_path):
+    policy = spiking_mlp()
+    graph = nir.read(to_nir(policy, ORIGIN, tmp_path / "p.nir"))
+    chain = ["input", "fc1", "lif1", "fc2", "lif2", "readout", "output"]
+    assert sorted(graph.edges) == sorted(pairwise(chain))
+    assert {type(graph.nodes[f"lif{k}"]).__name__ for k in (1, 2)} == {"LIF"}
+    np.testing.assert_array_equal(graph.nodes["readout"].weight, policy.readout.weight.detach())
+    node = graph.nodes["lif2"]
+    np.testing.assert_allclose(1 - 1e-3 / node.tau, policy.beta, rtol=1e-15)
+    np.testing.assert_allclose((1 - policy.beta) * node.r, 1.0, rtol=1e-12)
+    np.testing.assert_array_equal(node.v_threshold, np.full(12, policy.threshold))
+
+
+@pytest.mark.parametrize(
+    ("settings", "kind", "squash"),
+    [
+        ({"coding": "regular"}, "rate", "argmax"),
+        ({"coding": "bernoulli", "head": "continuous"}, "rate", "tanh"),
+        ({"coding": "population"}, "population", "argmax"),
+    ],
+)
+def test_code_and_head_are_those_of_the_policy(settings, kind, squash, tmp_path):
+    found = load(to_nir(spiking_mlp(**settings), ORIGIN, tmp_path / "p.nir")).codec
+    assert (found.encoder.kind, found.squash, found.timesteps) == (kind, squash, 16)
+    assert found.encoder.random == (settings["coding"] == "bernoulli")
+
+
+def test_a_file_may_ask_for_membranes_to_be_kept(policy, tmp_path):
+    convention = load(to_nir(policy, ORIGIN, tmp_path / "p.nir", state="kept")).convention
+    assert convention.state == "kept"
+    assert convention.source == "state given, otherwise as trained"
