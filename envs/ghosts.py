@@ -1,0 +1,230 @@
+"""Ghosts: the drives of many episodes, small enough to keep those of a whole training.
+
+A .npz of n episodes with S1, S2, … steps, compressed, nothing in it pickled:
+
+    header    JSON: layout version, env_id, options
+    steps     (n,) int32, S of each
+    start     (4, n) int32, the first x, y [1/16 px], heading [1/1024 rad], speed [1/16 px/s]
+    moves     (4, sum of S) int32, by how much each differs from the step before
+    action    (sum of S, …) uint8 of several actions to choose from, else float32
+    reward    (sum of S,) float32, rounded to 12 bits
+    finish, crash (n,) bool; gates (n,) int16; env_step, seed (n,) int64
+
+A folder of such files, in the order of their names, holds the batches of a training.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.errors import EnvError
+from envs.rollout import Rollout
+
+VERSION = 1  # of the file's layout
+UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # of x, y, heading and speed in the file
+EACH = ("steps", "finish", "crash", "gates", "env_step", "seed")
+PARTS = ("start", "moves", "action", "reward", *EACH)
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """One drive of S steps, without what the driver saw.
+
+    pose      (S + 1, 3) x, y [px], heading [rad]
+    speed     (S + 1,) [px/s]
+    action    (S,) int of several to choose from, or (S, act)
+    reward    (S,)
+    finish    whether it reached the finish
+    crash     whether it ended at a wall
+    gates     passed
+    env_step  of the training at the end of the drive; 0 where nothing was trained
+    seed      of the episode, which a world that is drawn at random needs; -1 unknown
+    """
+
+    pose: Floats
+    speed: Floats
+    action: NDArray[Any]
+    reward: Floats
+    finish: bool
+    crash: bool
+    gates: int
+    env_step: int = 0
+    seed: int = -1
+
+    @property
+    def steps(self) -> int:
+        """Control steps S."""
+        return len(self.reward)
+
+    @classmethod
+    def from_rollout(cls, played: Rollout) -> Ghost:
+        """The ghost of a recorded episode, whose infos must tell where it was."""
+        missing = {"x", "y", "heading", "speed"} - played.info.keys()
+        if missing:
+            raise EnvError(
+                f"a rollout of {played.env_id} has no {', '.join(sorted(missing))} in its infos, "
+                "so it leaves no ghost; only karts do"
+            )
+        info = {name: values[-1] for name, values in played.info.items()}
+        path = np.stack([played.info[name] for name in ("x", "y", "heading", "speed")], axis=1)
+        path = np.concatenate((path[:1], path)).astype(np.float32)  # it starts where it first was
+        return cls(
+            pose=path[:, :3],
+            speed=path[:, 3],
+            action=played.action,
+            reward=played.reward.astype(np.float32),
+            finish=bool(info.get("finish", False)),
+            crash=bool(info.get("crash", False)),
+            gates=int(info.get("gates", 0)),
+            seed=played.seed,
+        )
+
+
+@dataclass(frozen=True)
+class Ghosts:
+    """Drives in one environment.
+
+    env_id   gymnasium's identifier
+    options  that the environment was made with, as far as JSON can hold them
+    drives   (n,) in the order in which they ended
+    """
+
+    env_id: str
+    drives: Sequence[Ghost]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def track(self) -> str:
+        """Name or path of the track."""
+        return str(self.options.get("track", "big_S"))
+
+    @classmethod
+    def from_rollout(cls, played: Rollout) -> Ghosts:
+        """A recorded episode as the only ghost."""
+        return cls(played.env_id, [Ghost.from_rollout(played)])
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file that this module describes; its name appears when it is whole."""
+        target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
+        try:
+            with partial.open("wb") as file:
+                np.savez_compressed(file, **self._arrays())
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Ghosts:
+        """Read what save wrote."""
+        try:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+                arrays = dict(archive)
+        except FileNotFoundError:
+            raise EnvError(f"{path}: no such ghost file") from None
+        except Exception as error:  # zipfile, zlib and numpy each have their own for a broken file
+            raise EnvError(f"{path}: not a whole ghost file ({error})") from error
+        header = _header(arrays, path)
+        try:
+            drives = _drives(arrays)
+        except (KeyError, ValueError, IndexError) as error:
+            raise EnvError(f"{path}: its arrays do not fit together ({error})") from error
+        return cls(header["env_id"], drives, header["options"])
+
+    def _arrays(self) -> dict[str, Any]:
+        header = {"version": VERSION, "env_id": self.env_id, "options": dict(self.options)}
+        paths = [_units(ghost) for ghost in self.drives]
+        each = {
+            name: np.array([getattr(ghost, name) for ghost in self.drives], kind)
+            for name, kind in (
+                ("steps", np.int32),
+                ("finish", np.bool_),
+                ("crash", np.bool_),
+                ("gates", np.int16),
+                ("env_step", np.int64),
+                ("seed", np.int64),
+            )
+        }
+        return {
+            "header": np.array(json.dumps(header, default=str)),
+            "start": _joined([path[:, :1] for path in paths], (4, 0), np.int32),
+            "moves": _joined([np.diff(path) for path in paths], (4, 0), np.int32),
+            "action": _actions([ghost.action for ghost in self.drives]),
+            "reward": _rounded(_joined([g.reward for g in self.drives], (0,), np.float32)),
+            **each,
+        }
+
+
+def _units(ghost: Ghost) -> NDArray[np.int64]:
+    """x, y, heading and speed (4, S + 1) in the units of the file."""
+    path = np.column_stack((ghost.pose, ghost.speed)).astype(np.float64)
+    whole: NDArray[np.int64] = np.rint(path * UNITS).astype(np.int64).T
+    return whole
+
+
+def _joined(parts: list[Any], empty: tuple[int, ...], kind: type) -> NDArray[Any]:
+    """Arrays joined along their last axis; of none, an empty one."""
+    return np.concatenate([np.zeros(empty), *parts], axis=-1).astype(kind)
+
+
+def _actions(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """All actions in the smallest type that holds them."""
+    if not parts:
+        return np.zeros(0, np.uint8)
+    joined = np.concatenate(parts)
+    return joined.astype(np.uint8 if np.issubdtype(joined.dtype, np.integer) else np.float32)
+
+
+def _rounded(values: Floats) -> Floats:
+    """The values with 11 bits of mantissa: half the file, and nobody can see the difference."""
+    bits = values.view(np.uint32)
+    return ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)
+
+
+def _header(arrays: dict[str, Any], path: str | os.PathLike[str]) -> dict[str, Any]:
+    missing = {"header", *PARTS} - arrays.keys()
+    if missing:
+        raise EnvError(f"{path}: not a ghost file, {', '.join(sorted(missing))} missing")
+    header: dict[str, Any] = json.loads(str(arrays["header"]))
+    if header["version"] != VERSION:
+        raise EnvError(f"{path}: layout version {header['version']}, this program reads {VERSION}")
+    return header
+
+
+def _drives(arrays: dict[str, Any]) -> list[Ghost]:
+    """The ghosts in the arrays of a file."""
+    steps = arrays["steps"].astype(np.int64)
+    total = int(steps.sum())
+    for name in ("moves", "action", "reward"):
+        found = arrays[name].shape[1 if name == "moves" else 0]
+        if found != total:
+            raise ValueError(f"{name} of {found} steps, the episodes have {total}")
+    ends = np.cumsum(steps)
+    return [_drive(arrays, k, slice(end - steps[k], end)) for k, end in enumerate(ends)]
+
+
+def _drive(arrays: dict[str, Any], k: int, span: slice) -> Ghost:
+    start, moves = arrays["start"][:, k : k + 1], arrays["moves"][:, span]
+    path = (np.cumsum(np.concatenate((start, moves), axis=1), axis=1).T / UNITS).astype(np.float32)
+    return Ghost(
+        pose=path[:, :3],
+        speed=path[:, 3],
+        action=arrays["action"][span],
+        reward=arrays["reward"][span],
+        finish=bool(arrays["finish"][k]),
+        crash=bool(arrays["crash"][k]),
+        gates=int(arrays["gates"][k]),
+        env_step=int(arrays["env_step"][k]),
+        seed=int(arrays["seed"][k]),
+    )
