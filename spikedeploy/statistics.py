@@ -71,6 +71,21 @@ def paired_difference(
     return bootstrap(left - right, rng)
 
 
+def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
+    """Median of `values` (n,) / median of `reference` (m,), and its bootstrap interval.
+
+    The `mean` of the estimate is that ratio.
+    """
+    left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    tops, bottoms = (
+        np.median(each[rng.integers(each.size, size=(RESAMPLES, each.size))], axis=1)
+        for each in (left, right)
+    )
+    tail = (1 - LEVEL) / 2
+    low, high = np.quantile(tops / bottoms, (tail, 1 - tail))
+    return Estimate(float(np.median(left) / np.median(right)), (float(low), float(high)))
+
+
 def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     picks = rng.integers(sample.size, size=(RESAMPLES, sample.size))
     means: NDArray[np.float64] = sample[picks].mean(axis=1)

@@ -1,0 +1,53 @@
+"""When a training finished: the environment steps at the end of each finished episode."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainers.metrics import read
+
+Steps = NDArray[np.float64]
+
+
+def finishes(episodes: Path) -> Steps:
+    """Environment steps (n,) at the end of each finished episode in an episodes.csv, in order."""
+    if not episodes.is_file():
+        return np.empty(0)
+    rows = read(episodes)
+    return np.sort([row["env_steps"] for row in rows if row.get("finish")])
+
+
+def steps_to(count: int, steps: Steps) -> float:
+    """Environment steps to the finish number `count`; infinite where it never came."""
+    return float(steps[count - 1]) if len(steps) >= count else math.inf
+
+
+def by(steps: Steps, grid: Steps) -> NDArray[np.int64]:
+    """How many finishes there had been by each step of the grid (g,)."""
+    return np.searchsorted(steps, grid, side="right")
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """How far a training is.
+
+    steps     environment steps
+    finishes  finished episodes
+    """
+
+    steps: int
+    finishes: int
+
+
+def how_far(folder: Path, name: str) -> HowFar | None:
+    """What the newest run of this name has logged; None before its first line."""
+    found = sorted(folder.glob(f"{name}-*/metrics.csv"))
+    head, *lines = found[-1].read_text(encoding="utf-8").splitlines() if found else [""]
+    names, values = head.split(","), (lines[-1] if lines else "").split(",")
+    row = dict(zip(names, values, strict=False))
+    if not row.get("env_steps") or not row.get("finishes"):
+        return None
+    return HowFar(int(float(row["env_steps"])), int(float(row["finishes"])))

@@ -1,0 +1,75 @@
+"""The kart experiment, run: what is missing is done, and its page written after every part."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from runtime.errors import ConfigError
+from spikedeploy.experiments import workers
+from spikedeploy.experiments.board import Board
+from spikedeploy.experiments.drive import Drive
+from spikedeploy.experiments.kart_design import Design
+from spikedeploy.experiments.kart_page import write
+from spikedeploy.experiments.trial import Trial
+from spikedeploy.experiments.workers import Ended, Job
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How far an experiment came.
+
+    done, of     parts of it that are complete, and all of them
+    failed       name -> the last words of parts that failed
+    interrupted  whether it was stopped from outside
+    files        page, tables and pictures that were written
+    """
+
+    done: int
+    of: int
+    failed: dict[str, str]
+    interrupted: bool
+    files: list[Path]
+
+
+def experiment(
+    design: Design, only: Sequence[str], count: int, results: Path, train: bool = True
+) -> Outcome:
+    """Do what is missing of the experiment.
+
+    only     names, or beginnings of names, of the parts to do; none stands for all
+    count    processes side by side
+    results  folder of kart.md and kart/
+    train    False writes the page of what there is
+    """
+    jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
+    failed: dict[str, str] = {}
+    with Board(design.folder, len(jobs)) as board:
+
+        def ended(end: Ended) -> None:
+            board.ended(end)
+            if end.failed:
+                failed[end.job.name] = end.last_words
+            write(design, results)
+
+        whole = workers.run(jobs, count, ended, board.look)
+    files = write(design, results)
+    done = [part.done for part in design.parts]
+    return Outcome(sum(done), len(done), failed, not whole, files)
+
+
+def _chosen(design: Design, only: Sequence[str]) -> list[Drive | Trial]:
+    """The parts whose names begin so."""
+    for beginning in only:
+        if not any(part.name.startswith(beginning) for part in design.parts):
+            known = dict.fromkeys(
+                part.name.rpartition("-s")[0] or part.name for part in design.trials()
+            )
+            raise ConfigError(
+                f"no part of the experiment begins with {beginning!r}: {', '.join(known)}"
+            )
+    return [p for p in design.parts if not only or p.name.startswith(tuple(only))]
+
+
+def _job(part: Drive | Trial, design: Design) -> Job:
+    log = Path(design.folder) / "logs" / f"{part.name}.log"
+    return Job(part.name, f"{type(part).__module__}:perform", log, part.arguments())

@@ -1,0 +1,78 @@
+"""Finishes against environment steps: a panel a world, medians and ranges of the trainings."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.experiments.finishes import Steps, by
+from spikedeploy.experiments.kart_design import NETWORKS, WORLDS, Design
+from spikedeploy.experiments.kart_peers import PEERS
+from spikedeploy.experiments.kart_records import COUNT
+from spikedeploy.plots import BLUE, VERMILION, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = dict(zip(NETWORKS, (BLUE, VERMILION), strict=True))
+NAMES = {"ann": "float ANN", "snn": "SNN"}
+POINTS = 400  # of a line
+
+
+def draw(design: Design, path: Path) -> Path:
+    """Write the picture of all complete trainings of the two networks."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    panels = figure.subplots(1, len(WORLDS), sharey=True)
+    for world, axes in zip(WORLDS, panels, strict=True):
+        _panel(axes, design, world)
+    panels[0].set_ylabel(f"finished episodes of training, up to {COUNT}")
+    panels[0].legend(frameon=False, loc="upper left")
+    return save(figure, path)
+
+
+def _panel(axes: "Axes", design: Design, world: str) -> None:
+    from matplotlib.ticker import EngFormatter
+
+    for place, policy in enumerate(NETWORKS):
+        trials = [t for t in design.trials() if t.recipe == f"{world}-{policy}" and t.trained]
+        lengths = [float(trial.counters["env_steps"]) for trial in trials]
+        if trials:
+            _curve(axes, [trial.finishes for trial in trials], lengths, policy)
+        peer = 1000 * PEERS[world].nth[place]
+        axes.plot(
+            peer, COUNT, "x", color=COLOURS[policy], clip_on=False, zorder=5,
+            label=f"kart-simulator's {policy.upper()}",
+        )  # fmt: skip
+    axes.set_title(world, loc="left", fontsize=11)
+    axes.set_xlabel("environment steps")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.set_ylim(0, COUNT)
+    axes.set_xlim(left=0)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="#E6E8EB")
+
+
+def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy: str) -> None:
+    grid, counts = counted(runs, lengths)
+    axes.fill_between(
+        grid, counts.min(axis=0), counts.max(axis=0), color=COLOURS[policy], alpha=0.18, linewidth=0
+    )
+    label = f"{NAMES[policy]}, median and range of {len(runs)}"
+    axes.plot(grid, np.median(counts, axis=0), color=COLOURS[policy], linewidth=1.8, label=label)
+
+
+def counted(runs: Sequence[Steps], lengths: Sequence[float]) -> tuple[Steps, NDArray[np.int64]]:
+    """A grid of steps (POINTS,) and finishes up to COUNT (n, POINTS) of each run by each of them.
+
+    It ends where every run has COUNT finishes or the first one that has not ends.
+    """
+    ends = [r[COUNT - 1] if len(r) >= COUNT else math.inf for r in runs]
+    short = [length for length, end in zip(lengths, ends, strict=True) if math.isinf(end)]
+    last = min(short) if short else max(ends)
+    grid = np.linspace(0, last, POINTS)
+    return grid, np.stack([np.minimum(by(run, grid), COUNT) for run in runs])

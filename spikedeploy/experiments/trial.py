@@ -1,0 +1,166 @@
+"""One trial: a recipe trained with one seed, exported, and evaluated on seeds it never saw.
+
+Everything that a trial leaves behind is in its run folder, <folder>/<recipe>-s<seed>-<date>-<time>:
+what training writes, policy.onnx or policy.nir, and evaluation.json. So a trial can be stopped at
+any time; the next attempt goes on with what is missing.
+"""
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from runtime.errors import SpikedeployError
+from spikedeploy.experiments.alone import alone
+from spikedeploy.experiments.drive import drive
+from spikedeploy.experiments.finishes import Steps, finishes
+from spikedeploy.files import as_text, write_text
+from trainers.config import amended, resolve
+from trainers.ppo_config import PpoConfig
+from trainers.run_folder import RunFolder
+
+STAMP = r"\d{8}-\d{6}(-\d+)?"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is trained, and how it is judged.
+
+    recipe     of trainers.recipes, learned by PPO
+    seed       of the training
+    folder     of all trials of the experiment
+    overrides  settings as `--set` takes them
+    episodes   of the evaluation, greedy, from seed EVALUATION up
+    chip       that a spiking policy is evaluated on, beside its float twin
+    """
+
+    recipe: str
+    seed: int
+    folder: str
+    overrides: Sequence[str]
+    episodes: int
+    chip: str
+
+    @property
+    def name(self) -> str:
+        """`kart-grid-snn-s0`."""
+        return f"{self.recipe}-s{self.seed}"
+
+    @property
+    def run(self) -> Path | None:
+        """The run folder; None before the first training."""
+        pattern = re.compile(re.escape(self.name) + "-" + STAMP)
+        found = sorted(p.parent for p in Path(self.folder).glob(f"{self.name}-*/config.json"))
+        return next((path for path in found if pattern.fullmatch(path.name)), None)
+
+    @property
+    def config(self) -> PpoConfig:
+        """The configuration that it is trained with."""
+        if self.run is None:
+            return resolve(PpoConfig, self.recipe, overrides=self.overrides, seed=self.seed)
+        return amended(RunFolder(self.run).config(PpoConfig), overrides=self.overrides)
+
+    @property
+    def counters(self) -> dict[str, Any]:
+        """What the last checkpoint counts: env_steps, finishes ...; empty without one."""
+        file = self.run and self.run / "checkpoints" / "last.json"
+        return json.loads(file.read_text(encoding="utf-8")) if file and file.is_file() else {}
+
+    @property
+    def trained(self) -> bool:
+        """Whether as many episodes finished as were asked for, or the budget is spent."""
+        counters, config = self.counters, self.config
+        if not counters:
+            return False
+        enough = 0 < config.stop_at_finishes <= counters["finishes"]
+        return enough or bool(counters["env_steps"] >= config.steps)
+
+    @property
+    def finishes(self) -> Steps:
+        """Environment steps at the end of each finished episode of training."""
+        return finishes(self.run / "episodes.csv") if self.run else finishes(Path())
+
+    @property
+    def evaluation(self) -> dict[str, Any] | None:
+        """What evaluating it found; None where that is missing, or of other steps or episodes."""
+        file = self.run and self.run / "evaluation.json"
+        if not file or not file.is_file():
+            return None
+        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        return found if self.trained and found["of"] == self.judged else None
+
+    @property
+    def judged(self) -> dict[str, Any]:
+        """What an evaluation must be of."""
+        steps = self.counters.get("env_steps")
+        return {"env_steps": steps, "episodes": self.episodes, "chip": self.chip}
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is missing."""
+        return self.evaluation is not None
+
+    def arguments(self) -> dict[str, Any]:
+        """Itself as the arguments of `perform`."""
+        return {**asdict(self), "overrides": list(self.overrides)}
+
+
+def perform(**arguments: Any) -> bool:  # noqa: ANN401
+    """Do what is missing of the trial with these fields; False where training was interrupted."""
+    trial = Trial(**arguments)
+    with alone(Path(trial.folder) / f".{trial.name}.lock"):
+        if not trial.trained:
+            _train(trial)
+        if not trial.trained:
+            return False
+        if not trial.done:
+            _evaluate(trial)
+    return True
+
+
+def _train(trial: Trial) -> None:
+    """Begin the training, or go on with it."""
+    from trainers.train import train
+
+    if trial.run and not trial.counters:
+        shutil.rmtree(trial.run)  # it was killed before its first checkpoint: nothing is lost
+    train(
+        trial.recipe,
+        overrides=trial.overrides,
+        seed=trial.seed,
+        resume=trial.run,
+        runs=trial.folder,
+        quiet=True,
+    )
+
+
+def _evaluate(trial: Trial) -> None:
+    """Export the policy, and let it drive: a float network, or a spiking one on its chip too."""
+    from spikedeploy.export import export
+
+    run, config = trial.run, trial.config
+    if run is None:
+        raise SpikedeployError(f"{trial.name}: its run folder is gone")
+    to = "onnx" if config.policy.kind == "mlp" else "nir"
+    exported = export(str(run), to)
+    if failed := [check.name for check in exported.checks if not check.passed]:
+        raise SpikedeployError(f"{exported.path} does not do what {run} does: {', '.join(failed)}")
+    found = {
+        "of": trial.judged,
+        "trial": {"recipe": trial.recipe, "seed": trial.seed},
+        "parameters": parameters(run),
+        "rows": drive(
+            config.env.name, config.env.options, str(exported.path), trial.episodes, trial.chip
+        ),
+    }
+    write_text(run / "evaluation.json", as_text(found))
+
+
+def parameters(run: Path) -> int:
+    """Numbers that the run's policy has learned."""
+    from trainers.run_folder import load_policy
+
+    return sum(weights.numel() for weights in load_policy(run).parameters())
