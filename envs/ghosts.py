@@ -30,7 +30,14 @@ from envs.rollout import Rollout
 
 VERSION = 1  # of the file's layout
 UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # of x, y, heading and speed in the file
-EACH = ("steps", "finish", "crash", "gates", "env_step", "seed")
+EACH = {  # of an episode, as it is kept
+    "steps": np.int32,
+    "finish": np.bool_,
+    "crash": np.bool_,
+    "gates": np.int16,
+    "env_step": np.int64,
+    "seed": np.int64,
+}
 PARTS = ("start", "moves", "action", "reward", *EACH)
 
 Floats = NDArray[np.float32]
@@ -76,8 +83,9 @@ class Ghost:
                 "so it leaves no ghost; only karts do"
             )
         info = {name: values[-1] for name, values in played.info.items()}
-        path = np.stack([played.info[name] for name in ("x", "y", "heading", "speed")], axis=1)
-        path = np.concatenate((path[:1], path)).astype(np.float32)  # it starts where it first was
+        told = np.stack([played.info[name] for name in ("x", "y", "heading", "speed")], axis=1)
+        # where it was before its first step is not told
+        path: Floats = np.concatenate((told[:1], told)).astype(np.float32)
         return cls(
             pose=path[:, :3],
             speed=path[:, 3],
@@ -147,14 +155,7 @@ class Ghosts:
         paths = [_units(ghost) for ghost in self.drives]
         each = {
             name: np.array([getattr(ghost, name) for ghost in self.drives], kind)
-            for name, kind in (
-                ("steps", np.int32),
-                ("finish", np.bool_),
-                ("crash", np.bool_),
-                ("gates", np.int16),
-                ("env_step", np.int64),
-                ("seed", np.int64),
-            )
+            for name, kind in EACH.items()
         }
         return {
             "header": np.array(json.dumps(header, default=str)),
@@ -189,14 +190,18 @@ def _actions(parts: list[NDArray[Any]]) -> NDArray[Any]:
 def _rounded(values: Floats) -> Floats:
     """The values with 11 bits of mantissa: half the file, and nobody can see the difference."""
     bits = values.view(np.uint32)
-    return ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)
+    rounded: Floats = ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)
+    return rounded
 
 
 def _header(arrays: dict[str, Any], path: str | os.PathLike[str]) -> dict[str, Any]:
     missing = {"header", *PARTS} - arrays.keys()
     if missing:
         raise EnvError(f"{path}: not a ghost file, {', '.join(sorted(missing))} missing")
-    header: dict[str, Any] = json.loads(str(arrays["header"]))
+    try:
+        header: dict[str, Any] = json.loads(str(arrays["header"]))
+    except ValueError as error:
+        raise EnvError(f"{path}: its header is not JSON ({error})") from error
     if header["version"] != VERSION:
         raise EnvError(f"{path}: layout version {header['version']}, this program reads {VERSION}")
     return header
