@@ -114,7 +114,7 @@ def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
         spikes = policy.trace(observation)
         action = spikes.pop("action")
         return _Outcome(_arrays(spikes), _numbers(action), None)
-    spoken = heard(policy, observation, Xorshift(0, policy.observations))
+    spoken = heard(policy, observation, Xorshift(0, policy.observations).draw)
     spikes = policy.trace(observation, spoken.transpose(0, 1))
     action = spikes.pop("action")
     if policy.head == "continuous":

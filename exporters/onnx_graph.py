@@ -11,11 +11,12 @@ from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 17
 IR_VERSION = 8  # both are read by ONNX Runtime 1.17 and everything newer
-OBSERVATION, ACTION = "observation", "action"
+OBSERVATION = "observation"
+OUTPUTS = {"continuous": "action", "discrete": "logits"}  # by a policy's head
 
 
 class OnnxGraph:
-    """Nodes and constants on the way from the observation to the action, in float32."""
+    """Nodes and constants on the way from the observation to the output, in float32."""
 
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
@@ -51,14 +52,16 @@ class OnnxGraph:
             sha.update(numpy_helper.to_array(constant).tobytes())
         return sha.hexdigest()
 
-    def model(self, observations: int, actions: int, properties: dict[str, str]) -> onnx.ModelProto:
-        """Return the checked model, observation (B, obs) to action (B, act)."""
+    def model(
+        self, observations: int, actions: int, head: str, properties: dict[str, str]
+    ) -> onnx.ModelProto:
+        """Return the checked model, observation (B, obs) to the output (B, act) of a head."""
         graph = helper.make_graph(
             self._nodes,
             "policy",
             [helper.make_tensor_value_info(OBSERVATION, TensorProto.FLOAT, ["B", observations])],
             [
-                helper.make_tensor_value_info(ACTION, TensorProto.FLOAT, ["B", actions]),
+                helper.make_tensor_value_info(OUTPUTS[head], TensorProto.FLOAT, ["B", actions]),
                 *self._heard,
             ],
             self._constants,

@@ -9,11 +9,12 @@ import torch
 from numpy.typing import NDArray
 
 from exporters.check import Check, Gap, batches
-from exporters.onnx_graph import ACTION, OBSERVATION
+from exporters.onnx_graph import OBSERVATION, OUTPUTS
 from trainers.onnx_session import session
 from trainers.policies import Policy
 
-TOLERANCE = 1e-5  # of an action in [-1, 1]: float32 sums in another order
+# of an action in [-1, 1], or of the largest logit: float32 sums in another order
+TOLERANCE = 1e-5
 ALONE = 100  # observations that are also given one at a time, as a robot does
 
 Single = NDArray[np.float32]
@@ -25,12 +26,13 @@ def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     network = session(path)
     together, alone = Gap(), Gap()
     for batch in batches(observations):
-        together.add(_run(network, batch), _act(single, batch))
+        _compare(together, network, single, batch)
     for row in observations[:ALONE, None]:
-        alone.add(_run(network, row), _act(single, row))
+        _compare(alone, network, single, row)
+    name = "logits" if policy.head == "discrete" else "actions"
     return [
-        _check("actions: torch = ONNX Runtime", together, len(observations)),
-        _check("actions, one at a time", alone, min(ALONE, len(observations))),
+        _check(f"{name}: torch = ONNX Runtime", together, len(observations)),
+        _check(f"{name}, one at a time", alone, min(ALONE, len(observations))),
     ]
 
 
@@ -39,12 +41,16 @@ def _check(name: str, gap: Gap, count: int) -> Check:
     return Check(name, gap.within(TOLERANCE), detail)
 
 
-def _run(network: Any, observation: NDArray[np.float64]) -> Single:  # noqa: ANN401
-    action: Single = network.run([ACTION], {OBSERVATION: observation.astype(np.float32)})[0]
-    return action
+def _compare(gap: Gap, network: Any, policy: Policy, observation: NDArray[np.float64]) -> None:  # noqa: ANN401
+    seen = observation.astype(np.float32)
+    found: Single = network.run([OUTPUTS[policy.head]], {OBSERVATION: seen})[0]
+    expected = _output(policy, torch.from_numpy(seen))
+    unit = np.maximum(1, np.abs(expected).max())
+    gap.add(found / unit, expected / unit)
 
 
 @torch.no_grad()
-def _act(policy: Policy, observation: NDArray[np.float64]) -> Single:
-    action: Single = policy(torch.from_numpy(observation).float()).numpy()
-    return action
+def _output(policy: Policy, observation: torch.Tensor) -> Single:
+    says = policy.scores if policy.head == "discrete" else policy
+    output: Single = says(observation).numpy()
+    return output

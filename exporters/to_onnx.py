@@ -1,9 +1,12 @@
 """Writes a float policy as one ONNX file that carries its own normaliser and says who made it.
 
 observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
+                                                                     -> Gemm -> logits
 
-The first output is the action. The others, in their order, are what each weight matrix hears; ONNX
-Runtime puts them out only when asked, and effective operations are counted from them.
+The first output is the action, or where one of several is chosen the logit of each: the largest is
+the one to take, their softmax what training drew from. The others, in their order, are what each
+weight matrix hears; ONNX Runtime puts them out only when asked, and effective operations are
+counted from them.
 """
 
 from pathlib import Path
@@ -13,7 +16,7 @@ import onnx
 from numpy.typing import NDArray
 from torch import Tensor
 
-from exporters.onnx_graph import ACTION, OBSERVATION, OnnxGraph
+from exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
 from runtime.errors import ConfigError
 from runtime.origin import Origin
 from trainers.atomic import replacing
@@ -53,13 +56,14 @@ def _model(policy: MlpPolicy, origin: Origin, name: str, kind: str) -> onnx.Mode
         "seed": str(origin.seed),
         "steps": str(origin.steps),
         "kind": kind,
+        "head": policy.head,
         "name": name,
         "macs": str(macs(policy)),
         "created": origin.created,
         "version": origin.version,
         "sha256": graph.sha256(),
     }
-    return graph.model(policy.observations, policy.actions, properties)
+    return graph.model(policy.observations, policy.actions, policy.head, properties)
 
 
 def _features(graph: OnnxGraph, features: Features) -> str:
@@ -111,7 +115,7 @@ def _normalised(graph: OnnxGraph, policy: MlpPolicy, features: str) -> str:
 
 
 def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
-    """Add the network, up to the action."""
+    """Add the network, up to its output."""
     for number, layer in enumerate(policy.layers, start=1):
         weight = graph.constant(f"weight{number}", _array(layer.get_parameter("weight")))
         graph.heard(hidden, layer.get_parameter("weight").shape[1])
@@ -119,7 +123,8 @@ def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
         hidden = graph.node("Gemm", [hidden, weight, bias], f"affine{number}", transB=1)
         if number < len(policy.layers):
             hidden = graph.node("Relu", [hidden], f"hidden{number}")
-    graph.node("Tanh", [hidden], ACTION)
+    squash = "Identity" if policy.head == "discrete" else "Tanh"
+    graph.node(squash, [hidden], OUTPUTS[policy.head])
 
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:

@@ -39,6 +39,10 @@ class Xorshift:
         upper: NDArray[np.uint8] = (drawn >> _u32(24)).astype(np.uint8)
         return np.asarray(upper.swapaxes(0, 1))
 
+    def in_turn(self, inferences: int, timesteps: int) -> NDArray[np.uint8]:
+        """The next bytes (S, T, M) of the first robot, for S inferences one after another."""
+        return np.concatenate([self.draw(1, timesteps) for _ in range(inferences)])
+
 
 def step(x: States) -> States:
     """The states after one step: the definition."""

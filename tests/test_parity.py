@@ -129,6 +129,21 @@ def test_onnx_runtime_acts_like_torch(mlp, observations, tmp_path):
     assert not failed(check(mlp, to_onnx(mlp, ORIGIN, tmp_path / "p.onnx"), observations))
 
 
+@pytest.mark.parametrize("hidden", [(), (16, 16)])
+def test_onnx_runtime_scores_like_torch(hidden, observations, tmp_path):
+    torch.manual_seed(0)
+    policy = MlpPolicy(6, 4, hidden=hidden, head="discrete")
+    with torch.no_grad():
+        policy.layers[-1].weight *= 1000  # logits may be large
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    checks = check(policy, path, observations)
+    assert not failed(checks)
+    assert checks[0].name == "logits: torch = ONNX Runtime"
+    with torch.no_grad():
+        policy.layers[-1].weight[2] *= 1.001
+    assert len(failed(check(policy, path, observations))) == 2
+
+
 def test_a_changed_onnx_weight_is_found(mlp, observations, tmp_path):
     path = to_onnx(mlp, ORIGIN, tmp_path / "p.onnx")
     model = onnx.load(path)

@@ -7,14 +7,14 @@ from exporters.to_onnx import to_onnx
 from runtime.errors import ConfigError
 from runtime.origin import Origin
 from trainers.features import Features
-from trainers.policies import MlpPolicy, PopsanPolicy
+from trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
 
 ORIGIN = Origin("spikedeploy/Hexapod-v0", "hexapod-sac", 3, 7, "2026-01-01T00:00:00Z", "0.1.0")
 
 
-def mlp(hidden=(8, 4), features=None):
+def mlp(hidden=(8, 4), features=None, head="continuous"):
     torch.manual_seed(0)
-    policy = MlpPolicy(6, 2, hidden=hidden, features=features)
+    policy = MlpPolicy(6, 2, hidden=hidden, features=features, head=head)
     policy.normalizer.mean.normal_()
     policy.normalizer.std.uniform_(0.1, 2.0)
     return policy
@@ -45,6 +45,22 @@ def test_the_file_acts_like_the_policy_whatever_it_looks_at(hidden, features, tm
     assert found.std(axis=0).min() > 0.01  # it does depend on what it sees
 
 
+@pytest.mark.parametrize("hidden", [(), (8, 4)])
+def test_a_policy_that_chooses_puts_out_its_logits(hidden, tmp_path):
+    policy = mlp(hidden, head="discrete")
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    observation = np.random.default_rng(1).normal(0, 3, (50, 6)).astype(np.float32)
+    found = session.run(["logits"], {"observation": observation})[0]
+    with torch.no_grad():
+        expected = policy.scores(torch.from_numpy(observation)).numpy()
+        chosen = policy(torch.from_numpy(observation)).numpy()
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(found.argmax(axis=1), chosen)
+    assert session.get_modelmeta().custom_metadata_map["head"] == "discrete"
+    assert session.get_outputs()[0].name == "logits"
+
+
 def test_any_number_of_observations_fits(tmp_path):
     path = to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx")
     for count in (1, 7):
@@ -62,6 +78,7 @@ def test_the_file_says_who_made_it_and_what_it_costs(tmp_path):
         "seed": "3",
         "steps": "7",
         "kind": "control",
+        "head": "continuous",
         "name": "sac",
         "macs": str(6 * 8 + 8 * 4 + 4 * 2),
         "created": "2026-01-01T00:00:00Z",
@@ -89,9 +106,10 @@ def test_exporting_twice_gives_the_same_bytes(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["p.onnx"]
 
 
-def test_a_spiking_policy_is_sent_to_nir(tmp_path):
+@pytest.mark.parametrize("kind", [PopsanPolicy, SpikingMlpPolicy])
+def test_a_spiking_policy_is_sent_to_nir(kind, tmp_path):
     with pytest.raises(ConfigError, match="--to nir"):
-        to_onnx(PopsanPolicy(6, 2, hidden=(4,)), ORIGIN, tmp_path / "p.onnx")
+        to_onnx(kind(6, 2, hidden=(4,)), ORIGIN, tmp_path / "p.onnx")
 
 
 def test_an_unknown_kind_is_refused(tmp_path):

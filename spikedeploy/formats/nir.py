@@ -26,14 +26,14 @@ class NirController:
     """A spiking policy whose ledger begins anew with every episode.
 
     chip     it runs on; None is the float twin
+    sampled  actions are drawn, as in SpikingController
     program  whose operations are counted; the float twin's is the one without rounding
     """
 
-    def __init__(self, path: str, chip: str) -> None:
+    def __init__(self, path: str, chip: str, sampled: bool = False) -> None:
         artifact = load(path)
         self.chip = None if chip == FLOAT else datasheet(chip)
-        self._controller = SpikingController(artifact, self.chip, ledger="total")
-        self._stateless = artifact.convention.state == "reset"
+        self._controller = SpikingController(artifact, self.chip, "total", sampled)
         self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
         self._before = self._controller.ledger
 
@@ -42,13 +42,13 @@ class NirController:
         self._controller.reset(seed)
         self._before = self._controller.ledger
 
-    def act(self, observation: Floats) -> Floats:
-        """The action (act,)."""
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,) or ()."""
         return self._controller.act(observation)
 
-    def replay(self, observations: Floats) -> Floats:
-        """Actions (S, act) for the observations (S, obs) of an episode, in their order."""
-        if self._stateless:
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
+        if not self._controller.remembers:
             return self._controller.act_batch(observations)
         return np.stack([self._controller.act(observation) for observation in observations])
 
@@ -89,7 +89,7 @@ def controller(
     candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
 ) -> NirController:
     """The network on the chip, or its float twin."""
-    return NirController(candidate.path, chip or FLOAT)
+    return NirController(candidate.path, chip or FLOAT, sampled)
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:

@@ -10,26 +10,30 @@ from numpy.typing import NDArray
 from envs.rollout import Rollout
 from runtime.energy import energy_table, mac_energy
 from runtime.errors import ArtifactError, ObservationError
+from runtime.sampler import Sampler
 from spikedeploy.costs import Costs
 from spikedeploy.policies import Candidate, env_id
 from trainers.onnx_session import session
 
 KINDS = ("ann", "control")
+HEADS = ("continuous", "discrete")
 ENERGY_TABLES = ("horowitz45", "horowitz45-int8")
 
 Floats = NDArray[np.float64]
 
 
 class OnnxController:
-    """A float network: observation (obs,) in, action (act,) out.
+    """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
 
     path        of the file
-    metadata    what the exporter wrote: env, recipe, seed, kind, name, macs ...
+    metadata    what the exporter wrote: env, recipe, seed, kind, head, name, macs ...
     observed    numbers it observes
-    actions     numbers it puts out
+    actions     numbers it puts out, or actions that it chooses from
+    chooses     whether it puts out logits, of which the largest is taken
+    sampled     draw from the logits' softmax instead
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, sampled: bool = False) -> None:
         self.path = path
         self._session = session(path)
         self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
@@ -38,18 +42,24 @@ class OnnxController:
         self._dtype = np.float64 if "double" in self._input.type else np.float32
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
+        self.chooses = _head(path, self.metadata) == "discrete"
+        self._sampler = Sampler(self.chooses) if sampled else None
 
     def reset(self, seed: int) -> None:
-        """Nothing to reset: the network is without memory."""
+        """Start an episode: the network is without memory, but drawing is not."""
+        if self._sampler is not None:
+            self._sampler.reset(seed)
 
     def act(self, observation: Floats) -> Floats:
-        """The action (act,)."""
-        action: Floats = self.replay(observation[None])[0]
-        return action
+        """The action (act,) or ()."""
+        return np.asarray(self.replay(observation[None])[0])
 
-    def replay(self, observations: Floats) -> Floats:
-        """Actions (S, act) for the observations (S, obs) of an episode."""
-        return self._run([self._output], observations)[0]
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
+        output = self._run([self._output], observations)[0]
+        if self._sampler is not None:
+            return self._sampler(output)
+        return output.argmax(axis=1) if self.chooses else output
 
     def effective_macs(self, observations: Floats) -> float | None:
         """Mean multiply-accumulates whose input is not zero; None where the file hides them."""
@@ -102,7 +112,7 @@ def controller(
     candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
 ) -> OnnxController:
     """The network, loaded."""
-    return OnnxController(candidate.path)
+    return OnnxController(candidate.path, sampled)
 
 
 def costs(controller: OnnxController, played: Rollout) -> Costs:
@@ -116,6 +126,13 @@ def costs(controller: OnnxController, played: Rollout) -> Costs:
         dense=macs,
         energy_j={name: mac_energy(macs, energy_table(name)) for name in ENERGY_TABLES},
     )
+
+
+def _head(path: str | Path, metadata: dict[str, str]) -> str:
+    head = metadata.get("head", "continuous")
+    if head not in HEADS:
+        raise ArtifactError(f"{path} says its head is {head!r}; known are {', '.join(HEADS)}")
+    return head
 
 
 def _width(path: str | Path, value: Any) -> int:  # noqa: ANN401

@@ -1,7 +1,7 @@
 """Run folders: the best checkpoint of a training run, played in torch as it was trained."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -9,15 +9,25 @@ from numpy.typing import NDArray
 
 from envs.rollout import Rollout
 from runtime.errors import ConfigError
+from runtime.sampler import Sampler
+from runtime.xorshift import Xorshift
 from spikedeploy.costs import Costs
 from spikedeploy.policies import FLOAT, Candidate, env_id
 from spikedeploy.runs import settings
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Floats = NDArray[np.float64]
+
 
 class TorchController:
-    """A policy as its trainer holds it, float32."""
+    """A policy as its trainer holds it, float32; random codes throw the dice of a chip.
 
-    def __init__(self, run: str) -> None:
+    sampled  draw one of several actions from the softmax of their scores
+    """
+
+    def __init__(self, run: str, sampled: bool = False) -> None:
         import torch
 
         from trainers.run_folder import load_policy
@@ -25,20 +35,36 @@ class TorchController:
         torch.set_num_threads(1)
         self._torch = torch
         self.policy = load_policy(run)
+        self._sampler = Sampler(self.policy.head == "discrete") if sampled else None
+        self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Nothing to reset: each action is an inference of its own."""
+        """Start an episode: each action is an inference of its own, but the dice roll on."""
+        self._dice = Xorshift(seed, self.policy.observations)
+        if self._sampler is not None:
+            self._sampler.reset(seed)
 
-    def act(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The action (act,)."""
-        action: NDArray[np.float64] = self.replay(observation[None])[0]
-        return action
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,) or ()."""
+        return np.asarray(self.replay(observation[None])[0])
 
-    def replay(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Actions (S, act) for the observations (S, obs) of an episode."""
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
         batch = self._torch.as_tensor(observations, dtype=self._torch.float32)
         with self._torch.inference_mode():
-            return np.asarray(self.policy(batch).numpy(), np.float64)
+            scores = self._scores(batch)
+            if self._sampler is not None:
+                return self._sampler(scores.double().numpy())
+            action: NDArray[Any] = self.policy.decide(scores).numpy()
+        return action if self.policy.head == "discrete" else action.astype(np.float64)
+
+    def _scores(self, batch: "Tensor") -> "Tensor":
+        from exporters.raster import raster
+        from trainers.policies import SpikingMlpPolicy
+
+        if not isinstance(self.policy, SpikingMlpPolicy):
+            return self.policy.scores(batch)
+        return self.policy.heard(raster(self.policy, batch, self._dice.in_turn)).mean
 
 
 def describe(path: Path) -> Candidate:
@@ -49,7 +75,7 @@ def describe(path: Path) -> Candidate:
     return Candidate(
         path=str(path),
         name=path.resolve().name,
-        kind="snn" if policy.kind == "popsan" else "ann",
+        kind="snn" if policy.kind in ("popsan", "spiking-mlp") else "ann",
         format="run",
         env=env_id(settings(path)["env"]["name"]),
         observed=policy.observations,
@@ -66,7 +92,7 @@ def controller(
             f"{candidate.path} is a run folder, which no chip runs; export it first: "
             f"spikedeploy export {candidate.path} --to nir"
         )
-    return TorchController(candidate.path)
+    return TorchController(candidate.path, sampled)
 
 
 def costs(controller: TorchController, played: Rollout) -> Costs:
