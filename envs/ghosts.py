@@ -153,7 +153,7 @@ class Ghosts:
     def _arrays(self) -> dict[str, Any]:
         header = {"version": VERSION, "env_id": self.env_id, "options": dict(self.options)}
         paths = [_units(ghost) for ghost in self.drives]
-        each = {
+        each: dict[str, Any] = {
             name: np.array([getattr(ghost, name) for ghost in self.drives], kind)
             for name, kind in EACH.items()
         }
