@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from trainers.policies import Policy
 
 OBSERVATIONS = 1000
+SPIKING = ("popsan", "spiking-mlp")  # kinds of policies, which NIR describes
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,11 @@ class Exported:
 
 
 def export(
-    run: str, to: str, path: Path | None = None, observations: int = OBSERVATIONS
+    run: str,
+    to: str,
+    path: Path | None = None,
+    observations: int = OBSERVATIONS,
+    control: bool = False,
 ) -> Exported:
     """Write a run's policy as a file.
 
@@ -51,29 +56,31 @@ def export(
     to            key of exporters.EXPORTERS
     path          of the file; by default policy.<to> in the run folder
     observations  recorded from the policy's own episodes, on which the file is compared with it
+    control       whether comparisons shall show a float network as a control
     """
     folder = RunFolder.find(run).path
     policy = load_policy(folder)
     path = path or folder / f"policy.{to}"
     path.parent.mkdir(parents=True, exist_ok=True)
-    kind = kind_of(policy)
+    kind = kind_of(policy, control)
     options = {"kind": kind} if to == "onnx" else {}
     exporter(to)(policy, runs.origin(folder), path, **options)
     return Exported(path, kind, check(policy, path, recorded(folder, observations)))
 
 
-def kind_of(policy: "Policy") -> str:
+def kind_of(policy: "Policy", control: bool = False) -> str:
     """What comparisons call the policy: a float network that sees less than all is a control."""
-    if policy.kind == "popsan":
+    if policy.kind in SPIKING:
         return "snn"
     spec = policy.spec()
     sees_all = spec["features"]["name"] == "all"
-    return "ann" if sees_all and spec["hidden"] else "control"
+    return "ann" if sees_all and spec["hidden"] and not control else "control"
 
 
 def recorded(run: Path, count: int) -> NDArray[np.float64]:
     """Observations (count, obs) that the run's policy makes in its environment."""
-    env = envs.make(runs.settings(run)["env"]["name"])
+    world = runs.settings(run)["env"]
+    env = envs.make(world["name"], **world["options"])
     controller = TorchController(str(run))
     episodes: list[NDArray[np.float64]] = []
     while sum(map(len, episodes)) < count:

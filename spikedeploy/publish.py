@@ -12,7 +12,7 @@ from spikedeploy import runs, zoo
 from spikedeploy.card import markdown
 from spikedeploy.compare import compare
 from spikedeploy.curves import curve
-from spikedeploy.export import Exported, export
+from spikedeploy.export import SPIKING, Exported, export
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.lineup import Entry
 from spikedeploy.plots import draw_curves
@@ -31,6 +31,7 @@ def publish(
     folder: Path = zoo.FOLDER,
     processes: int | None = None,
     note: str = "",
+    control: bool = False,
 ) -> list[Path]:
     """Put a run's policy into the zoo, with its card and its learning curve; the files written.
 
@@ -39,11 +40,12 @@ def publish(
     episodes  of its evaluation, on each chip that its card names
     folder    of the zoo
     note      what a reader should know that the run folder does not say
+    control   whether comparisons shall show it as a control, such as a network that is kept small
     """
     source = RunFolder.find(run).path
     target = folder / envs.spec(runs.settings(source)["env"]["name"]).short
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo as it was
-        exported = _exported(source, Path(stage) / name)
+        exported = _exported(source, Path(stage) / name, control)
         record = describe(source, exported, episodes, processes) | {"note": note}
         file = _copied(exported.path, target / exported.path.name)
     return [
@@ -73,7 +75,7 @@ def describe(
         "config": runs.settings(source),
         "overrides": _overrides(source),
         "parity": [vars(check) for check in exported.checks],
-        "evaluation": _evaluation(exported.path, origin.env, episodes, processes),
+        "evaluation": _evaluation(exported.path, source, episodes, processes),
     }
     return {key: _portable(value) for key, value in record.items()}
 
@@ -84,10 +86,10 @@ def _overrides(source: Path) -> list[str]:
     return differences(RunFolder(source).config(kind.Config))
 
 
-def _exported(source: Path, path: Path) -> Exported:
+def _exported(source: Path, path: Path, control: bool) -> Exported:
     """The run's policy as a file that does what the policy does."""
-    to = "nir" if runs.settings(source)["policy"]["kind"] == "popsan" else "onnx"
-    exported = export(str(source), to, path.with_suffix(f".{to}"))
+    to = "nir" if runs.settings(source)["policy"]["kind"] in SPIKING else "onnx"
+    exported = export(str(source), to, path.with_suffix(f".{to}"), control=control)
     failed = [check.name for check in exported.checks if not check.passed]
     if failed:
         raise SpikedeployError(f"the file does not do what {source} does: {', '.join(failed)}")
@@ -104,7 +106,7 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
 
 
 def _evaluation(
-    path: Path, env: str, episodes: int, processes: int | None
+    path: Path, source: Path, episodes: int, processes: int | None
 ) -> list[Mapping[str, Any]]:
     """Rows of the policy alone: as a float network, and on the default chip if it spikes."""
     candidate = find(str(path))
@@ -112,8 +114,9 @@ def _evaluation(
     if candidate.kind == "snn":
         twin = Entry(candidate, FLOAT)
         entries = [twin, Entry(candidate, DEFAULT_CHIP, twin)]
+    world = runs.settings(source)["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
-    rows = compare(env, entries, seeds, processes).as_json()
+    rows = compare(world["name"], entries, seeds, processes, world["options"]).as_json()
     return [{**row, "file": path.name} for row in rows]
 
 

@@ -1,6 +1,7 @@
 """Environments with options, as the command line asks for them."""
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -15,12 +16,13 @@ def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[An
     try:
         return envs.make(name, **options, **more)
     except TypeError as error:
-        if "unexpected keyword" not in str(error):
+        wrong = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+        if wrong is None:
             raise
-        wrong = str(error).rpartition(" ")[2]
+        spec = envs.spec(name)
         raise ConfigError(
-            f"{envs.spec(name).short} has no option {wrong}; the docstring of "
-            f"{envs.spec(name).target.replace(':', '.')} lists those that it has"
+            f"{spec.short} has no option {wrong[1]!r}; the docstring of "
+            f"{spec.target.replace(':', '.')} lists those that it has"
         ) from error
 
 

@@ -24,7 +24,7 @@ class Stroll(gymnasium.Env):
     CONTROL_DT = 0.02
     max_steps = 20
 
-    def __init__(self, render_mode=None):
+    def __init__(self, render_mode=None, **options):
         self.render_mode = render_mode
 
     def reset(self, *, seed=None, options=None):

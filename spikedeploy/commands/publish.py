@@ -17,6 +17,9 @@ def publish(
     note: Annotated[
         str, typer.Option(help="What the card should say beside what the run folder says.")
     ] = "",
+    control: Annotated[
+        bool, typer.Option("--control", help="Comparisons show it as a control.")
+    ] = False,
     workers: Workers = None,
     output: Annotated[
         Path | None,
@@ -29,7 +32,7 @@ def publish(
     from spikedeploy.publish import publish as write
     from spikedeploy.terminal import print_json
 
-    files = write(run, name, episodes, output or zoo.FOLDER, workers, note)
+    files = write(run, name, episodes, output or zoo.FOLDER, workers, note, control)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:
