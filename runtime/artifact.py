@@ -11,7 +11,7 @@ import nir
 import numpy as np
 
 from runtime.codec import Codec
-from runtime.convention import Convention, Integrator, Reset
+from runtime.convention import Convention, Integrator, Reset, State
 from runtime.discrete import NEURONS, discretise
 from runtime.errors import ArtifactError, ConventionError
 from runtime.origin import Origin
@@ -68,9 +68,16 @@ def load(
     reset: Reset | None = None,
     integrator: Integrator | None = None,
     delay: int | None = None,
+    state: State | None = None,
 ) -> Artifact:
     """Read a `.nir` file, ours or another tool's; what is given goes before what the file says."""
-    options = {"dt": dt, "reset": reset, "integrator": integrator, "delay": delay}
+    options = {
+        "dt": dt,
+        "reset": reset,
+        "integrator": integrator,
+        "delay": delay,
+        "state": state,
+    }
     given = {name: value for name, value in options.items() if value is not None}
     try:
         graph = _read(Path(path))
