@@ -1,7 +1,8 @@
-"""The demo: shipped policies on both tasks, a report of each, and a film of two of them."""
+"""The demo: shipped policies on three tasks, a report of each, films of a hexapod and a kart."""
 
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from dataclasses import dataclass
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,29 @@ from spikedeploy.policies import open_policy
 from spikedeploy.run import DEFAULT_CHIP
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.terminal import print_comparison, progress, say
-from spikedeploy.video import Frame, captioned, mp4, side_by_side
+from spikedeploy.video import Frame, Pace, captioned, mp4, side_by_side
 
-EPISODES = {"hexapod": 4, "hexapod-command": 3}
 FOLDER = Path("reports/demo")
-FPS = 25
 KINDS = {"ann": "float ANN", "snn": "spiking network"}
-SECONDS = 5  # drawing without a graphics card takes 0.2 s a frame
+
+
+@dataclass(frozen=True)
+class Act:
+    """What the demo shows of a task.
+
+    episodes  of its report
+    seconds   of its film; 0 for none. Drawing a hexapod without a graphics card takes 0.2 s a frame
+    """
+
+    episodes: int
+    seconds: float = 0.0
+
+
+ACTS = {
+    "hexapod": Act(episodes=4, seconds=5.0),
+    "hexapod-command": Act(episodes=3),
+    "kart-steer": Act(episodes=10, seconds=15.0),
+}
 
 
 def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
@@ -31,15 +48,15 @@ def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
     quiet   write nothing to stdout
     """
     documents: list[dict[str, Any]] = []
-    for env, episodes in EPISODES.items():
+    for env, act in ACTS.items():
         if not zoo.policies(env):
             say(f"{env}: no policies are shipped yet")
             continue
         into = folder if not documents else folder / env
         entries = line_up(env, (), (DEFAULT_CHIP,))
-        seeds = range(EVALUATION, EVALUATION + episodes)
+        seeds = range(EVALUATION, EVALUATION + act.episodes)
         document = report.document(compare(env, entries, seeds))
-        video = _film(env, entries, into / "film.mp4") if not documents else None
+        video = _film(env, entries, into / "film.mp4", act.seconds) if act.seconds else None
         files = report.write(document, into, video)
         documents.append(document)
         if not quiet:
@@ -48,15 +65,17 @@ def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
     return documents
 
 
-def _film(env: str, entries: Sequence[Entry], path: Path) -> Path | None:
+def _film(env: str, entries: Sequence[Entry], path: Path, seconds: float) -> Path | None:
     """The float ANN beside the SNN on the chip, on the same seed; None where nothing can draw."""
     ann = next((e for e in entries if e.candidate.kind == "ann"), None)
     snn = next((e for e in entries if e.chip == DEFAULT_CHIP), None)
     if ann is None or snn is None:
         return None
+    pace = _pace(env)
+    count = round(seconds * pace.fps)
     try:
-        with mp4(path, FPS) as write, progress("film", FPS * SECONDS) as drawn:
-            for pair in zip(_frames(env, ann), _frames(env, snn), strict=False):
+        with mp4(path, pace.fps) as write, progress("film", count) as drawn:
+            for pair in islice(_together(_frames(env, ann), _frames(env, snn)), count):
                 write(side_by_side(*pair))
                 drawn()
     except EnvError as error:
@@ -65,17 +84,39 @@ def _film(env: str, entries: Sequence[Entry], path: Path) -> Path | None:
     return path
 
 
+def _action(action: Any) -> Any:  # noqa: ANN401
+    """An action as environments take it: one of several as an int."""
+    return action if action.shape else int(action)
+
+
+def _pace(env: str) -> Pace:
+    world: Any = envs.make(env)
+    pace = Pace.of(world.unwrapped.CONTROL_DT)
+    world.close()
+    return pace
+
+
+def _together(left: Iterator[Frame], right: Iterator[Frame]) -> Iterator[tuple[Frame, Frame]]:
+    """Pairs of frames until both have ended; whose episode ends first keeps its last frame."""
+    kept: tuple[Frame | None, Frame | None] = (None, None)
+    for new in zip_longest(left, right):
+        kept = (kept[0] if new[0] is None else new[0], kept[1] if new[1] is None else new[1])
+        if kept[0] is not None and kept[1] is not None:
+            yield kept[0], kept[1]
+
+
 def _frames(env: str, entry: Entry) -> Iterator[Frame]:
-    """Frames of the first seconds of an entry's episode."""
+    """Frames of an entry's episode."""
     world: Any = envs.make(env, render_mode="rgb_array")
     player = open_policy(entry.candidate, entry.chip, world)
-    skip = round(1 / (FPS * world.unwrapped.CONTROL_DT))
+    pace, caption = _pace(env), f"{KINDS[entry.candidate.kind]}: {entry.label}"
     observation, _ = world.reset(seed=EVALUATION)
     player.reset(EVALUATION)
-    for step in islice(range(world.unwrapped.max_steps), skip * FPS * SECONDS):
-        if step % skip == 0:
-            yield captioned(world.render(), f"{KINDS[entry.candidate.kind]}: {entry.label}")
-        observation, _, terminated, _, _ = world.step(player.act(observation))
+    for step in range(world.unwrapped.max_steps):
+        if step % pace.every == 0:
+            yield captioned(world.render(), caption)
+        observation, _, terminated, _, _ = world.step(_action(player.act(observation)))
         if terminated:
+            yield captioned(world.render(), caption)
             break
     world.close()

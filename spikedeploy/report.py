@@ -59,11 +59,10 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
     """Write page, numbers, Markdown and plots into the folder; the files, in that order."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = document["rows"]
-    how_well = next(iter(tables(rows)))
-    pictures = {
-        how_well: draw_returns(rows, folder / "returns.png"),
-        COST: draw_energy(rows, folder / "energy.png"),
-    }
+    shown = tables(rows)
+    pictures = {next(iter(shown)): draw_returns(rows, folder / "returns.png")}
+    if COST in shown:
+        pictures[COST] = draw_energy(rows, folder / "energy.png")
     numbers = write_text(folder / "report.json", as_text(document))
     page = write_text(folder / "report.html", html(document, pictures, video))
     text = write_text(folder / "report.md", page_of_text(document))

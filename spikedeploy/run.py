@@ -1,11 +1,11 @@
 """One policy in one environment, closed loop, with or without a film of it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-import envs
 from envs.rollout import rollout
 from runtime.errors import ConfigError
 from spikedeploy.comparison import Comparison, Row
@@ -13,10 +13,10 @@ from spikedeploy.episodes import summarise
 from spikedeploy.lineup import Entry
 from spikedeploy.policies import FLOAT, Candidate, find, open_policy
 from spikedeploy.terminal import progress
-from spikedeploy.video import Frame, captioned, mp4
+from spikedeploy.video import Frame, Pace, captioned, mp4
+from spikedeploy.worlds import made
 
 DEFAULT_CHIP = "loihi1"
-FPS = 25  # drawing takes most of the time, and smoother pictures show nothing more
 
 
 def run(
@@ -25,6 +25,8 @@ def run(
     chip: str | None,
     seeds: Sequence[int],
     video: Path | None = None,
+    sampled: bool = False,
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Comparison:
     """Play the policy on every seed.
 
@@ -33,17 +35,20 @@ def run(
     chip       a chip or "float"; None is DEFAULT_CHIP for a file that spikes
     seeds      (n,)
     video      MP4 of the first episode
+    sampled    draw one of several actions by its probability, instead of taking the likeliest
+    options    of the environment
     """
     candidate = find(reference)
     entry = Entry(candidate, chip or _default_chip(candidate))
-    world: Any = envs.make(env or _made_for(candidate), render_mode="rgb_array" if video else None)
-    player = open_policy(candidate, entry.chip, world)
-    every = round(1 / (FPS * world.unwrapped.CONTROL_DT)) if video else 1
+    mode = "rgb_array" if video else None
+    world: Any = made(env or _made_for(candidate), options, render_mode=mode)
+    player = open_policy(candidate, entry.chip, world, sampled)
+    pace = Pace.of(world.unwrapped.CONTROL_DT)
     episodes = []
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds:
-            with _film(video if seed == seeds[0] else None, entry.label) as on_frame:
-                played = rollout(world, player, seed, on_frame, every)
+            with _film(video if seed == seeds[0] else None, pace.fps, entry.label) as on_frame:
+                played = rollout(world, player, seed, on_frame, pace.every)
             episodes.append(summarise(candidate, player, played))
             done()
     world.close()
@@ -63,10 +68,10 @@ def _default_chip(candidate: Candidate) -> str | None:
 
 
 @contextmanager
-def _film(path: Path | None, caption: str) -> Iterator[Callable[[Frame], None] | None]:
+def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Frame], None] | None]:
     """What `rollout` gives its frames to; None without a path."""
     if path is None:
         yield None
         return
-    with mp4(path, FPS) as write:
+    with mp4(path, fps) as write:
         yield lambda frame: write(captioned(frame, caption))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,25 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 Frame = NDArray[np.uint8]
+FPS = 25  # about: drawing takes most of the time, and smoother pictures show nothing more
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How often an environment is filmed, so that the film runs as fast as the world.
+
+    every  control steps between two frames
+    fps    frames of a second
+    """
+
+    every: int
+    fps: float
+
+    @classmethod
+    def of(cls, control_dt: float) -> "Pace":
+        """The pace nearest to FPS for a control step of so many seconds."""
+        every = max(1, round(1 / (FPS * control_dt)))
+        return cls(every, 1 / (every * control_dt))
 
 
 @contextmanager

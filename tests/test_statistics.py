@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from spikedeploy.statistics import bootstrap, iqm, paired_difference
+from spikedeploy.statistics import (
+    bootstrap,
+    iqm,
+    paired_difference,
+    ratio_of_medians,
+    share,
+)
 
 
 @pytest.fixture
@@ -56,3 +62,23 @@ def test_pairing_removes_what_the_seeds_share(rng):
 def test_pairs_of_unequal_number_are_refused(rng):
     with pytest.raises(ValueError, match=r"\(3,\) and \(2,\)"):
         paired_difference([1, 2, 3], [1, 2], rng)
+
+
+def test_the_interval_of_a_share_is_wilsons():
+    # Wilson 1927 for 81 of 263, as Newcombe 1998, Table I has it
+    estimate = share([True] * 81 + [False] * 182)
+    assert estimate.mean == 81 / 263
+    assert estimate.ci95 == (pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4))
+
+
+def test_successes_alone_do_not_make_a_share_certain():
+    low, high = share([True] * 100).ci95
+    assert low == pytest.approx(0.963, abs=1e-3)
+    assert high == 1
+
+
+def test_a_ratio_of_medians_is_that_of_the_middle_values(rng):
+    estimate = ratio_of_medians([2, 100, 1], [4, 5, 3], rng)
+    assert estimate.mean == 2 / 4
+    assert estimate.ci95[0] == 1 / 5
+    assert estimate.ci95[1] == 100 / 3

@@ -8,7 +8,7 @@ from envs.errors import EnvError
 from spikedeploy import demo
 from spikedeploy.lineup import line_up
 from spikedeploy.run import run
-from spikedeploy.video import captioned, mp4, side_by_side
+from spikedeploy.video import Pace, captioned, mp4, side_by_side
 from tests import strolling
 
 
@@ -68,10 +68,27 @@ def test_run_films_the_first_episode_only(stroll):
 
 def test_the_demo_films_the_ann_beside_the_chip(stroll):
     entries = line_up("stroll", (), ("loihi1",))
-    path = demo._film("stroll", entries, stroll / "film.mp4")
+    path = demo._film("stroll", entries, stroll / "film.mp4", seconds=5.0)
     found = frames(path)
     assert len(found) == 10  # 20 steps at 50 Hz, filmed at 25 Hz
     assert found[0].shape == (48, 64 + 2 + 64, 3)
+
+
+def test_a_film_is_as_long_as_asked_for(stroll):
+    entries = line_up("stroll", (), ("loihi1",))
+    assert len(frames(demo._film("stroll", entries, stroll / "film.mp4", seconds=0.2))) == 5
+
+
+def test_who_ends_first_waits_on_its_last_frame():
+    left, right = ([np.full((2, 2, 3), k, np.uint8) for k in range(n)] for n in (2, 4))
+    found = [(a[0, 0, 0], b[0, 0, 0]) for a, b in demo._together(iter(left), iter(right))]
+    assert found == [(0, 0), (1, 1), (1, 2), (1, 3)]
+
+
+@pytest.mark.parametrize(("dt", "every", "fps"), [(0.02, 2, 25), (1 / 60, 2, 30), (0.1, 1, 10)])
+def test_a_film_runs_as_fast_as_its_world(dt, every, fps):
+    pace = Pace.of(dt)
+    assert (pace.every, pace.fps) == (every, pytest.approx(fps))
 
 
 def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys):
@@ -79,6 +96,8 @@ def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys
         raise EnvError("no OpenGL to draw with")
 
     monkeypatch.setattr(strolling.Stroll, "render", dark)
-    assert demo._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4") is None
+    assert (
+        demo._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4", 5.0) is None
+    )
     assert "no film: no OpenGL to draw with\n" in capsys.readouterr().err
     assert not (stroll / "film.mp4").exists()

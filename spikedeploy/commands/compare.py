@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Json, Seed, Workers
+from spikedeploy.commands.options import EnvOptions, Json, Seed, Workers
 
 
 def compare(
@@ -15,14 +15,15 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[FILE]…",
-            help="Policies: .onnx, .nir, run folders, shipped names. The float ANN, the gait and "
-            "the controls are added.",
+            help="Policies: .onnx, .nir, run folders, shipped names. The float ANN, the "
+            "built-in players and the controls are added.",
             show_default="all that are shipped",
         ),
     ] = None,
     chips: Annotated[str, typer.Option(help="Chips for the spiking policies.")] = "loihi1",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
+    set_: EnvOptions = None,
     workers: Workers = None,
     output: Annotated[
         Path | None,
@@ -35,9 +36,10 @@ def compare(
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
+    from spikedeploy.worlds import parsed
 
     entries = line_up(env, files or (), _names(chips))
-    comparison = play(env, entries, range(seed, seed + episodes), workers)
+    comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(comparison)
     if output:
         report.write(document, output)

@@ -1,11 +1,19 @@
 """`spikedeploy export`: a run folder in, a portable file out, compared with the policy."""
 
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from spikedeploy.commands.options import Json
+
+
+class State(str, Enum):
+    """What an inference begins with."""
+
+    reset = "reset"
+    kept = "kept"
 
 
 def export(
@@ -20,13 +28,16 @@ def export(
     observations: Annotated[
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
+    state: Annotated[
+        State, typer.Option(help="Membranes at an inference: reset as trained, or kept; nir only.")
+    ] = State.reset,
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and prove that the file does the same."""
     from spikedeploy.export import export as write
     from spikedeploy.terminal import print_checks, print_json
 
-    written = write(run, to, output, observations)
+    written = write(run, to, output, observations, state=state.value)
     if json:
         checks = [vars(check) for check in written.checks]
         print_json({"path": str(written.path), "passed": written.passed, "checks": checks})

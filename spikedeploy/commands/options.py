@@ -10,6 +10,12 @@ Json = Annotated[
 Seed = Annotated[
     int, typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000.")
 ]
+EnvOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
+    ),
+]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
 ]

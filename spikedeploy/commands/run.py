@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Json, Seed
+from spikedeploy.commands.options import EnvOptions, Json, Seed
 
 
 def run(
@@ -24,6 +24,11 @@ def run(
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
     seed: Seed = seeds.EVALUATION,
+    sampled: Annotated[
+        bool,
+        typer.Option("--sampled", help="Draw actions by their probability, not the likeliest."),
+    ] = False,
+    set_: EnvOptions = None,
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
@@ -33,8 +38,10 @@ def run(
     from spikedeploy import report
     from spikedeploy.run import run as play
     from spikedeploy.terminal import print_comparison, print_json
+    from spikedeploy.worlds import parsed
 
-    comparison = play(policy, env, chip, range(seed, seed + episodes), video)
+    numbers = range(seed, seed + episodes)
+    comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()))
     document = report.document(comparison)
     if json:
         print_json(document)
