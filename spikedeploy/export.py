@@ -12,12 +12,14 @@ from envs.rollout import rollout
 from exporters import exporter
 from exporters.check import Check
 from exporters.parity import check
+from runtime.errors import ConfigError
 from spikedeploy import runs
 from spikedeploy.formats.run import TorchController
 from spikedeploy.seeds import VALIDATION
 from trainers.run_folder import RunFolder, load_policy
 
 if TYPE_CHECKING:
+    from runtime.convention import State
     from trainers.policies import Policy
 
 OBSERVATIONS = 1000
@@ -49,6 +51,7 @@ def export(
     path: Path | None = None,
     observations: int = OBSERVATIONS,
     control: bool = False,
+    state: "State" = "reset",
 ) -> Exported:
     """Write a run's policy as a file.
 
@@ -57,14 +60,17 @@ def export(
     path          of the file; by default policy.<to> in the run folder
     observations  recorded from the policy's own episodes, on which the file is compared with it
     control       whether comparisons shall show a float network as a control
+    state         "kept" carries the membranes of a spiking policy on from inference to inference
     """
+    if state != "reset" and to != "nir":
+        raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
     folder = RunFolder.find(run).path
     policy = load_policy(folder)
     path = path or folder / f"policy.{to}"
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy, control)
-    options = {"kind": kind} if to == "onnx" else {}
-    exporter(to)(policy, runs.origin(folder), path, **options)
+    options: dict[str, dict[str, str]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
+    exporter(to)(policy, runs.origin(folder), path, **options.get(to, {}))
     return Exported(path, kind, check(policy, path, recorded(folder, observations)))
 
 

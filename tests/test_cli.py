@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from runtime.artifact import save
+from runtime.artifact import load, save
 from runtime.chip import chip
 from runtime.compile import compile as compiled
 from runtime.interpreter import trace
@@ -183,6 +183,16 @@ def test_export_compares_the_file_with_the_policy(command, stroll):
     assert code == 0
     assert out.count("✓") >= 4
     assert (run / "policy.nir").is_file()
+
+
+def test_export_writes_whether_membranes_are_kept(command, stroll):
+    run = strolling.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    words = ("export", run, "--observations", 30, "--state", "kept", "--to")
+    assert command(*words, "nir")[0] == 0
+    assert load(run / "policy.nir").convention.state == "kept"
+    code, _, err = command(*words, "onnx")
+    assert code == 1
+    assert "only a .nir file has membranes to keep" in err
 
 
 def test_export_fails_with_exit_code_1_when_a_check_does(command, stroll, monkeypatch):

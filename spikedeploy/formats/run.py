@@ -69,13 +69,14 @@ class TorchController:
 
 def describe(path: Path) -> Candidate:
     """The candidate in a run folder."""
+    from exporters.to_nir import SpikingPolicy
     from trainers.run_folder import load_policy
 
     policy = load_policy(path)
     return Candidate(
         path=str(path),
         name=path.resolve().name,
-        kind="snn" if policy.kind in ("popsan", "spiking-mlp") else "ann",
+        kind="snn" if isinstance(policy, SpikingPolicy) else "ann",
         format="run",
         env=env_id(settings(path)["env"]["name"]),
         observed=policy.observations,
