@@ -41,6 +41,24 @@ def test_bytes_are_the_upper_ones_and_go_on_where_they_stopped():
     np.testing.assert_array_equal(together, drawn)
 
 
+def mixed(x):
+    """MurmurHash3's finaliser in whole numbers, cut to 32 bits."""
+    x = (x ^ x >> 16) * 0x85EBCA6B & 0xFFFFFFFF
+    x = (x ^ x >> 13) * 0xC2B2AE35 & 0xFFFFFFFF
+    return x ^ x >> 16
+
+
+def test_a_seed_gives_these_bytes_and_always_will():
+    drawn = Xorshift(10_000, 3).draw(2, 4)
+    assert drawn[0].tolist() == [[127, 206, 221], [234, 225, 94], [229, 67, 107], [34, 133, 130]]
+    for robot, neuron in np.ndindex(2, 3):
+        begun = mixed(mixed(10_000 + 0x9E3779B9 & 0xFFFFFFFF))
+        x = mixed(begun + 3 * robot + neuron & 0xFFFFFFFF)
+        for t in range(4):
+            x = marsaglia(x)
+            assert drawn[robot, t, neuron] == x >> 24
+
+
 def test_a_robot_draws_the_same_bytes_whoever_stands_beside_it():
     alone, beside = Xorshift(3, 4), Xorshift(3, 4)
     first = alone.draw(1, 6)
