@@ -119,7 +119,7 @@ class Ghosts:
     @classmethod
     def from_rollout(cls, played: Rollout) -> Ghosts:
         """A recorded episode as the only ghost."""
-        return cls(played.env_id, [Ghost.from_rollout(played)])
+        return cls(played.env_id, [Ghost.from_rollout(played)], played.options)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file that this module describes; its name appears when it is whole."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -41,6 +42,7 @@ class Rollout:
     terminated   ended by what happened: a fall, a crash, the finish
     truncated    ended by the clock
     info         (S,) each: the numbers in the step infos; reward terms as "reward/<name>"
+    options      that the environment was made with, as far as JSON can hold them
     """
 
     env_id: str
@@ -51,6 +53,7 @@ class Rollout:
     terminated: bool
     truncated: bool
     info: dict[str, FloatArray]
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def steps(self) -> int:
@@ -79,6 +82,7 @@ class Rollout:
         )
         arrays["header"] = np.array([self.seed, self.terminated, self.truncated, VERSION])
         arrays["env_id"] = np.array(self.env_id)
+        arrays["options"] = np.array(json.dumps(dict(self.options)))
         try:
             with partial.open("wb") as file:
                 np.savez_compressed(file, **arrays)
@@ -116,6 +120,68 @@ class Rollout:
             terminated=bool(terminated),
             truncated=bool(truncated),
             info={name.removeprefix("info/"): values for name, values in infos.items()},
+            options=json.loads(str(arrays.get("options", "{}"))),  # files of 0.1 have none
+        )
+
+
+class Take:
+    """An episode that is under way, for those who step it at their own pace.
+
+    observation  (obs,) the newest
+    info         of the newest step
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], seed: int) -> None:
+        self._env, self._seed = env, seed
+        first, self.info = env.reset(seed=seed)
+        self.observation = _finite("observation", first, env.observation_space, 0)
+        self._observations = [self.observation]
+        self._actions: list[NDArray[Any]] = []
+        self._rewards: list[float] = []
+        self._infos: list[dict[str, float]] = []
+        self._terminated = self._truncated = False
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far."""
+        return len(self._actions)
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended."""
+        return self._terminated or self._truncated
+
+    def step(self, choice: object) -> None:
+        """Take the action (act,), or () where it is one of several."""
+        space, step = self._env.action_space, self.steps
+        action = _action(choice, space, step)
+        # an index is what a list of actions takes
+        given = action if action.ndim else int(action)
+        observation, reward, terminated, truncated, self.info = self._env.step(given)
+        self.observation = _finite(
+            "observation", observation, self._env.observation_space, step + 1
+        )
+        self._observations.append(self.observation)
+        self._actions.append(action)
+        self._rewards.append(float(reward))
+        self._infos.append(_numbers(self.info))
+        self._terminated, self._truncated = bool(terminated), bool(truncated)
+
+    def rollout(self) -> Rollout:
+        """What was recorded, of at least one step; an episode that goes on counts as truncated."""
+        return Rollout(
+            env_id=self._env.spec.id if self._env.spec else type(self._env.unwrapped).__name__,
+            seed=self._seed,
+            observation=np.stack(self._observations),
+            action=np.stack(self._actions),
+            reward=np.array(self._rewards),
+            terminated=self._terminated,
+            truncated=self._truncated or not self._terminated,
+            info={
+                name: np.array([numbers[name] for numbers in self._infos])
+                for name in self._infos[-1]
+            },
+            options=options_of(self._env),
         )
 
 
@@ -127,36 +193,27 @@ def rollout(
     frame_every: int = 1,
 ) -> Rollout:
     """Run one episode; on_frame is given a picture (H, W, 3) at reset and every so many steps."""
-    observation, _ = env.reset(seed=seed)
+    take = Take(env, seed)
     controller.reset(seed)
-    observations = [_finite("observation", observation, env.observation_space, 0)]
-    actions: list[NDArray[Any]] = []
-    rewards: list[float] = []
-    infos: list[dict[str, float]] = []
-    terminated = truncated = False
     _show(env, on_frame)
-    while not (terminated or truncated):
-        step = len(actions)
-        action = _action(controller.act(observations[-1]), env.action_space, step)
-        # an index is what a list of actions takes
-        given = action if action.ndim else int(action)
-        observation, reward, terminated, truncated, info = env.step(given)
-        observations.append(_finite("observation", observation, env.observation_space, step + 1))
-        actions.append(action)
-        rewards.append(float(reward))
-        infos.append(_numbers(info))
-        if len(actions) % frame_every == 0:
+    while not take.over:
+        take.step(controller.act(take.observation))
+        if take.steps % frame_every == 0:
             _show(env, on_frame)
-    return Rollout(
-        env_id=env.spec.id if env.spec else type(env.unwrapped).__name__,
-        seed=seed,
-        observation=np.stack(observations),
-        action=np.stack(actions),
-        reward=np.array(rewards),
-        terminated=bool(terminated),
-        truncated=bool(truncated),
-        info={name: np.array([numbers[name] for numbers in infos]) for name in infos[-1]},
-    )
+    return take.rollout()
+
+
+def options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+    """What an environment was made with, as JSON holds it; how it is shown is left out."""
+    given = env.spec.kwargs if env.spec else {}
+    shown = {name: value for name, value in given.items() if name != "render_mode"}
+    options: dict[str, Any] = json.loads(json.dumps(shown, default=_named))
+    return options
+
+
+def _named(value: object) -> str:
+    """A name for what JSON has no form for, such as a track that was built in memory."""
+    return str(getattr(value, "name", value))
 
 
 def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[Any]:

@@ -4,7 +4,7 @@ import pytest
 
 import envs
 from envs.errors import EnvError
-from envs.rollout import Rollout, rollout
+from envs.rollout import Rollout, Take, rollout
 from tests.choosing import Choosing
 
 
@@ -157,3 +157,18 @@ def test_a_choice_that_the_environment_does_not_have_is_refused(wrong):
 def test_numbers_where_a_choice_is_due_are_refused():
     with pytest.raises(EnvError, match=r"action of step 0: shape \(4,\) instead of \(\)"):
         rollout(Choosing(), Constant(np.zeros(4)), 0)
+
+
+def test_a_rollout_says_which_options_its_world_was_made_with(env, walk, tmp_path):
+    assert walk.options == {"max_steps": 30}
+    walk.save(tmp_path / "walk.npz")
+    assert Rollout.load(tmp_path / "walk.npz").options == {"max_steps": 30}
+
+
+def test_an_episode_that_is_broken_off_counts_as_truncated(env):
+    take = Take(env, 5)
+    for _ in range(3):
+        take.step(np.zeros(18))
+    broken_off = take.rollout()
+    assert (broken_off.steps, take.over) == (3, False)
+    assert (broken_off.terminated, broken_off.truncated) == (False, True)
