@@ -35,10 +35,14 @@ def draw_command(rng: np.random.Generator) -> tuple[float, float]:
     """Draw forward speed [m/s] and turn rate [rad/s] that the legs can follow together."""
     stand = rng.random() < STAND
     speed = rng.uniform(*SPEED)
-    # |turn| <= (outer speed - |speed|) / half track
-    most = min(TURN, (OUTER_SPEED - abs(speed)) / HALF_TRACK)
-    turn = most * rng.uniform(-1.0, 1.0)
+    turn = fastest_turn(speed) * rng.uniform(-1.0, 1.0)
     return (0.0, 0.0) if stand else (speed, turn)
+
+
+def fastest_turn(speed: float) -> float:
+    """Turn rate [rad/s] that the outer legs can follow at a forward speed [m/s]."""
+    # |turn| <= (outer speed - |speed|) / half track
+    return min(TURN, (OUTER_SPEED - abs(speed)) / HALF_TRACK)
 
 
 class HexapodCommandEnv(HexapodEnv):
@@ -75,6 +79,13 @@ class HexapodCommandEnv(HexapodEnv):
 
     def __init__(self, *, terrain: Range = (0.05, 0.09), **options: Any) -> None:  # noqa: ANN401
         super().__init__(terrain=terrain, **options)
+
+    def steer(self, speed: float, turn: float) -> None:
+        """Command a speed [m/s] and a turn rate [rad/s], as far as the legs can, to the end."""
+        speed = min(max(speed, SPEED[0]), SPEED[1])
+        most = fastest_turn(speed)
+        self._command = speed, min(max(turn, -most), most)
+        self._change = math.inf
 
     def _begin(self) -> None:
         self._turn = 0.0

@@ -108,3 +108,11 @@ def test_terms_sum_to_the_reward(env):
     for _ in range(50):
         _, reward, _, _, info = env.step(rng.uniform(-1.0, 1.0, 18))
         assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-9)
+
+
+def test_a_steered_robot_keeps_the_command_that_its_legs_can_follow(env):
+    env.reset(seed=3)
+    env.steer(0.4, -2.0)
+    for _ in range(HOLD[1] + 1):
+        _, _, _, _, info = env.step(STILL)
+        assert (info["command_speed"], info["command_turn"]) == pytest.approx((0.4, -0.5))
