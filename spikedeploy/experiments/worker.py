@@ -38,7 +38,9 @@ def main() -> int:
 
 def _interrupt_at_the_end_of_stdin() -> None:
     os.read(sys.stdin.fileno(), 1)  # returns when the other end closes, and never before
-    signal.raise_signal(signal.SIGINT)
+    main_thread = threading.main_thread().ident
+    if main_thread is not None:  # only a signal to that thread wakes what it waits for
+        signal.pthread_kill(main_thread, signal.SIGINT)
 
 
 if __name__ == "__main__":

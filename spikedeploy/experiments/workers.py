@@ -140,6 +140,7 @@ class _Process:
     def kill(self) -> None:
         """End it now."""
         self._popen.kill()
+        self._popen.wait()
 
     def end(self) -> Ended:
         """Wait for its end."""
