@@ -65,7 +65,7 @@ def _chosen(design: Design, only: Sequence[str]) -> list[Drive | Trial]:
                 part.name.rpartition("-s")[0] or part.name for part in design.trials()
             )
             raise ConfigError(
-                f"no part of the experiment begins with {beginning!r}: {', '.join(known)}"
+                f"no part of the experiment begins with {beginning!r}; known: {', '.join(known)}"
             )
     return [p for p in design.parts if not only or p.name.startswith(tuple(only))]
 
