@@ -39,3 +39,11 @@ def test_the_divergence_that_ends_the_epochs_is_that_of_the_two_policies():
     estimate = (change.exp() - 1.0 - change).mean().item()
     exact = kl_divergence(Categorical(logits=old[0]), Categorical(logits=new[0])).item()
     assert estimate == pytest.approx(exact, rel=0.03)
+
+
+def test_a_cold_head_draws_the_best_action_only():
+    torch.manual_seed(0)
+    head = CategoricalHead()
+    head.temperature = 0.01
+    assert (head.draw(MEAN[:1].expand(1000, 3)) == 2).all()
+    assert head.entropy(MEAN[:1]).item() == pytest.approx(0.0, abs=1e-6)

@@ -12,19 +12,24 @@ HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 class CategoricalHead(nn.Module):
-    """One of a few actions; `Latent.mean` holds their logits."""
+    """One of a few actions; `Latent.mean` holds their logits.
+
+    temperature: the logits are divided by it; near zero, only the best action is drawn
+    """
+
+    temperature = 1.0
 
     def draw(self, mean: Tensor) -> Tensor:
         """Return the indices (B,) of actions drawn for the logits (B, act)."""
-        return torch.multinomial(mean.softmax(-1), 1).squeeze(-1)
+        return torch.multinomial((mean / self.temperature).softmax(-1), 1).squeeze(-1)
 
     def log_probability(self, mean: Tensor, drawn: Tensor) -> Tensor:
         """Return (B,) of what was drawn."""
-        return functional.log_softmax(mean, -1).gather(-1, drawn[:, None]).squeeze(-1)
+        return self._logs(mean).gather(-1, drawn[:, None]).squeeze(-1)
 
     def entropy(self, mean: Tensor) -> Tensor:
         """Return (B,)."""
-        logs = functional.log_softmax(mean, -1)
+        logs = self._logs(mean)
         # H = -sum p log p
         return -(logs.exp() * logs).sum(-1)
 
@@ -32,13 +37,20 @@ class CategoricalHead(nn.Module):
         """Return what the environment is given: the index itself."""
         return drawn
 
+    def _logs(self, mean: Tensor) -> Tensor:
+        """Return the logarithm of every action's probability (B, act)."""
+        return functional.log_softmax(mean / self.temperature, -1)
+
 
 class GaussianHead(nn.Module):
     """A Gaussian around `Latent.mean`, squashed by tanh, with one learned spread per action.
 
     Ratios and divergences are those of the Gaussian before tanh: what tanh adds to a
-    log-probability depends on the action alone and cancels.
+    log-probability depends on the action alone and cancels. Its spread is learned, so it needs no
+    temperature.
     """
+
+    temperature = 1.0
 
     def __init__(self, actions: int, spread: float) -> None:
         super().__init__()

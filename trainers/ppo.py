@@ -87,7 +87,8 @@ class Ppo:
         self._clock = time.perf_counter(), self.env_steps
         while not (self._finished or stopped()):
             before = self.env_steps
-            metrics = self.learner.learn(self._collect(self._log), before)
+            self.learner.schedule(before)
+            metrics = self.learner.learn(self._collect(self._log))
             self.iterations += 1
             journal.at(self.env_steps, self._config.steps)
             self._report(journal, metrics, before)

@@ -23,7 +23,10 @@ class PpoConfig(RunConfig):
     horizon: steps of each copy between two updates; `env.count` times as many are a batch
     epochs, minibatch: passes over a batch, and rows of each gradient update
     clip: limit on the change of an action's probability ratio
-    entropy: weight of the policy's entropy in its loss
+    entropy: weight of the policy's entropy in its loss, along environment steps
+    temperature: what a discrete head's logits are divided by before an action is drawn, along
+        environment steps. In the end it is low, so that training meets what the best action alone
+        leads to: turning left and right for ever, which a robot that draws its actions never does
     target_kl: mean divergence from the policy that acted after which the epochs end; 0 for never
     gradient_norm: limit on the norm of the gradient, of actor and critic each
     actor_rate: learning rate of the policy, along environment steps
@@ -38,17 +41,18 @@ class PpoConfig(RunConfig):
     env: EnvConfig = EnvConfig(name="kart-grid", count=16)
     normaliser: NormaliserConfig = NormaliserConfig(finish=0)
     validation: ValidationConfig = ValidationConfig(every=20_000, episodes=10)
-    steps: Positive = 500_000
+    steps: Positive = 400_000
     horizon: Positive = 128
     epochs: Positive = 6
     minibatch: Positive = 256
     gamma: Share = 0.99
     trace: Share = 0.95
     clip: Rate = 0.2
-    entropy: float = Field(default=0.01, ge=0)
+    entropy: Ramp = Ramp(start=0.01, end=0.0, finish=200_000)
+    temperature: Ramp = Ramp(start=1.0, end=0.1, begin=120_000, finish=200_000)
     target_kl: float = Field(default=0.03, ge=0)
     gradient_norm: Rate = 0.5
-    actor_rate: Ramp = Ramp(start=1e-3, end=1e-3, finish=500_000)
+    actor_rate: Ramp = Ramp(start=1e-3, end=0.0, finish=400_000)
     critic_rate: Rate = 1e-3
     critic_hidden: tuple[Positive, ...] = (128, 128)
     spread: Rate = 0.6

@@ -33,6 +33,7 @@ class PpoLearner:
         self.actor = nn.ModuleList([policy, self.head])
         self._actor_adam = adam.adam(self.actor, config.actor_rate.start)
         self._critic_adam = adam.adam(self.critic, config.critic_rate)
+        self._entropy = config.entropy.start
 
     @torch.no_grad()
     def explore(self, observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -42,10 +43,15 @@ class PpoLearner:
         drawn = self.head.draw(mean)
         return perceived, drawn, self.head.log_probability(mean, drawn)
 
-    def learn(self, moments: list[Moment], step: int) -> dict[str, float]:
-        """Learn from K steps of every copy; return the metrics."""
+    def schedule(self, step: int) -> None:
+        """Set what changes along environment steps."""
+        self._entropy = self._config.entropy.at(step)
+        self.head.temperature = self._config.temperature.at(step)
         for group in self._actor_adam.param_groups:
             group["lr"] = self._config.actor_rate.at(step)
+
+    def learn(self, moments: list[Moment]) -> dict[str, float]:
+        """Learn from K steps of every copy; return the metrics."""
         batch = self._assessed(stacked(moments))
         rows = [row for epoch in self._epochs(batch) for row in epoch]
         return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
@@ -105,7 +111,7 @@ class PpoLearner:
         # L = -E[min(ratio A, clip(ratio) A)] - c H
         gain = torch.min(ratio * part.advantage, limited * part.advantage).mean()
         entropy = self.head.entropy(latent.mean).mean()
-        loss = self._overactive(latent.rates) - gain - self._config.entropy * entropy
+        loss = self._overactive(latent.rates) - gain - self._entropy * entropy
         _descend(self._actor_adam, self.actor, loss, self._config.gradient_norm)
         with torch.no_grad():
             return {
