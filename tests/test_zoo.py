@@ -2,6 +2,7 @@
 
 import json
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -32,10 +33,11 @@ def test_it_acts_in_the_environment_of_its_folder(path):
     player = open_policy(candidate, "loihi1" if candidate.kind == "snn" else None, world)
     observation, _ = world.reset(seed=10_000)
     player.reset(10_000)
-    action = player.act(observation)
-    assert action.shape == (18,)
-    assert np.abs(action).max() <= 1
-    assert np.ptp(action) > 0
+    actions = np.stack([player.act(observation), player.act(-observation)])
+    assert actions.shape[1:] == world.action_space.shape
+    assert np.ptp(actions) > 0
+    if isinstance(world.action_space, gymnasium.spaces.Box):
+        assert np.abs(actions).max() <= 1
 
 
 def test_its_card_names_recipe_seed_steps_and_commit(path, card):
@@ -72,6 +74,13 @@ def test_each_task_has_a_float_ann_a_spiking_policy_and_the_three_controls(env):
     assert {stem for stem, kind in kinds.items() if kind == "control"} >= {
         "phase", "bilinear", "linear",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("env", sorted({path.parent.name for path in SHIPPED}))
+def test_each_task_has_one_float_ann_that_others_are_measured_against(env):
+    kinds = [find(str(path)).kind for path in zoo.policies(env)]
+    assert kinds.count("ann") == 1
+    assert "snn" in kinds
 
 
 def test_reports_name_shipped_files_without_the_folders_of_the_machine():

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,15 @@ def draw(design: Design, path: Path) -> Path:
     """Write the picture of all complete trainings of the two networks."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    figure = Figure(figsize=(11, 4.0), layout="constrained")
     panels = figure.subplots(1, len(WORLDS), sharey=True)
     for world, axes in zip(WORLDS, panels, strict=True):
         _panel(axes, design, world)
     panels[0].set_ylabel(f"finished episodes of training, up to {COUNT}")
-    panels[0].legend(frameon=False, loc="upper left")
+    named = {name: line for axes in panels for line, name in zip(*_legend(axes), strict=True)}
+    figure.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
+    )
     return save(figure, path)
 
 
@@ -48,7 +51,7 @@ def _panel(axes: "Axes", design: Design, world: str) -> None:
             peer, COUNT, "x", color=COLOURS[policy], clip_on=False, zorder=5,
             label=f"kart-simulator's {policy.upper()}",
         )  # fmt: skip
-    axes.set_title(world, loc="left", fontsize=11)
+    axes.set_title(world, loc="left", fontsize=11, pad=10)
     axes.set_xlabel("environment steps")
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.set_ylim(0, COUNT)
@@ -57,12 +60,18 @@ def _panel(axes: "Axes", design: Design, world: str) -> None:
     axes.grid(color="#E6E8EB")
 
 
+def _legend(axes: "Axes") -> tuple[list[Any], list[Any]]:
+    """Artists and their names."""
+    artists, names = axes.get_legend_handles_labels()
+    return artists, names
+
+
 def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy: str) -> None:
     grid, counts = counted(runs, lengths)
     axes.fill_between(
         grid, counts.min(axis=0), counts.max(axis=0), color=COLOURS[policy], alpha=0.18, linewidth=0
     )
-    label = f"{NAMES[policy]}, median and range of {len(runs)}"
+    label = f"{NAMES[policy]}: median and range"
     axes.plot(grid, np.median(counts, axis=0), color=COLOURS[policy], linewidth=1.8, label=label)
 
 
