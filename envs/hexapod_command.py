@@ -80,6 +80,11 @@ class HexapodCommandEnv(HexapodEnv):
     def __init__(self, *, terrain: Range = (0.05, 0.09), **options: Any) -> None:  # noqa: ANN401
         super().__init__(terrain=terrain, **options)
 
+    @property
+    def command(self) -> tuple[float, float]:
+        """Forward speed [m/s] and turn rate [rad/s] that are to be followed now."""
+        return self._command
+
     def steer(self, speed: float, turn: float) -> None:
         """Command a speed [m/s] and a turn rate [rad/s], as far as the legs can, to the end."""
         speed = min(max(speed, SPEED[0]), SPEED[1])

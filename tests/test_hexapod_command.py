@@ -116,3 +116,4 @@ def test_a_steered_robot_keeps_the_command_that_its_legs_can_follow(env):
     for _ in range(HOLD[1] + 1):
         _, _, _, _, info = env.step(STILL)
         assert (info["command_speed"], info["command_turn"]) == pytest.approx((0.4, -0.5))
+    assert env.command == pytest.approx((0.4, -0.5))
