@@ -10,6 +10,10 @@ reward.py           what they are paid for
 hexapod.py          walk straight ahead at 0.4 m/s
 hexapod_command.py  follow a commanded speed and turn rate
 camera.py           pictures of them
+kart_scene.py       a track on a surface
+kart_picture.py     pictures of karts
+ghosts.py           the drives of a whole training, in small files
+ghost_recorder.py   keeps them
 rollout.py          one episode of a controller, recorded
 
 A new environment is one file and one line in ENVS.
@@ -27,6 +31,10 @@ from typing import Any
 import gymnasium
 
 from envs.errors import EnvError
+
+
+# drawing karts needs pygame, which would greet everybody on stdout
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 
 def _loads(library: str) -> bool:
