@@ -1,0 +1,55 @@
+"""`spikedeploy play`: a window to drive in."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy import seeds
+from spikedeploy.commands.options import Json, Seed
+
+
+def play(
+    env: Annotated[str, typer.Argument(metavar="ENV", help="Environment; `envs` lists them.")],
+    track: Annotated[
+        str | None,
+        typer.Option(help="Track of a kart: a name, or a .json file.", show_default="big_S"),
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Policy to watch.", show_default="you drive a kart"),
+    ] = None,
+    chip: Annotated[
+        str | None,
+        typer.Option(
+            help="Chip of a spiking policy; 'float' for its float twin.", show_default="loihi1"
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(dir_okay=False, help=".npz for `replay`, one for each drive.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="An option of the environment."),
+    ] = None,
+    seed: Seed = seeds.EVALUATION,
+    json: Json = False,
+) -> None:
+    """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
+    from spikedeploy.play.driving import Driving, session
+    from spikedeploy.play.window import show
+    from spikedeploy.terminal import print_json
+    from spikedeploy.worlds import parsed
+
+    options = parsed(set_ or ()) | ({} if track is None else {"track": track})
+    drive = session(env, options, policy, chip, seed, record)
+    show(Driving(drive, env))
+    drive.close()
+    if json:
+        files = [str(path) for path in drive.files]
+        print_json({"episodes": [vars(outcome) for outcome in drive.outcomes], "files": files})
+        return
+    for number, outcome in enumerate(drive.outcomes, 1):
+        typer.echo(f"{number}: {outcome.line}")
+    for path in drive.files:
+        typer.echo(f"wrote {path}")

@@ -1,0 +1,53 @@
+"""`spikedeploy replay`: what was driven, again."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import Json
+
+
+def replay(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="Run folder, ghost file, or recorded drive.")
+    ],
+    mode: Annotated[
+        str, typer.Option(help="'batch': one batch of a training after the other; 'all': at once.")
+    ] = "batch",
+    batch: Annotated[int, typer.Option(min=1, help="Batch to begin with.")] = 1,
+    spikes: Annotated[
+        str | None,
+        typer.Option(metavar="POLICY", help="Show the spikes of this policy beside the leader."),
+    ] = None,
+    chip: Annotated[
+        str, typer.Option(help="Chip of that policy; 'float' for its float twin.")
+    ] = "loihi1",
+    speed: Annotated[float, typer.Option(help="1 is real time.")] = 1.0,
+    video: Annotated[
+        Path | None, typer.Option(dir_okay=False, help=".mp4 or .gif, instead of a window.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Of the video, at most.")] = 60.0,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="An option of the environment."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Replay a training's episodes as ghosts, or a drive that `play --record` kept."""
+    from spikedeploy.play.film import film
+    from spikedeploy.play.replaying import replay as open_replay
+    from spikedeploy.play.window import show
+    from spikedeploy.terminal import print_json
+    from spikedeploy.worlds import parsed
+
+    app = open_replay(source, mode, batch, spikes, chip, speed, parsed(set_ or ()))
+    if video is None:
+        show(app)
+    else:
+        film(app, video, seconds)
+    told = {"source": str(source), "batches": app.playback.batches}
+    if json:
+        print_json({**told, "video": str(video) if video else None})
+    elif video:
+        typer.echo(f"wrote {video}")

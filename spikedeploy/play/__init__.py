@@ -1,0 +1,21 @@
+"""Windows and films: driving by hand, watching a policy, and replaying what was driven.
+
+theme.py    colours, fonts, and the few shapes that every panel is made of
+window.py   an app on the screen: events in, frames out; screenshots
+keys.py     which keys drive which world
+session.py  a drive: a world, who drives it, and the record
+stage.py    the picture of a world
+hud.py      the panel beside it
+driving.py  `spikedeploy play`
+batches.py  what a replay reads: ghosts, batch after batch
+playback.py the time of a replay: pause, speed, seek, batch after batch
+field.py    ghosts on their track
+brain.py    what a spiking policy does at the leading ghost
+rasters.py  its spikes, drawn
+replaying.py `spikedeploy replay`
+film.py     an app as MP4 or GIF
+"""
+
+import os
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")

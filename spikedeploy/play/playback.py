@@ -1,0 +1,74 @@
+"""The time of a replay: pause, speed, seek, and which batch is on."""
+
+from dataclasses import dataclass
+
+import pygame
+
+SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+JUMP = 1.0  # [s] of a seek
+REST = 1.0  # [s] that the end of a batch stays on the screen
+
+
+@dataclass
+class Playback:
+    """Where a replay is.
+
+    batches  how many there are
+    dt       [s] of a control step
+    length   control steps of the batch that is on
+    batch    which it is
+    step     control steps since its start, whole ones and parts
+    speed    1 is real time
+    paused   whether time stands still
+    rounds   how often the last batch has come to its end
+    """
+
+    batches: int
+    dt: float
+    length: int = 0
+    batch: int = 0
+    step: float = 0.0
+    speed: float = 1.0
+    paused: bool = False
+    rounds: int = 0
+
+    @property
+    def now(self) -> int:
+        """The control step that is shown."""
+        return min(int(self.step), self.length)
+
+    def handle(self, event: pygame.Event) -> None:
+        """Take a key that was pressed."""
+        if event.type != pygame.KEYDOWN:
+            return
+        if event.key == pygame.K_SPACE:
+            self.paused = not self.paused
+        elif event.key in (pygame.K_LEFT, pygame.K_RIGHT):
+            self.seek(JUMP if event.key == pygame.K_RIGHT else -JUMP)
+        elif event.key in (pygame.K_UP, pygame.K_DOWN):
+            self.hurry(1 if event.key == pygame.K_UP else -1)
+        elif event.key in (pygame.K_n, pygame.K_b):
+            self.turn(1 if event.key == pygame.K_n else -1)
+
+    def tick(self, seconds: float) -> None:
+        """Let time pass; after the end of a batch comes the next, after the last the first."""
+        if self.paused:
+            return
+        self.step += self.speed * seconds / self.dt
+        if self.step > self.length + REST * self.speed / self.dt:
+            self.rounds += self.batch == self.batches - 1
+            self.turn(1)
+
+    def seek(self, seconds: float) -> None:
+        """Go on or back within the batch."""
+        self.step = min(max(self.step + seconds / self.dt, 0.0), float(self.length))
+
+    def hurry(self, notches: int) -> None:
+        """Play faster or slower, by steps of SPEEDS."""
+        nearest = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - self.speed))
+        self.speed = SPEEDS[min(max(nearest + notches, 0), len(SPEEDS) - 1)]
+
+    def turn(self, batches: int) -> None:
+        """Go to another batch, round and round."""
+        self.batch = (self.batch + batches) % self.batches
+        self.step = 0.0

@@ -1,0 +1,150 @@
+"""A drive: a world, who drives it, episode after episode, and the record of it."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from envs.rollout import Rollout, Take
+from spikedeploy.play.drivers import Driver
+
+PAUSE = 1.5  # [s] that the end of an episode stays on the screen
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an episode ended.
+
+    word     "finish", "crash", "stalled", "fall" or "time is up"
+    good     whether it was a success
+    steps    of the episode
+    total    return
+    seconds  of the lap, where one was finished
+    """
+
+    word: str
+    good: bool
+    steps: int
+    total: float
+    seconds: float | None = None
+
+    @property
+    def line(self) -> str:
+        """In words."""
+        lap = "" if self.seconds is None else f" in {self.seconds:.2f} s"
+        return f"{self.word}{lap}, {self.steps} steps, return {self.total:.2f}"
+
+
+class Session:
+    """One driver in one environment.
+
+    env       the environment
+    driver    who drives
+    seed      of the first episode; every one after it has the next
+    record    file that keeps the drives; the second goes to <name>-2, and so on
+    take      the episode that is under way
+    sums      reward term -> sum over the episode
+    outcomes  of the episodes that ended
+    files     that drives were recorded in
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        driver: Driver,
+        seed: int,
+        record: Path | None = None,
+    ) -> None:
+        self.env, self.driver, self._record = env, driver, record
+        self.world: Any = env.unwrapped
+        self.outcomes: list[Outcome] = []
+        self.files: list[Path] = []
+        self.sums: Counter[str] = Counter()
+        self._seed, self._wait = seed - 1, 0
+        self.restart()
+
+    @property
+    def info(self) -> Mapping[str, Any]:
+        """What the newest step told; at the start what the reset told."""
+        return self.take.info
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the end of an episode is shown."""
+        return self._wait > 0
+
+    @property
+    def seconds(self) -> float:
+        """Of the episode so far."""
+        return float(self.take.steps * self.world.CONTROL_DT)
+
+    @property
+    def best(self) -> float | None:
+        """The fastest lap [s]."""
+        return min((o.seconds for o in self.outcomes if o.seconds is not None), default=None)
+
+    @property
+    def last(self) -> float | None:
+        """The newest lap [s]."""
+        laps = [o.seconds for o in self.outcomes if o.seconds is not None]
+        return laps[-1] if laps else None
+
+    def restart(self) -> None:
+        """Begin the next episode; one that was under way is forgotten."""
+        self._seed += 1
+        self._wait = 0
+        self.take = Take(self.env, self._seed)
+        self.driver.reset(self._seed)
+        self.sums = Counter()
+
+    def tick(self) -> None:
+        """Move on by one control step, or show the end a little longer."""
+        if self._wait:
+            self._wait -= 1
+            if not self._wait:
+                self.restart()
+            return
+        self.take.step(self.driver.act(self.take.observation))
+        self.sums.update(self.info.get("reward_terms", {}))
+        if self.take.over:
+            self._end()
+
+    def close(self) -> None:
+        """Keep what was driven so far, if a record is wanted, and close the world."""
+        if not self.waiting and self.take.steps:
+            self._keep(self.take.rollout())
+        self.env.close()
+
+    def _end(self) -> None:
+        played = self.take.rollout()
+        finished = bool(self.info.get("finish"))
+        self.outcomes.append(
+            Outcome(
+                word=_word(self.info),
+                good=bool(self.info.get("success")),
+                steps=played.steps,
+                total=played.total,
+                seconds=float(self.info["lap_time"]) if finished else None,
+            )
+        )
+        self._keep(played)
+        self._wait = max(1, round(PAUSE / self.world.CONTROL_DT))
+
+    def _keep(self, played: Rollout) -> None:
+        """Write a drive, if a record is wanted."""
+        if self._record is None:
+            return
+        number = len(self.files) + 1
+        name = f"{self._record.stem}-{number}" if number > 1 else self._record.stem
+        self.files.append(self._record.with_stem(name))
+        self._record.parent.mkdir(parents=True, exist_ok=True)
+        played.save(self.files[-1])
+
+
+def _word(info: Mapping[str, Any]) -> str:
+    """The reason of an episode's end, the best first."""
+    reasons = (name for name in ("finish", "crash", "stalled", "fall") if info.get(name))
+    return next(reasons, "time is up")

@@ -1,0 +1,103 @@
+"""Colours, fonts, and the few shapes that every panel is made of."""
+
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import pygame
+
+Colour = tuple[int, int, int]
+
+NIGHT: Colour = (15, 18, 25)
+PANEL: Colour = (22, 26, 36)
+LINE: Colour = (42, 49, 64)
+TRACK: Colour = (35, 41, 54)  # the empty part of a bar
+TEXT: Colour = (226, 232, 243)
+DIM: Colour = (134, 146, 168)
+CYAN: Colour = (76, 201, 240)
+AMBER: Colour = (255, 209, 102)
+GREEN: Colour = (95, 211, 141)
+RED: Colour = (242, 114, 123)
+FONTS = {"plain": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf", "mono": "DejaVuSansMono.ttf"}
+
+
+@cache
+def font(size: int, face: str = "plain") -> pygame.font.Font:
+    """A font of matplotlib's, which every installation has; found without loading it."""
+    pygame.font.init()
+    spec = find_spec("matplotlib")
+    if spec is None or spec.origin is None:
+        return pygame.font.Font(None, size)
+    return pygame.font.Font(Path(spec.origin).parent / "mpl-data/fonts/ttf" / FONTS[face], size)
+
+
+def write(
+    surface: pygame.Surface,
+    text: str,
+    at: tuple[float, float],
+    size: int = 15,
+    colour: Colour = TEXT,
+    face: str = "plain",
+    anchor: str = "topleft",
+) -> pygame.Rect:
+    """Write a line of text with its `anchor` (a name of pygame.Rect's) at a point; its place."""
+    drawn = font(size, face).render(text, True, colour)
+    place = drawn.get_rect(**{anchor: (round(at[0]), round(at[1]))})
+    return surface.blit(drawn, place)
+
+
+def heading(surface: pygame.Surface, text: str, at: tuple[float, float]) -> None:
+    """The title of a part of a panel."""
+    write(surface, text.upper(), at, 11, DIM, "bold")
+
+
+def bar(surface: pygame.Surface, place: pygame.Rect, share: float, colour: Colour = CYAN) -> None:
+    """A bar that is filled from the left by a share of its length."""
+    radius = place.height // 2
+    pygame.draw.rect(surface, TRACK, place, border_radius=radius)
+    width = round(place.width * min(max(share, 0.0), 1.0))
+    if width:
+        filled = pygame.Rect(place.left, place.top, max(width, place.height), place.height)
+        pygame.draw.rect(surface, colour, filled, border_radius=radius)
+
+
+def signed_bar(surface: pygame.Surface, place: pygame.Rect, share: float) -> None:
+    """A bar from the middle: green to the right, red to the left, for shares from -1 to 1."""
+    pygame.draw.rect(surface, TRACK, place, border_radius=place.height // 2)
+    width = round(place.width / 2 * min(abs(share), 1.0))
+    left = place.centerx if share > 0 else place.centerx - width
+    if width:
+        filled = pygame.Rect(left, place.top, width, place.height)
+        pygame.draw.rect(surface, GREEN if share > 0 else RED, filled, border_radius=1)
+    pygame.draw.line(
+        surface, DIM, (place.centerx, place.top - 2), (place.centerx, place.bottom + 1)
+    )
+
+
+def keycaps(
+    surface: pygame.Surface, entries: list[tuple[str, str]], at: tuple[float, float], width: int
+) -> float:
+    """Keys and what they do, in as many rows as they need; the y below them."""
+    x, y = at
+    for keys, meaning in entries:
+        cap, label = font(12, "bold").size(keys)[0] + 14, font(12).size(meaning)[0]
+        if x + cap + 7 + label > at[0] + width:
+            x, y = at[0], y + 28
+        place = pygame.Rect(round(x), round(y), cap, 21)
+        pygame.draw.rect(surface, LINE, place, border_radius=5)
+        write(surface, keys, place.center, 12, TEXT, "bold", "center")
+        write(surface, meaning, (place.right + 7, place.centery), 12, DIM, anchor="midleft")
+        x = place.right + 7 + label + 18
+    return y + 28
+
+
+def banner(surface: pygame.Surface, place: pygame.Rect, text: str, colour: Colour) -> None:
+    """A message over the middle of a picture."""
+    width = font(26, "bold").size(text)[0] + 64
+    box = pygame.Rect(0, 0, width, 72)
+    box.center = place.center
+    veil = pygame.Surface(box.size, pygame.SRCALPHA)
+    pygame.draw.rect(veil, (*NIGHT, 228), veil.get_rect(), border_radius=14)
+    pygame.draw.rect(veil, (*colour, 255), veil.get_rect(), 2, border_radius=14)
+    surface.blit(veil, box)
+    write(surface, text, box.center, 26, colour, "bold", "center")

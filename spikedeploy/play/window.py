@@ -1,0 +1,99 @@
+"""An app on the screen: events in, frames out. What it shows, it draws without a window too."""
+
+import itertools
+from pathlib import Path
+from typing import Protocol
+
+import pygame
+
+from runtime.errors import ConfigError
+from spikedeploy.play.theme import NIGHT
+
+SCREENSHOTS = Path("screenshots")
+MOST = 25.0  # ticks between two frames
+
+
+class App(Protocol):
+    """What a window shows.
+
+    title   of the window
+    name    for the names of screenshots
+    fps     frames per second that it wants
+    """
+
+    title: str
+    name: str
+    fps: float
+
+    def handle(self, event: pygame.Event) -> None:
+        """Take a key that was pressed or let go."""
+
+    def tick(self) -> None:
+        """Let the time of one frame pass."""
+
+    def draw(self) -> pygame.Surface:
+        """The frame, always of the same size."""
+
+
+def show(app: App, screenshots: Path = SCREENSHOTS) -> None:
+    """Show the app until its window is closed or ESC is pressed; P keeps a picture."""
+    screen = _open(app)
+    clock = pygame.time.Clock()
+    due = 1.0
+    try:
+        while not _handled(app, screenshots):
+            for _ in range(int(due)):
+                app.tick()
+            _fit(screen, app.draw())
+            pygame.display.flip()
+            # where drawing is slow, more time passes between two frames
+            due = min(due % 1 + clock.tick(app.fps) / 1000 * app.fps, MOST)
+    finally:
+        pygame.display.quit()
+
+
+def screenshot(app: App, folder: Path = SCREENSHOTS) -> Path:
+    """Write what the app shows to the first free number; the path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names = (folder / f"{app.name}-{number}.png" for number in itertools.count(1))
+    path = next(name for name in names if not name.exists())
+    pygame.image.save(app.draw(), path)
+    return path
+
+
+def _open(app: App) -> pygame.Surface:
+    try:
+        pygame.display.init()
+        screen = pygame.display.set_mode(app.draw().get_size(), pygame.RESIZABLE)
+    except pygame.error as error:
+        raise ConfigError(
+            f"no window can be opened here ({error}); `spikedeploy replay --video` and `run "
+            "--video` need none"
+        ) from error
+    pygame.display.set_caption(app.title)
+    return screen
+
+
+def _handled(app: App, screenshots: Path) -> bool:
+    """Pass the waiting events on; whether one of them closes the window."""
+    for event in pygame.event.get():
+        escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
+        if event.type == pygame.QUIT or escape:
+            return True
+        if event.type == pygame.KEYDOWN and event.key == pygame.K_p:
+            screenshot(app, screenshots)
+        elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
+            app.handle(event)
+    return False
+
+
+def _fit(screen: pygame.Surface, frame: pygame.Surface) -> None:
+    """The frame in the middle of a window of any size."""
+    screen = pygame.display.get_surface() or screen
+    if screen.get_size() != frame.get_size():
+        scale = min(
+            screen.get_width() / frame.get_width(), screen.get_height() / frame.get_height()
+        )
+        frame = pygame.transform.smoothscale_by(frame, scale)
+        screen.fill(NIGHT)
+    screen.blit(frame, frame.get_rect(center=screen.get_rect().center))
