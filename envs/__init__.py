@@ -32,7 +32,6 @@ import gymnasium
 
 from envs.errors import EnvError
 
-
 # drawing karts needs pygame, which would greet everybody on stdout
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
@@ -86,6 +85,27 @@ ENVS: dict[str, EnvSpec] = {
             "envs.hexapod_command:HexapodCommandEnv",
             "follow commanded speed and turn rate over 5-9 cm bumps",
             controls=("gait",),
+        ),
+        EnvSpec(
+            "kart-grid",
+            "spikedeploy/KartGrid-v0",
+            "envs.kart_grid:KartGridEnv",
+            "race a kart that is pushed up, down, left and right",
+            controls=("random", "gap"),
+        ),
+        EnvSpec(
+            "kart-gazebo",
+            "spikedeploy/KartGazebo-v0",
+            "envs.kart_gazebo:KartGazeboEnv",
+            "race a kart that either drives or turns",
+            controls=("random", "gap"),
+        ),
+        EnvSpec(
+            "kart-steer",
+            "spikedeploy/KartSteer-v0",
+            "envs.kart_steer:KartSteerEnv",
+            "race a kart with throttle, brake and steering",
+            controls=("random", "gap"),
         ),
     )
 }
