@@ -116,7 +116,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         self._classic, self._start_fixed = classic, start == "fixed"
         # the seed's rays begin straight behind the kart, and none points ahead
         rays = {"count": CLASSIC_RAYS, "facing": -math.pi} if classic else {}
-        self._options = LidarOptions.of(lidar or {}, **{"range": self.RANGE, **rays})
+        self.lidar = Lidar(LidarOptions.of(lidar or {}, **{"range": self.RANGE, **rays}))
         self._reward = self._reward_of(preset if reward is None else reward)
         self._cells = cells_in(track) if isinstance(track, str) else None
         self._course = self._load(track)
@@ -207,7 +207,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         turn           [rad/s]
         """
         at = Situation(x, y, heading, (velocity[0], velocity[1]), turn, next_gate)
-        return self._observer(self, at, self.lidar.scan(x, y, heading))
+        return self._observer(self, at, self.lidar.look(x, y, heading))
 
     def progress_at(self, at: Situation) -> float:
         """Share of the path from the start that lies behind, in [0, 1]."""
@@ -254,7 +254,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _build(self, track: Track) -> None:
         """Put walls and gates into a new space, and the kart into it."""
         self.track = track
-        self.lidar = Lidar(track.walls, self._options)
+        self.lidar.show(track.walls)
         self._kart = pymunk.Body(MASS, pymunk.moment_for_circle(MASS, 0.0, RADIUS))
         self._space = pymunk.Space()
         self._space.on_collision(KART, WALL, begin=self._touch_wall)

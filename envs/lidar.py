@@ -113,7 +113,7 @@ class Lidar:
 
     def measure(self, x: float, y: float, heading: float, rng: np.random.Generator) -> FloatArray:
         """(R,) as `look`, with the noise and the dropouts of a sensor."""
-        distance = self.scan(x, y, heading)
+        distance = self.look(x, y, heading)
         if self.options.noise:
             distance += rng.normal(0.0, self.options.noise, len(distance))
             distance = np.minimum(np.maximum(distance, 0.0), self.range)
