@@ -49,7 +49,7 @@ def pixels(surface: pygame.Surface) -> NDArray[np.uint8]:
 def facing(world: Any) -> tuple[float, float, float]:  # noqa: ANN401
     """x, y and where the kart looks; one without a heading looks where it goes."""
     x, y, heading = world.pose
-    if "up" in world.ACTIONS and np.hypot(*world.velocity) > 1.0:
+    if not world.TURNS and np.hypot(*world.velocity) > 1.0:
         heading = np.arctan2(world.velocity[1], world.velocity[0])
     return x, y, heading
 
@@ -57,7 +57,7 @@ def facing(world: Any) -> tuple[float, float, float]:  # noqa: ANN401
 def ray_angles(world: Any) -> Floats:  # noqa: ANN401
     """Where the rays of a world's LIDAR point now (R,) [rad]."""
     angles: Floats = np.asarray(world.lidar.angles, np.float64)
-    return angles if "up" in world.ACTIONS else angles + world.pose[2]
+    return angles + world.pose[2] if world.TURNS else angles
 
 
 def draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:

@@ -79,7 +79,7 @@ def seen_by(ghost: Ghost, world: Any) -> Floats:  # noqa: ANN401
     """What a world would have shown a ghost at each of its poses (S + 1, obs)."""
     pose = ghost.pose.astype(np.float64)
     turn = _turn(pose[:, 2]) / world.CONTROL_DT
-    velocity = ghost.speed[:, None] * _direction(pose, "up" in world.ACTIONS)
+    velocity = ghost.speed[:, None] * _direction(pose, not world.TURNS)
     gates = gates_passed(pose[:, :2], world.track.gates)
     return np.stack(
         [

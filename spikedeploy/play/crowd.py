@@ -81,7 +81,7 @@ def _looking(ghost: Ghost, pushed: bool) -> Floats:
     """Poses (S + 1, 3) whose headings are where the ghost looks."""
     if not pushed:
         return ghost.pose
-    pose = ghost.pose.copy()
-    moved: Floats = np.diff(pose[:, :2], axis=0, prepend=pose[:1, :2])
+    pose: Floats = ghost.pose.copy()
+    moved = np.diff(pose[:, :2], axis=0, prepend=pose[:1, :2])
     pose[:, 2] = np.arctan2(moved[:, 1], moved[:, 0])
     return pose

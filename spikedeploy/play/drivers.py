@@ -1,5 +1,6 @@
 """Who drives: a person at the keys, a policy, or a policy that a person commands."""
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -58,6 +59,22 @@ class Hand:
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The action () that the keys mean."""
         return np.asarray(self.keys.action)
+
+
+class BothHands(Hand):
+    """A person whose keys act together, where an action is as many numbers.
+
+    effects  name of an action -> numbers (act,)
+    """
+
+    def __init__(self, actions: tuple[str, ...], effects: Mapping[str, tuple[float, ...]]) -> None:
+        super().__init__(actions)
+        self._effects = effects
+
+    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """The numbers (act,) that the keys add up to, in [-1, 1]."""
+        held = [self._effects[name] for name in (self.keys.actions[0], *self.keys.held)]
+        return np.asarray(np.clip(np.sum(held, axis=0), -1.0, 1.0))
 
 
 class Watched:

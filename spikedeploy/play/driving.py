@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pygame
 
 import envs
 from runtime.errors import ConfigError
 from spikedeploy import zoo
-from spikedeploy.play.drivers import Commanded, Driver, Hand, Watched
+from spikedeploy.play.drivers import BothHands, Commanded, Driver, Hand, Watched
 from spikedeploy.play.hud import WIDTH, draw_hud
 from spikedeploy.play.session import Session
 from spikedeploy.play.stage import is_kart, stage
@@ -87,7 +88,7 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
     if policy is None and hasattr(world.unwrapped, "ACTIONS"):
         if chip is not None:
             raise ConfigError("--chip is for a policy: name one with --policy")
-        return Hand(world.unwrapped.ACTIONS)
+        return _person(world)
     candidate = _shipped(env) if policy is None else find(policy)
     chip = chip or (DEFAULT_CHIP if candidate.kind == "snn" else None)
     player = open_policy(candidate, chip, world)
@@ -95,6 +96,14 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
     if hasattr(world.unwrapped, "steer"):
         return Commanded(player, name, world.unwrapped)
     return Watched(player, name)
+
+
+def _person(env: gymnasium.Env[Any, Any]) -> Driver:
+    """A person at the keys, one action at a time or several together."""
+    world: Any = env.unwrapped
+    if isinstance(env.action_space, gymnasium.spaces.Discrete):
+        return Hand(world.ACTIONS)
+    return BothHands(world.ACTIONS, world.EFFECTS)
 
 
 def _shipped(env: str) -> Candidate:

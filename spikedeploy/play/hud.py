@@ -26,6 +26,7 @@ from spikedeploy.play.theme import (
 
 WIDTH = 400
 PAD = 26
+TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
 
 
 def draw_hud(surface: pygame.Surface, place: pygame.Rect, session: Session, title: str) -> None:
@@ -51,7 +52,7 @@ def _speed(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session
     heading(surface, "speed", (inner.left, y))
     number = write(surface, f"{speed:.2f}", (inner.left, y + 14), 44, TEXT, "bold")
     write(surface, "m/s", (number.right + 8, number.bottom - 9), 15, DIM, anchor="bottomleft")
-    top = float(getattr(session.world, "TOP_SPEED", 0.5 * scale)) / scale
+    top = next((TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in TOPS), 0.5)
     bar(surface, pygame.Rect(inner.left, y + 72, inner.width, 8), abs(speed) / top)
     if "command_speed" not in session.info:
         return y + 80
@@ -99,12 +100,15 @@ def _lidar(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> i
     centre = np.array([inner.centerx, y + radius + 4])
     for share in (1.0, 2 / 3, 1 / 3):
         pygame.draw.aacircle(surface, LINE, tuple(centre), radius * share, 1)
-    turned = np.asarray(world.lidar.angles) - np.pi / 2 * ("up" not in world.ACTIONS)
+    turned = np.asarray(world.lidar.angles) - np.pi / 2 * world.TURNS
     share = np.asarray(world.scan) / world.lidar.range
     points = centre + radius * share[:, None] * np.stack((np.cos(turned), np.sin(turned)), axis=1)
-    veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
-    if len(points) > 2:
-        pygame.draw.polygon(veil, (*CYAN, 40), [tuple(point) for point in points])
+    seen_area = [tuple(point) for point in (centre, *points)]
+    if world.lidar.options.field >= 2 * np.pi:
+        seen_area.pop(0)
+    if len(seen_area) > 2:
+        veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
+        pygame.draw.polygon(veil, (*CYAN, 40), seen_area)
         surface.blit(veil, (0, 0))
     for point, reach in zip(points, share, strict=True):
         seen = reach < 0.999

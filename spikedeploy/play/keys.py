@@ -46,14 +46,15 @@ class Keys:
         if event.type == pygame.KEYDOWN:
             self._held.append(event.key)
 
-    def release(self) -> None:
-        """Let go of every key."""
-        self._held.clear()
-
     @property
     def action(self) -> int:
         """Index of the action: that of the key that was pressed last and is still held."""
         return self._meaning[self._held[-1]] if self._held else 0
+
+    @property
+    def held(self) -> list[str]:
+        """Names of the actions of all keys that are held."""
+        return [self.actions[self._meaning[key]] for key in self._held]
 
     @property
     def legend(self) -> list[tuple[str, str]]:

@@ -48,7 +48,7 @@ class GhostReel:
 
     def __init__(self, env: gymnasium.Env[Any, Any], ghosts: Ghosts) -> None:
         self._world: Any = env.unwrapped
-        self.crowd = Crowd(ghosts.drives, pushed="up" in env.get_wrapper_attr("ACTIONS"))
+        self.crowd = Crowd(ghosts.drives, pushed=not env.get_wrapper_attr("TURNS"))
         self.length = self.crowd.length
         self._leader = None if self.crowd.leader is None else ghosts.drives[self.crowd.leader]
         self.seed = self._leader.seed if self._leader else -1
