@@ -62,7 +62,7 @@ def ray_angles(world: Any) -> Floats:  # noqa: ANN401
 
 def draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
     """The gates but the finish, whose checkers lie on the ground; the next one glows."""
-    width = max(2, round(4.0 * place.scale))
+    width = max(2, round(4.0 * place.pen))
     for index, (a, b) in enumerate(place.at(place.track.gates)):
         if index == next_gate:
             _glow(surface, a, b, width)
@@ -88,7 +88,7 @@ def draw_scan(
         pygame.draw.aaline(veil, RAY, tuple(start), tuple(end))
     surface.blit(veil, (0, 0))
     for end in ends[distances < reach * 0.999]:
-        pygame.draw.aacircle(surface, HIT, tuple(end), max(2, round(4.0 * place.scale)))
+        pygame.draw.aacircle(surface, HIT, tuple(end), max(2, round(4.0 * place.pen)))
 
 
 def draw_kart(

@@ -31,6 +31,7 @@ class Scene:
     track    drawn
     size     (width, height) [screen px]
     scale    [screen px / px]
+    pen      by which lines and dots are as thick; no more than usual on a small track
     ground   walls and road; draw on a copy
     """
 
@@ -41,6 +42,7 @@ class Scene:
         margin = MARGIN * min(size) + 4
         room = np.array(size) - 2 * margin
         self.scale = float((room / np.maximum(high - low, 1.0)).min())
+        self.pen = min(self.scale, 1.0)
         self._offset = np.array(size) / 2 - self.scale * (low + high) / 2
         self.ground = self._ground()
 
@@ -53,7 +55,7 @@ class Scene:
         """Road and walls, drawn large and made small, which smooths every edge."""
         large = pygame.Surface((FINE * self.size[0], FINE * self.size[1]))
         large.fill(NIGHT)
-        width = max(4, round(FINE * 5.0 * self.scale))
+        width = max(4, round(FINE * 5.0 * self.pen))
         road = self._road(large.get_size(), width)
         if road is not None:
             large.blit(road.to_surface(setcolor=ROAD, unsetcolor=NIGHT), (0, 0))
@@ -95,7 +97,7 @@ class Scene:
         a, b = FINE * self.at(self.track.gates[-1])
         along = (b - a) / max(float(np.hypot(*(b - a))), 1.0)
         across = np.array([-along[1], along[0]])
-        side = FINE * max(5.0, 9.0 * self.scale)
+        side = FINE * max(5.0, 9.0 * self.pen)
         count = max(2, round(float(np.hypot(*(b - a))) / side))
         step = (b - a) / count
         for column in range(count):

@@ -79,6 +79,8 @@ def seen_by(ghost: Ghost, world: Any) -> Floats:  # noqa: ANN401
     """What a world would have shown a ghost at each of its poses (S + 1, obs)."""
     pose = ghost.pose.astype(np.float64)
     turn = _turn(pose[:, 2]) / world.CONTROL_DT
+    if "forward" in world.ACTIONS:  # what it is told, it does and shows a step before it moves
+        turn = np.append(turn[1:], 0.0)
     velocity = ghost.speed[:, None] * _direction(pose, not world.TURNS)
     gates = gates_passed(pose[:, :2], world.track.gates)
     return np.stack(
