@@ -9,6 +9,7 @@ import pygame
 from numpy.typing import NDArray
 
 from envs.ghosts import Ghosts
+from envs.kart_scene import Scene, scene
 from envs.rollout import Rollout
 from spikedeploy.play.brain import seen_by
 from spikedeploy.play.crowd import Crowd
@@ -44,9 +45,16 @@ class GhostReel:
     """Ghosts on their track.
 
     crowd  the ghosts
+    seen   (S + 1, obs) what the only ghost saw, where it was recorded
     """
 
-    def __init__(self, env: gymnasium.Env[Any, Any], ghosts: Ghosts) -> None:
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        ghosts: Ghosts,
+        seen: NDArray[np.float64] | None = None,
+    ) -> None:
+        self._seen = seen
         self._world: Any = env.unwrapped
         self.crowd = Crowd(ghosts.drives, pushed=not env.get_wrapper_attr("TURNS"))
         self.length = self.crowd.length
@@ -58,14 +66,17 @@ class GhostReel:
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
         """The track with everybody on it."""
         from envs.kart_picture import draw_gates
-        from envs.kart_scene import scene
         from spikedeploy.play.crowd_picture import draw_crowd
 
-        place = scene(self._world.track, size)
+        place = self.place(size)
         surface = place.ground.copy()
         draw_gates(surface, place, -1)
         draw_crowd(surface, place, self.crowd, step)
         return surface
+
+    def place(self, size: tuple[int, int]) -> Scene:
+        """The track on a surface of this size."""
+        return scene(self._world.track, size)
 
     def facts(self, step: int) -> Facts:
         """How many do what, and how the leader does."""
@@ -81,7 +92,9 @@ class GhostReel:
         return facts + self._led(min(step, self._leader.steps) if self._leader else 0)
 
     def observations(self) -> NDArray[np.float64]:
-        """What the world would have shown the leader."""
+        """What the world showed the leader, or would have shown it."""
+        if self._seen is not None:
+            return self._seen
         return np.zeros((0, 0)) if self._leader is None else seen_by(self._leader, self._world)
 
     def action(self, step: int) -> int | None:
@@ -108,19 +121,22 @@ class WalkReel:
     """A recorded episode, whose actions are played again in the same world.
 
     Going back means to begin anew, which is quick because nothing is drawn on the way.
+
+    world   it walks in
+    newest  what it observes now (obs,)
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], played: Rollout) -> None:
         self._env, self._played = env, played
-        self._world: Any = env.unwrapped
+        self.world: Any = env.unwrapped
         self.length, self.seed = played.steps, played.seed
         self._at = 0
-        self._env.reset(seed=self.seed)
+        self._begin()
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
         """What the camera sees after so many steps."""
-        self._go(min(step, self.length))
-        return stage(self._world, size)
+        self.go(min(step, self.length))
+        return stage(self.world, size)
 
     def facts(self, step: int) -> Facts:
         """The numbers of the step infos."""
@@ -137,14 +153,18 @@ class WalkReel:
         """Robots do not choose."""
         return None
 
-    def _go(self, step: int) -> None:
+    def go(self, step: int) -> None:
+        """Be where the robot was after so many steps."""
         if step < self._at:
-            self._env.reset(seed=self.seed)
-            self._at = 0
+            self._begin()
         for at in range(self._at, step):
             self._command(at)
-            self._env.step(self._played.action[at])
+            self.newest = self._env.step(self._played.action[at])[0]
         self._at = step
+
+    def _begin(self) -> None:
+        self.newest = self._env.reset(seed=self.seed)[0]
+        self._at = 0
 
     def _command(self, at: int) -> None:
         """Command what was commanded then, if that was a person's wish."""
@@ -152,8 +172,8 @@ class WalkReel:
         if "command_speed" not in info:
             return
         wish = float(info["command_speed"][at]), float(info["command_turn"][at])
-        if wish != self._world.command:  # the world's own commands come by themselves
-            self._world.steer(*wish)
+        if wish != self.world.command:  # the world's own commands come by themselves
+            self.world.steer(*wish)
 
 
 def action_names(world: Any, scores: int) -> Sequence[str]:  # noqa: ANN401

@@ -97,6 +97,11 @@ class Replay:
         """The batch that is on."""
         return self._reel(self.playback.batch)
 
+    @property
+    def thoughts(self) -> Thoughts | None:
+        """What the policy does while it sees what the leader saw."""
+        return self._think(self.playback.batch)
+
     def _load(self) -> None:
         self.playback.length = self.reel.length
 
@@ -104,9 +109,9 @@ class Replay:
         if self._source.rollout is not None and not is_kart(self._world):
             return WalkReel(self._env, self._source.rollout)
         source = self._source
-        return GhostReel(
-            self._env, source.everything() if self._mode == "all" else source.batch(batch)
-        )
+        ghosts = source.everything() if self._mode == "all" else source.batch(batch)
+        seen = None if source.rollout is None else source.rollout.observation
+        return GhostReel(self._env, ghosts, seen)
 
     def _thought(self, batch: int) -> Thoughts | None:
         observations = self._reel(batch).observations()
@@ -116,7 +121,7 @@ class Replay:
 
     def _draw_thoughts(self, surface: pygame.Surface, place: pygame.Rect) -> None:
         pygame.draw.rect(surface, PANEL, place)
-        thoughts = self._think(self.playback.batch)
+        thoughts = self.thoughts
         if thoughts is None or self._brain is None:
             return
         step = min(self.playback.now, len(thoughts.scores) - 1)
