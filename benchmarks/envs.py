@@ -1,0 +1,106 @@
+"""Steps per second of the environments on one core, with random actions, resets included.
+
+    python benchmarks/envs.py [NAME ...] [--track big_S] [--steps 20000] [--rounds 5] [--vector 8]
+
+The environments take turns, round by round, and the medians of their rounds are printed with the
+slowest and the fastest: of one environment, and of so many in a gymnasium SyncVectorEnv, whose
+figure counts the steps of all of them. Without names, every kart is measured with its LIDAR on.
+"""
+
+# ruff: noqa: E402 - the number of threads has to be set before numpy is imported
+import os
+import sys
+
+# this file has the name of the package that it measures, and its folder comes first in the path
+sys.path[:] = [
+    p for p in sys.path if os.path.abspath(p) != os.path.dirname(os.path.abspath(__file__))
+]
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import envs
+
+KARTS = tuple(name for name in envs.ENVS if name.startswith("kart"))
+Measure = Callable[[], float]
+
+
+def single(name: str, options: dict[str, Any], steps: int) -> Measure:
+    """What steps one environment, and gives its steps per second."""
+    env = envs.make(name, **options)
+    actions = _actions(env.action_space, steps)
+    env.reset(seed=0)
+
+    def measure() -> float:
+        begin = time.perf_counter()
+        for action in actions:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        return steps / (time.perf_counter() - begin)
+
+    return measure
+
+
+def vector(name: str, options: dict[str, Any], steps: int, copies: int) -> Measure:
+    """What steps several at once, and gives the steps per second of all of them."""
+    makers = [partial(envs.make, name, **options)] * copies
+    several = gymnasium.vector.SyncVectorEnv(makers)
+    rounds = max(1, steps // copies)
+    actions = _actions(several.action_space, rounds)
+    several.reset(seed=0)
+
+    def measure() -> float:
+        begin = time.perf_counter()
+        for action in actions:
+            several.step(action)
+        return rounds * copies / (time.perf_counter() - begin)
+
+    return measure
+
+
+def _actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
+    """So many random actions, drawn before the clock runs."""
+    space.seed(0)
+    return [space.sample() for _ in range(count)]
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", default=KARTS, metavar="NAME")
+    parser.add_argument("--track", default="big_S", help="of the karts")
+    parser.add_argument("--steps", type=int, default=20_000, help="in a round")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--vector", type=int, default=8, help="environments side by side")
+    given = parser.parse_args()
+    rows: dict[tuple[str, str], tuple[Measure, list[float]]] = {}
+    for name in given.names:
+        options = {"track": given.track} if name in KARTS else {}
+        rows[name, "one"] = single(name, options, given.steps), []
+        rows[name, f"{given.vector} of them"] = (
+            vector(name, options, given.steps, given.vector),
+            [],
+        )
+    for _ in range(given.rounds):
+        for measure, found in rows.values():
+            found.append(measure())
+    print(f"steps per second, median (slowest - fastest) of {given.rounds} x {given.steps:,} steps")
+    for (name, how), (_, found) in rows.items():
+        print(
+            f"{name:16} {how:10} {np.median(found):9,.0f}  ({min(found):,.0f} - {max(found):,.0f})"
+        )
+
+
+if __name__ == "__main__":
+    main()
