@@ -129,6 +129,6 @@ def _rewards(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Sessi
         write(surface, name.replace("_", " "), (inner.left, y), 13, DIM)
         place = pygame.Rect(inner.left + 130, y + 5, inner.width - 130 - 74, 6)
         signed_bar(surface, place, value / largest)
-        write(surface, f"{value:+.2f}", (inner.right, y), 13, TEXT, "mono", "topright")
+        write(surface, f"{value + 0.0:+.2f}", (inner.right, y), 13, TEXT, "mono", "topright")
         y += 21
     return y
