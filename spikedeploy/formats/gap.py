@@ -22,12 +22,12 @@ class GapController:
     def reset(self, seed: int) -> None:
         """Nothing to reset: the driver is without memory."""
 
-    def act(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The action ()."""
-        return self._driver.act(observation).astype(np.float64)
+    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """The action, () or (act,)."""
+        return self._driver.act(observation)
 
-    def replay(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The actions (S,) for the observations (S, obs) of an episode."""
+    def replay(self, observations: NDArray[np.float64]) -> NDArray[Any]:
+        """The actions (S,) or (S, act) for the observations (S, obs) of an episode."""
         return np.stack([self.act(observation) for observation in observations])
 
 
