@@ -11,6 +11,7 @@ from envs.track import Track
 FloatArray = NDArray[np.float64]
 RADIUS = 19.2  # [px] of a kart
 CELL = 6.0  # [px] of the map that reachability is looked up in; far narrower than a kart
+RIM = RADIUS + 2 * CELL  # [px] from a barrier to the cells next to it, at most
 
 
 def check(track: Track, where: str) -> None:
@@ -20,11 +21,19 @@ def check(track: Track, where: str) -> None:
     reached = flooded(free, _cell(track.start, origin))
     if reached[0].any() or reached[-1].any() or reached[:, 0].any() or reached[:, -1].any():
         raise EnvError(
-            f"{where}: the walls are open: from the start a kart gets out of the track without "
-            "passing the finish. Close the polyline, or draw the finish across the opening"
+            f"{where}: the walls are open, or the start is outside of them: a kart gets out of the "
+            "track without passing the finish. Close the polyline, or draw the finish across the "
+            "opening"
         )
+    cells = origin + CELL * np.argwhere(reached)
     for number, gate in enumerate(track.gates, start=1):
-        _gate_is_passable(track, gate, number, where, reached, origin)
+        _gate_is_clear(track, gate, number, where)
+        # the finish bars the map, so that only the rim gets there
+        _gate_is_reached(gate, number, where, cells, CELL if number < len(track.gates) else RIM)
+    for shift in (-track.sway, track.sway) if track.sway else ():
+        swayed = track.gates[-1] + (0.0, shift)
+        _gate_is_clear(track, swayed, len(track.gates), f"{where}, swayed by {shift:g} px")
+        _gate_is_reached(swayed, len(track.gates), f"{where}, swayed by {shift:g} px", cells, RIM)
 
 
 def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
@@ -40,7 +49,7 @@ def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
 
 def free_map(track: Track) -> tuple[NDArray[np.bool_], FloatArray]:
     """Cells (x, y) in which a kart touches neither wall nor finish, and where the map begins."""
-    points = np.concatenate([track.walls, track.gates]).reshape(-1, 2)
+    points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
     origin = points.min(axis=0) - 3 * RADIUS
     shape = np.ceil((points.max(axis=0) + 3 * RADIUS - origin) / CELL).astype(int)
     barriers = np.concatenate([track.walls, track.gates[-1:]])
@@ -82,27 +91,35 @@ def _start_is_free(track: Track, where: str) -> None:
         )
 
 
-def _gate_is_passable(
-    track: Track,
-    gate: FloatArray,
-    number: int,
-    where: str,
-    reached: NDArray[np.bool_],
-    origin: FloatArray,
+def _gate_is_clear(track: Track, gate: FloatArray, number: int, where: str) -> None:
+    """Refuse a gate that crosses a wall, but for its ends, which may stick out a little."""
+    (a, b), along = gate, gate[1] - gate[0]
+    starts, walls = track.walls[:, 0], track.walls[:, 1] - track.walls[:, 0]
+    # a + share along = start + u wall;  [p, q] = px qy - py qx
+    steep = _cross(along, walls)
+    steep = np.where(steep == 0.0, np.inf, steep)  # alongside: never crosses
+    share, u = _cross(starts - a, walls) / steep, _cross(starts - a, along) / steep
+    inner = np.minimum(share, 1.0 - share) * np.hypot(*along) > RADIUS
+    crossed = inner & (u >= 0.0) & (u <= 1.0)
+    if crossed.any():
+        place = a + share[crossed][0] * (b - a)
+        raise EnvError(f"{where}: gate {number} is crossed by a wall at {_at(place)}; shorten it")
+
+
+def _gate_is_reached(
+    gate: FloatArray, number: int, where: str, cells: FloatArray, reach: float
 ) -> None:
-    """Refuse a gate that lies off the track, or across a wall."""
-    middle = gate.mean(axis=0)
-    if distances(middle[None], track.walls).min() <= RADIUS:
-        raise EnvError(f"{where}: gate {number} has a wall through its middle, at {_at(middle)}")
-    # the rim passes a gate from as far as a radius; the finish itself bars the map
-    x, y = _cell(middle, origin)
-    near = int(np.ceil(RADIUS / CELL)) + 2
-    around = reached[max(0, x - near) : x + near + 1, max(0, y - near) : y + near + 1]
-    if not around.any():
+    """Refuse a gate from which the cells (n, 2) where karts get to stay away further than that."""
+    if distances(cells, gate[None]).min() > reach:
         raise EnvError(
-            f"{where}: gate {number} is off the track: no kart gets from the start to its middle "
-            f"at {_at(middle)}"
+            f"{where}: gate {number} is off the track: no kart gets from the start to "
+            f"{_at(gate[0])}-{_at(gate[1])}"
         )
+
+
+def _cross(p: FloatArray, q: FloatArray) -> FloatArray:
+    product: FloatArray = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+    return product
 
 
 def _at(point: FloatArray) -> str:
