@@ -3,6 +3,7 @@ import pytest
 import torch
 
 import envs
+from envs.ghosts import Ghosts
 from runtime.errors import ConfigError
 from tests.choosing import Choosing
 from tests.pointing import Pointing
@@ -129,3 +130,28 @@ def test_observations_are_normalised_until_that_is_frozen(tmp_path, world):
 class NoLog:
     def add(self, steps, env_steps):
         pass
+
+
+def test_the_drives_of_training_are_kept_as_ghosts(tmp_path):
+    run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
+    files = sorted((run / "ghosts").glob("*.npz"))
+    drives = [drive for file in files for drive in Ghosts.load(file).drives]
+    episodes = read(run / "episodes.csv")
+    assert [drive.env_step for drive in drives] == [row["env_steps"] for row in episodes]
+    assert [drive.steps for drive in drives] == [row["steps"] for row in episodes]
+    assert len(drives) > 0
+    assert all(0 <= drive.seed < 5_000 for drive in drives)
+
+
+def test_a_resumed_run_keeps_no_ghosts_of_what_it_drives_again(tmp_path):
+    run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
+    later = run / "ghosts" / "00099.npz"
+    later.write_bytes(b"of a drive after the checkpoint")
+    train("smoke-kart", resume=run, overrides=["steps=384"], quiet=True)
+    assert not later.exists()
+
+
+@pytest.mark.parametrize("world", [Choosing], indirect=True)
+def test_a_world_without_poses_leaves_no_ghosts(tmp_path, world):
+    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
+    assert not (run / "ghosts").exists()

@@ -35,10 +35,19 @@ class Steps:
     infos: tuple[Mapping[str, Any], ...]
 
 
+@dataclass(frozen=True)
+class Start:
+    """How an episode began: its seed, and what the environment told at reset."""
+
+    seed: int
+    info: Mapping[str, Any]
+
+
 class EnvBatch:
     """Copies of an environment, each of which starts anew when its episode ends.
 
     observation: (B, obs) what every copy sees now
+    starts: (B,) of the episodes that are under way
     returns: returns of the episodes that ended, oldest first
     """
 
@@ -47,7 +56,8 @@ class EnvBatch:
         self._envs: list[Any] = [
             envs.make(config.name, **config.options) for _ in range(config.count)
         ]
-        self.observation = np.stack([self._reset(env) for env in self._envs])
+        self.starts = [Start(0, {}) for _ in self._envs]
+        self.observation = np.stack([self._reset(k) for k in range(len(self._envs))])
         self._totals = np.zeros(config.count)
         self.returns: list[float] = []
 
@@ -109,8 +119,11 @@ class EnvBatch:
         """Start the next episode of a copy."""
         self.returns.append(float(self._totals[k]))
         self._totals[k] = 0.0
-        self.observation[k] = self._reset(self._envs[k])
+        self.observation[k] = self._reset(k)
 
-    def _reset(self, env: Any) -> NDArray[np.float64]:  # noqa: ANN401
-        observation: NDArray[np.float64] = env.reset(seed=int(self._rng.integers(SEEDS)))[0]
+    def _reset(self, k: int) -> NDArray[np.float64]:
+        seed = int(self._rng.integers(SEEDS))
+        observation: NDArray[np.float64]
+        observation, info = self._envs[k].reset(seed=seed)
+        self.starts[k] = Start(seed, info)
         return observation

@@ -11,6 +11,7 @@ from trainers.collect import EnvBatch, Steps
 from trainers.config import PopsanConfig, SpikingMlpConfig
 from trainers.episode_log import EpisodeLog
 from trainers.experience import Moment
+from trainers.ghost_log import GhostLog, leaves_ghosts
 from trainers.journal import Journal
 from trainers.normalizer import Moments
 from trainers.policies import from_config
@@ -74,11 +75,14 @@ class Ppo:
         self.env_steps = self.iterations = self.episodes = 0
         self.best = -np.inf
         self._log: EpisodeLog | None = None
+        self._ghosts: GhostLog | None = None
         self._clock = time.perf_counter(), 0
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
         """Train to the end, or until stopped; leave checkpoints in the run."""
         self._log = EpisodeLog(self._run.path / "episodes.csv", len(self._envs))
+        if self._config.ghosts and leaves_ghosts(self._envs):
+            self._ghosts = GhostLog(self._run.path / "ghosts", self._envs, self._config.env)
         if self._run.checkpoint("last").is_file():
             self._resume(self._log)
             journal.rewind(self.env_steps)
@@ -117,6 +121,8 @@ class Ppo:
             steps = self._envs.step(self.learner.head.action(drawn).numpy())
             moments.append(_moment(steps, perceived, drawn, log_probability))
             log.add(steps, self.env_steps)
+            if self._ghosts:
+                self._ghosts.add(steps, self.env_steps)
             self.env_steps += len(self._envs)
         self._observe(moments)
         return moments
@@ -129,7 +135,9 @@ class Ppo:
             self.policy.normalizer.adopt(self._moments)
 
     def _report(self, journal: Journal, metrics: dict[str, float], before: int) -> None:
-        """Write metrics, and validate and write checkpoints where they are due."""
+        """Write metrics and ghosts, and validate and write checkpoints where they are due."""
+        if self._ghosts:
+            self._ghosts.save(self.iterations)
         row = self._row(before) | metrics
         if self._due(self._config.validation.every, before) or self._finished:
             found = self._validate(self.policy)
@@ -189,6 +197,8 @@ class Ppo:
         self._rng.bit_generator.state = state["rng"]
         torch.set_rng_state(tensors["torch_rng"])
         log.rewind(self.env_steps)
+        if self._ghosts:
+            self._ghosts.rewind(self.iterations)
 
 
 def _moment(

@@ -40,8 +40,8 @@ class PpoConfig(RunConfig):
 
     env: EnvConfig = EnvConfig(name="kart-grid", count=16)
     normaliser: NormaliserConfig = NormaliserConfig(finish=0)
-    validation: ValidationConfig = ValidationConfig(every=20_000, episodes=10)
-    steps: Positive = 400_000
+    validation: ValidationConfig = ValidationConfig(every=20_000, episodes=20)
+    steps: Positive = 300_000
     horizon: Positive = 128
     epochs: Positive = 6
     minibatch: Positive = 256
@@ -52,7 +52,7 @@ class PpoConfig(RunConfig):
     temperature: Ramp = Ramp(start=1.0, end=0.1, begin=120_000, finish=200_000)
     target_kl: float = Field(default=0.03, ge=0)
     gradient_norm: Rate = 0.5
-    actor_rate: Ramp = Ramp(start=1e-3, end=0.0, finish=400_000)
+    actor_rate: Ramp = Ramp(start=1e-3, end=0.0, finish=300_000)
     critic_rate: Rate = 1e-3
     critic_hidden: tuple[Positive, ...] = (128, 128)
     spread: Rate = 0.6

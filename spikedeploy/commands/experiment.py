@@ -25,7 +25,7 @@ def experiment(
     ] = None,
     finishes: Annotated[
         int, typer.Option(min=0, help="Finishes that end a training; 0 spends the whole budget.")
-    ] = 300,
+    ] = 0,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One setting of every training."),

@@ -34,7 +34,7 @@ class Design:
     controls: int = 3
     folder: str = "runs/experiment-kart"
     overrides: Sequence[str] = ()
-    finishes: int = 300
+    finishes: int = 0
     episodes: int = 100
     chip: str = "loihi1"
 
