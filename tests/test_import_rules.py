@@ -123,7 +123,7 @@ except SystemExit as stop:
     if stop.code:
         raise
 """
-    assert loaded_by(code, "torch", "mujoco", "numpy", "matplotlib") == []
+    assert loaded_by(code, "torch", "mujoco", "pygame", "numpy", "matplotlib") == []
 
 
 @pytest.mark.parametrize("table", ["runtime"])

@@ -52,7 +52,9 @@ def _gif(frames: Iterator[pygame.Surface], path: Path, fps: int) -> Path:
     from PIL import Image
 
     small = (pygame.transform.smoothscale_by(frame, GIF_SCALE) for frame in frames)
-    images = (Image.fromarray(np.ascontiguousarray(_pixels(frame))).quantize() for frame in small)
+    rare = Image.Quantize.MAXCOVERAGE  # keeps the colours of small things
+    pictures = (Image.fromarray(np.ascontiguousarray(_pixels(frame))) for frame in small)
+    images = (picture.quantize(method=rare) for picture in pictures)
     with replacing(path) as part:
         next(images).save(
             part,
