@@ -11,7 +11,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -36,8 +36,7 @@ GETTING_ON = 20.0  # [px] by which the remaining path must have become shorter
 KART, WALL, GATE = 1, 2, 3  # collision types
 
 
-@dataclass(frozen=True)
-class Situation:
+class Situation(NamedTuple):
     """Where a kart is and how it moves.
 
     x, y, heading  [px], [rad]
@@ -72,7 +71,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     preset      "default", or "classic": kart-simulator's observation, reward and ends
     track       a name of envs.track.names(), `corridor`, `corridor-N`, a .json file, or a Track
     observe     components of envs.kart_observation; None takes the preset's
-    lidar       options of envs.lidar.LidarOptions by name, over the environment's defaults
+    lidar       LidarOptions, or some of them by name, over the environment's defaults
     reward      "default", "classic", or weights by name over those of the default
     max_steps   after which an episode is truncated
     start       "random" within the track's spread and headings, or "fixed" in their middle
@@ -100,7 +99,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         preset: Literal["default", "classic"] = "default",
         track: str | Path | Track = "big_S",
         observe: Sequence[str] | None = None,
-        lidar: Mapping[str, Any] | None = None,
+        lidar: LidarOptions | Mapping[str, Any] | None = None,
         reward: Literal["default", "classic"] | Mapping[str, float] | None = None,
         max_steps: int = 2000,
         start: Literal["random", "fixed"] = "random",
@@ -109,19 +108,18 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         _one_of("preset", preset, ("default", "classic"))
         _one_of("start", start, ("random", "fixed"))
         _one_of("render_mode", render_mode, (None, "rgb_array"))
-        if max_steps < 1:
-            raise EnvError(f"max_steps must be at least 1, found {max_steps}")
+        if not isinstance(max_steps, int) or max_steps < 1:
+            raise EnvError(f"max_steps must be a whole number from 1, found {max_steps!r}")
         classic = preset == "classic"
         self.max_steps, self.render_mode = max_steps, render_mode
         self._classic, self._start_fixed = classic, start == "fixed"
-        # the seed's rays begin straight behind the kart, and none points ahead
-        rays = {"count": CLASSIC_RAYS, "facing": -math.pi} if classic else {}
-        self.lidar = Lidar(LidarOptions.of(lidar or {}, **{"range": self.RANGE, **rays}))
+        self.lidar = Lidar(self._lidar_options(lidar))
         self._reward = self._reward_of(preset if reward is None else reward)
         self._cells = cells_in(track) if isinstance(track, str) else None
         self._course = self._load(track)
         self._build(self._course)
-        names = observe or (self.CLASSIC_OBSERVE if classic else self.OBSERVE)
+        preset_names = self.CLASSIC_OBSERVE if classic else self.OBSERVE
+        names = preset_names if observe is None else observe
         self._observer = Observer(self, names, classic)
         self.OBSERVATION = self._observer.columns
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (self._observer.size,), np.float64)
@@ -131,19 +129,27 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     @property
     def pose(self) -> tuple[float, float, float]:
         """Place [px] and heading [rad]."""
-        x, y = self._kart.position
-        return x, y, self._kart.angle
+        return self._at.x, self._at.y, self._at.heading
 
     @property
     def velocity(self) -> tuple[float, float]:
         """Velocity [px/s]."""
-        x, y = self._kart.velocity
-        return x, y
+        return self._at.velocity
 
     @property
     def speed(self) -> float:
         """Speed [px/s]."""
-        return math.hypot(*self._kart.velocity)
+        return math.hypot(*self._at.velocity)
+
+    @property
+    def turn(self) -> float:
+        """Turn rate [rad/s]."""
+        return self._at.turn
+
+    @property
+    def next_gate(self) -> int:
+        """Index of the gate that comes next; the number of gates when all are passed."""
+        return self._next
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -156,24 +162,24 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
             self._build(self._course.swayed(self.np_random))
         self._begin()
         self._place_at_start()
-        self._remaining = self._best = self._path_left(self._situation())
+        self._at = self._situation()
+        self._remaining = self._best = self._path_left(self._at)
         self._look()
         return self._observation(), self._info({}, finish=False, crash=False, stalled=False)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Drive for 1/60 s."""
-        before = self._situation()
+        before = self._at
         self._steps += 1
         self._touched_wall = False
         self._act(action)
         self._space.step(CONTROL_DT)
         self._move()
-        x, y = self._kart.position
-        self._distance += math.hypot(x - before.x, y - before.y)
         passed = self._pass_gates()
-        finish = self.next_gate == len(self.track.gates)
+        finish = self._next == len(self.track.gates)
         crash = self._touched_wall and not finish
-        now = self._situation()
+        now = self._at = self._situation()
+        self._distance += math.hypot(now.x - before.x, now.y - before.y)
         deed = self._deed(before, now, passed, finish, crash)
         terms = self._reward.terms(deed)
         stalled = deed.failed and not crash
@@ -231,12 +237,23 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
 
     def _one_of_actions(self, action: Any) -> str:  # noqa: ANN401
         """The name of an action, or the reason why there is none."""
-        if isinstance(action, (float, np.floating)) or not 0 <= int(action) < len(self.ACTIONS):
+        index = np.asarray(action)
+        if index.shape or index.dtype.kind not in "iu" or not 0 <= index < len(self.ACTIONS):
             raise EnvError(
                 f"action {action!r} is none of the {len(self.ACTIONS)} of this kart: 0 to "
                 f"{len(self.ACTIONS) - 1}, {', '.join(self.ACTIONS)}"
             )
-        return self.ACTIONS[int(action)]
+        return self.ACTIONS[int(index)]
+
+    def _lidar_options(self, given: LidarOptions | Mapping[str, Any] | None) -> LidarOptions:
+        """The options that were given, over those of the preset."""
+        if isinstance(given, LidarOptions):
+            return given
+        defaults: dict[str, Any] = {"range": self.RANGE}
+        if self._classic:
+            # the seed's rays begin straight behind the kart, and none points ahead
+            defaults |= {"count": CLASSIC_RAYS, "facing": -math.pi}
+        return LidarOptions.of(given or {}, **defaults)
 
     def _reward_of(self, reward: str | Mapping[str, float]) -> Reward:
         if isinstance(reward, Mapping):
@@ -296,8 +313,9 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         self._since_gate = self._stalled_for = self._still_for = self._deserting_for = 0
         self._turn: float = 0.0
         self._distance: float = 0.0
-        self.next_gate: int = 0
+        self._next: int = 0
         self._remaining = self._best = math.inf
+        self._at = self._situation()
 
     def _place_at_start(self) -> None:
         low, high = self.track.heading
@@ -313,7 +331,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _situation(self) -> Situation:
         x, y = self._kart.position
         vx, vy = self._kart.velocity
-        return Situation(x, y, self._kart.angle, (vx, vy), self._turn, self.next_gate)
+        return Situation(x, y, self._kart.angle, (vx, vy), self._turn, self._next)
 
     def _path_left(self, at: Situation) -> float:
         """Length of the path through the middles of the gates that are left [px]."""
@@ -321,17 +339,17 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
 
     def _pass_gates(self) -> int:
         """Count the gates that were passed: those touched by the rim, in their order."""
-        first = self.next_gate
-        while self.next_gate in self._touching:
-            self.next_gate += 1
-        return self.next_gate - first
+        first = self._next
+        while self._next in self._touching:
+            self._next += 1
+        return self._next - first
 
     def _deed(
         self, before: Situation, now: Situation, passed: int, finish: bool, crash: bool
     ) -> Deed:
         """What was done in the step between two situations."""
         remaining = self._path_left(now)
-        x, y = self.track.midpoints[before.next_gate]
+        x, y = self.track.midpoints[min(before.next_gate, len(self.track.gates) - 1)]
         approach = math.hypot(before.x - x, before.y - y) - math.hypot(now.x - x, now.y - y)
         gained, self._remaining = self._remaining - remaining, remaining
         since = self._since_gate
@@ -360,7 +378,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         self.scan = self.lidar.measure(*self.pose, self.np_random)
 
     def _observation(self) -> FloatArray:
-        return self._observer(self, self._situation(), self.scan)
+        return self._observer(self, self._at, self.scan)
 
     def _info(
         self, terms: dict[str, float], *, finish: bool, crash: bool, stalled: bool
@@ -371,13 +389,13 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
             "finish": finish,
             "crash": crash,
             "stalled": stalled,
-            "gates": self.next_gate,
+            "gates": self._next,
             "lap_time": self._steps * CONTROL_DT,
             "x": x,
             "y": y,
             "heading": heading,
             "speed": self.speed,
-            "progress": self.progress_at(self._situation()),
+            "progress": self.progress_at(self._at),
             "distance": self._distance,
             "reward_terms": terms,
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from envs.errors import EnvError
 
@@ -19,8 +20,7 @@ WEIGHTS: Mapping[str, float] = {
 }
 
 
-@dataclass(frozen=True)
-class Deed:
+class Deed(NamedTuple):
     """What happened in one step.
 
     gained    by which the remaining path became shorter [px]
@@ -57,6 +57,9 @@ class PathReward:
         unknown = sorted(changes.keys() - WEIGHTS.keys())
         if unknown:
             raise EnvError(f"reward: unknown term {unknown[0]!r}; known: {', '.join(WEIGHTS)}")
+        for name, weight in changes.items():
+            if not isinstance(weight, (int, float)) or not math.isfinite(weight):
+                raise EnvError(f"reward: the weight of {name} is {weight!r}, not a finite number")
         self.weights = {**WEIGHTS, **changes}
 
     def terms(self, deed: Deed) -> dict[str, float]:
