@@ -54,9 +54,10 @@ def scaled(value: float) -> str:
 
 
 def interval(row: Row) -> str:
-    """The mean return with its interval: `3,413 [3,405, 3,420]`."""
+    """The mean return with its interval: `3,413 [3,405, 3,420]`, of karts `30.1 [29.8, 30.4]`."""
     low, high = row["return_ci95"]
-    return f"{row['return_mean']:,.0f} [{low:,.0f}, {high:,.0f}]"
+    form = f",.{_digits(row)}f"
+    return f"{row['return_mean']:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def difference(row: Row) -> str:
@@ -64,7 +65,13 @@ def difference(row: Row) -> str:
     if row["difference_mean"] is None:
         return ABSENT
     low, high = row["difference_ci95"]
-    return f"{row['difference_mean']:+,.0f} [{low:+,.0f}, {high:+,.0f}]"
+    form = f"+,.{_digits(row)}f"
+    return f"{row['difference_mean']:{form}} [{low:{form}}, {high:{form}}]"
+
+
+def _digits(row: Row) -> int:
+    """Decimals of a return: walks earn thousands, drives tens."""
+    return 1 if drives(row) else 0
 
 
 def share(row: Row) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.columns import Row, label
+from spikedeploy.columns import Row, interval, label
 from spikedeploy.curves import Curve
 from spikedeploy.files import replacing
 
@@ -44,7 +44,7 @@ def draw_returns(rows: Sequence[Row], path: Path) -> Path:
         axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
         axes.plot(row["return_mean"], place + 0.12, "|", color=paint, markersize=16, mew=2)
         axes.annotate(
-            f"{row['return_mean']:,.0f}",
+            interval(row).partition(" ")[0],
             (1.01, place),
             xycoords=("axes fraction", "data"),
             va="center",

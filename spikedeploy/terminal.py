@@ -30,6 +30,7 @@ def print_table(
 ) -> None:
     """Write a table; with `numbers` every column after the first is set flush right."""
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(
@@ -37,7 +38,9 @@ def print_table(
     )
     for place, column in enumerate(columns):
         table.add_column(
-            column, justify="right" if numbers and place else "left", no_wrap=numbers and not place
+            escape(column),
+            justify="right" if numbers and place else "left",
+            no_wrap=numbers and not place,
         )
     for row in rows:
         table.add_row(*row)

@@ -121,11 +121,12 @@ def verdicts(learned: Sequence[Record], driven: Sequence[Record]) -> list[str]:
             found = [row[NTH] for row in of(learned, world, policy)]
             if found:
                 limit, median = 1000 * PEERS[world].nth[place], float(np.median(found))
-                text = f"{median / 1000:,.0f}k" if math.isfinite(median) else "more than the budget"
+                known = math.isfinite(median)
+                text = f"{median / 1000:,.0f}k steps" if known else "more steps than its budget"
                 lines.append(
                     _verdict(
                         median <= limit,
-                        f"{world}, {policy}: {COUNT} finishes after {text} steps (median), "
+                        f"{world}, {policy}: {COUNT} finishes after {text} (median), "
                         f"kart-simulator {limit / 1000:,.0f}k",
                     )
                 )
