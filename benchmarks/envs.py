@@ -5,6 +5,9 @@
 The environments take turns, round by round, and the medians of their rounds are printed with the
 slowest and the fastest: of one environment, and of so many in a gymnasium SyncVectorEnv, whose
 figure counts the steps of all of them. Without names, every kart is measured with its LIDAR on.
+
+Of karts, PPO's rollouts are measured, too, with the recipes' spiking policies: observe, encode,
+spike through all timesteps, draw an action, and step, in 16 copies.
 """
 
 # ruff: noqa: E402 - the number of threads has to be set before numpy is imported
@@ -19,9 +22,11 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
 import argparse
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -67,6 +72,33 @@ def vector(name: str, options: dict[str, Any], steps: int, copies: int) -> Measu
     return measure
 
 
+def rollouts(recipe: str, options: dict[str, Any], steps: int) -> Measure:
+    """What collects experience as PPO does, untrained, and gives its steps per second."""
+    import torch
+
+    from trainers.config import resolve
+    from trainers.episode_log import EpisodeLog
+    from trainers.ppo import Ppo
+    from trainers.ppo_config import PpoConfig
+    from trainers.run_folder import RunFolder
+
+    torch.set_num_threads(1)
+    folder = Path(tempfile.mkdtemp())
+    settings = [f"env.options.{name}={value}" for name, value in options.items()]
+    config = resolve(PpoConfig, recipe, overrides=settings)
+    learner = Ppo(config, RunFolder.create(folder, config))
+    log = EpisodeLog(folder / "episodes.csv", config.env.count)
+    repeats = max(1, steps // (config.horizon * config.env.count))
+
+    def measure() -> float:
+        begin, before = time.perf_counter(), learner.env_steps
+        for _ in range(repeats):
+            learner.collect(log)
+        return (learner.env_steps - before) / (time.perf_counter() - begin)
+
+    return measure
+
+
 def _actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
     """So many random actions, drawn before the clock runs."""
     space.seed(0)
@@ -92,6 +124,8 @@ def main() -> None:
             vector(name, options, given.steps, given.vector),
             [],
         )
+        if name in KARTS:
+            rows[name, "PPO-SNN"] = rollouts(f"{name}-snn", options, given.steps), []
     for _ in range(given.rounds):
         for measure, found in rows.values():
             found.append(measure())

@@ -122,7 +122,7 @@ def test_observations_are_normalised_until_that_is_frozen(tmp_path, world):
     for _ in range(3):
         learner._envs.step(np.zeros(8, np.int64))
         seen.append(learner.policy.normalizer.std.clone())
-        learner._observe(learner._collect(NoLog()))
+        learner._observe(learner.collect(NoLog()))
     assert torch.equal(seen[0], torch.ones(2))
     assert not torch.equal(seen[1], seen[0])
 

@@ -92,7 +92,7 @@ class Ppo:
         while not (self._finished or stopped()):
             before = self.env_steps
             self.learner.schedule(before)
-            metrics = self.learner.learn(self._collect(self._log))
+            metrics = self.learner.learn(self.collect(self._log))
             self.iterations += 1
             journal.at(self.env_steps, self._config.steps)
             self._report(journal, metrics, before)
@@ -112,7 +112,7 @@ class Ppo:
         """Return whether the newest steps passed a multiple of `every`."""
         return self.env_steps // every > before // every
 
-    def _collect(self, log: EpisodeLog) -> list[Moment]:
+    def collect(self, log: EpisodeLog) -> list[Moment]:
         """Take as many steps in every environment as the horizon says."""
         moments = []
         for _ in range(self._config.horizon):
