@@ -106,6 +106,18 @@ def test_enough_finishes_end_a_training(tmp_path):
     assert one.evaluation["rows"][0]["success_rate"] == 1  # evaluated in the same world
 
 
+def test_a_run_of_an_older_recipe_is_found_out(monkeypatch, tmp_path):
+    from trainers.recipes import RECIPES, Recipe, merged
+
+    one = make(tmp_path)
+    perform(**one.arguments())
+    assert one.strayed == []
+    old = RECIPES["smoke-kart"]
+    newer = Recipe(old.algorithm, old.summary, merged(old.settings, {"gamma": 0.5}))
+    monkeypatch.setitem(RECIPES, "smoke-kart", newer)
+    assert one.strayed == [f"gamma={one.config.gamma}"]
+
+
 def test_seeds_and_recipes_do_not_take_each_other_for_themselves(tmp_path):
     one, eleven = make(tmp_path, seed=1), make(tmp_path, seed=11)
     perform(**eleven.arguments())

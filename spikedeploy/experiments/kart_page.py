@@ -108,6 +108,12 @@ def _facts(design: Design, budgets: Mapping[tuple[str, str], int]) -> list[str]:
         f"{design.controls}",
         f"- a training ends {ends} its budget of environment steps: {steps}",
         *(f"- `--set {setting}`" for setting in design.overrides),
+        *(
+            f"- ✗ {trial.name} was trained otherwise than its recipe says now: "
+            + ", ".join(trial.strayed)
+            for trial in design.trials()
+            if trial.strayed
+        ),
         "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
         "[finishes.csv](kart/finishes.csv)",
     ]

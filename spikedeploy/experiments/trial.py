@@ -18,7 +18,7 @@ from spikedeploy.experiments.alone import alone
 from spikedeploy.experiments.drive import drive
 from spikedeploy.experiments.finishes import Steps, finishes
 from spikedeploy.files import as_text, write_text
-from trainers.config import amended, resolve
+from trainers.config import amended, differences, resolve
 from trainers.ppo_config import PpoConfig
 from trainers.run_folder import RunFolder
 
@@ -62,6 +62,15 @@ class Trial:
         if self.run is None:
             return resolve(PpoConfig, self.recipe, overrides=self.overrides, seed=self.seed)
         return amended(RunFolder(self.run).config(PpoConfig), overrides=self.overrides)
+
+    @property
+    def strayed(self) -> list[str]:
+        """Settings with which it was trained, but with which it would not be trained now."""
+        if self.run is None:
+            return []
+        now = resolve(PpoConfig, self.recipe, overrides=self.overrides, seed=self.seed)
+        expected = set(differences(now))
+        return [setting for setting in differences(self.config) if setting not in expected]
 
     @property
     def counters(self) -> dict[str, Any]:
