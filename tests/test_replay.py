@@ -24,6 +24,7 @@ from spikedeploy.play import window
 from spikedeploy.play.brain import gates_passed, seen_by
 from spikedeploy.play.crowd import Crowd
 from spikedeploy.play.film import film
+from spikedeploy.play.overlay import COLOURS, distinct
 from spikedeploy.play.playback import Playback
 from spikedeploy.play.replaying import replay
 from spikedeploy.play.source import open_source
@@ -328,6 +329,101 @@ def test_wrong_settings_are_named(run, given, line):
         replay(run, **given)
 
 
+# several sources
+
+
+def tiny(folder, name="a", env_id="spikedeploy/KartGazebo-v0", steps=30, **options):
+    """A ghost file with one straight drive."""
+    path = folder / f"{name}.npz"
+    drive = straight(steps, 200.0, finish=steps > 30)
+    drive.pose[:, 1] = 200.0
+    Ghosts(env_id, [drive], options).save(path)
+    return path
+
+
+def test_sources_are_laid_over_one_another_in_colours_of_their_own(run, tmp_path):
+    app = replay(run, beside=[tiny(tmp_path, steps=90)])
+    assert app.reel.legend == {run.name: COLOURS[0], "a": COLOURS[1]}
+    facts = app.reel.facts(50)
+    assert [name for name, _ in facts if name in app.reel.legend] == [run.name, "a"]
+    assert [value for name, value in facts if "driving" in name] == ["0 / 0 / 0", "1 / 0 / 0"]
+    assert facts[-1] == ("leader", "finish, 1.50 s")
+    frame = pygame.surfarray.array3d(app.draw())
+    for colour in COLOURS[:2]:
+        assert (frame[:800] == colour).all(axis=2).sum() > 20  # on the track
+        assert (frame[800:] == colour).all(axis=2).sum() > 20  # beside its name
+
+
+def test_of_a_source_with_fewer_batches_the_last_one_stays(run, tmp_path):
+    app = replay(tiny(tmp_path), batch=3, beside=[run])
+    assert app.playback.batches == 3
+    assert [len(reel.crowd.drives) for reel in app.reel.reels.values()] == [1, 2]
+    assert app.playback.length == 120
+    together = replay(tiny(tmp_path), mode="all", beside=[run])
+    assert [len(reel.crowd.drives) for reel in together.reel.reels.values()] == [1, 7]
+
+
+def test_colours_of_sources_can_be_told_apart():
+    for number, one in enumerate(COLOURS):
+        for other in COLOURS[:number]:
+            assert np.abs(np.subtract(one, other)).sum() > 90
+
+
+def test_sources_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    for folder in ("ann/ghosts", "snn/ghosts"):
+        tiny(tmp_path / folder)
+    paths = [tmp_path / "ann/ghosts/a.npz", tmp_path / "snn/ghosts/a.npz"]
+    assert distinct(paths) == ["ann/a", "snn/a"]
+    assert distinct([tmp_path / "ann", tmp_path / "snn/ghosts"]) == ["ann", "snn"]
+
+
+@pytest.mark.parametrize(
+    ("other", "line"),
+    [
+        ({"env_id": "spikedeploy/KartGrid-v0"}, "was driven in kart-grid on big_S"),
+        ({"track": "small_S"}, "was driven in kart-gazebo on small_S, run in kart-gazebo on big_S"),
+    ],
+    ids=["kart", "track"],
+)
+def test_sources_of_different_worlds_are_refused_in_a_line(other, line, tmp_path):
+    with pytest.raises(ConfigError, match=line):
+        replay(tiny(tmp_path, "run"), beside=[tiny(tmp_path, **other)])
+    assert "\n" not in line
+
+
+def test_what_was_seen_and_paid_may_differ(tmp_path):
+    other = tiny(tmp_path, preset="classic", track="big_S")
+    assert replay(tiny(tmp_path, "run"), beside=[other]).playback.length == 30
+
+
+def test_a_source_counts_once_and_there_is_a_colour_for_each(tmp_path):
+    files = [tiny(tmp_path, str(number)) for number in range(7)]
+    with pytest.raises(ConfigError, match="7 sources: at most 6"):
+        replay(files[0], beside=files[1:])
+    with pytest.raises(ConfigError, match=r"0\.npz is named twice"):
+        replay(files[0], beside=files[:1])
+
+
+def test_the_spikes_beside_several_sources_are_of_the_first_ones_leader(run, policy, tmp_path):
+    alone = replay(run, batch=2, spikes=str(policy)).thoughts
+    app = replay(run, batch=2, spikes=str(policy), beside=[tiny(tmp_path)])
+    np.testing.assert_array_equal(app.thoughts.scores, alone.scores)
+
+
+def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
+    for seed in (1, 2):
+        ghosts = Ghosts(
+            "spikedeploy/KartGazebo-v0", [straight(9, seed=seed)], {"track": "corridor"}
+        )
+        ghosts.save(tmp_path / f"ghosts/{seed}.npz")
+    app = replay(tmp_path)
+    before = pygame.surfarray.array3d(app.reel.ground((200, 200)))
+    press(app, pygame.K_n)
+    assert (pygame.surfarray.array3d(app.reel.ground((200, 200))) != before).any()
+    press(app, pygame.K_b)
+    np.testing.assert_array_equal(pygame.surfarray.array3d(app.reel.ground((200, 200))), before)
+
+
 class Left:
     """A controller that goes round and round."""
 
@@ -429,6 +525,15 @@ def test_the_command_films_without_a_window(command, run, tmp_path):
     assert (code, out, err) == (0, f"wrote {path}\n", "")
     _, out, _ = command("replay", run, "--video", path, "--seconds", "0.1", "--json")
     assert json.loads(out) == {"source": str(run), "batches": 3, "video": str(path)}
+
+
+def test_the_command_films_several_sources(command, run, tmp_path):
+    words = ("replay", run, tiny(tmp_path), "--video", tmp_path / "f.mp4", "--seconds", "0.1")
+    code, out, err = command(*words, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["beside"] == [str(tmp_path / "a.npz")]
+    with av.open(str(tmp_path / "f.mp4")) as file:
+        assert sum(1 for _ in file.decode(video=0)) == 3
 
 
 def test_a_missing_source_is_one_line(command, tmp_path):

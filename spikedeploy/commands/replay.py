@@ -1,7 +1,7 @@
 """`spikedeploy replay`: what was driven, again."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -10,7 +10,11 @@ from spikedeploy.commands.options import Json
 
 def replay(
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="Run folder, ghost file, or recorded drive.")
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Run folder, ghost file, or recorded drive; several are laid over one another.",
+        ),
     ],
     mode: Annotated[
         str, typer.Option(help="'batch': one batch of a training after the other; 'all': at once.")
@@ -41,12 +45,15 @@ def replay(
     from spikedeploy.terminal import print_json
     from spikedeploy.worlds import parsed
 
-    app = open_replay(source, mode, batch, spikes, chip, speed, parsed(set_ or ()))
+    first, *beside = source
+    app = open_replay(first, mode, batch, spikes, chip, speed, parsed(set_ or ()), beside)
     if video is None:
         show(app)
     else:
         film(app, video, seconds)
-    told = {"source": str(source), "batches": app.playback.batches}
+    told: dict[str, Any] = {"source": str(first), "batches": app.playback.batches}
+    if beside:
+        told["beside"] = [str(path) for path in beside]
     if json:
         print_json({**told, "video": str(video) if video else None})
     elif video:

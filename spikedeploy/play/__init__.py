@@ -7,9 +7,12 @@ session.py  a drive: a world, who drives it, and the record
 stage.py    the picture of a world
 hud.py      the panel beside it
 driving.py  `spikedeploy play`
-batches.py  what a replay reads: ghosts, batch after batch
+source.py   what a replay reads: ghosts, batch after batch, or a recorded drive
 playback.py the time of a replay: pause, speed, seek, batch after batch
-field.py    ghosts on their track
+reels.py    one batch of a replay: ghosts on a track, or a robot's walk
+crowd.py    many ghosts at once
+crowd_picture.py  them, drawn
+overlay.py  several sources over one another
 brain.py    what a spiking policy does at the leading ghost
 rasters.py  its spikes, drawn
 replaying.py `spikedeploy replay`

@@ -1,5 +1,6 @@
 """A crowd of ghosts on their track."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -14,45 +15,78 @@ FEW = 40  # ghosts that are drawn as karts; more of them as dots; a larger crowd
 AGES: tuple[Colour, ...] = ((150, 96, 208), (112, 118, 230), (76, 160, 240), (76, 211, 220))
 
 
-def draw_crowd(surface: pygame.Surface, place: Scene, crowd: Crowd, step: int) -> None:
-    """Draw who drives, where others ended, and the leader with its trail, over a track."""
+@dataclass(frozen=True)
+class Paint:
+    """The colours of a crowd.
+
+    driving   of those who drive, from the first to the last of the training
+    leader    of the best and of its path
+    finished  of the dots where they ended
+    crashed   of the dots where they ended
+    """
+
+    driving: tuple[Colour, ...]
+    leader: Colour = AMBER
+    finished: Colour = GREEN
+    crashed: Colour = RED
+
+
+def alone(crowd: Crowd) -> Paint:
+    """The paint of the only crowd: by what happens to its ghosts, and of many by their age."""
+    return Paint(AGES if len(crowd.drives) > FEW else (CYAN,))
+
+
+def one_colour(colour: Colour) -> Paint:
+    """The paint of a crowd among others."""
+    return Paint((colour,), colour, colour, colour)
+
+
+def draw_crowd(
+    surface: pygame.Surface, place: Scene, crowd: Crowd, step: int, paint: Paint
+) -> None:
+    """Draw who drives and where others ended, over a track."""
     poses = crowd.poses(step)
     points = place.at(poses[:, :2])
-    for well, colour in ((False, RED), (True, GREEN)):
+    for well, colour in ((False, paint.crashed), (True, paint.finished)):
         _dots(surface, points[crowd.ended(step, well)], colour, 3, 120)
-    colours = AGES if len(crowd.drives) > FEW else (CYAN,)
-    ages = np.minimum(crowd.age * len(colours), len(colours) - 1).astype(int)
+    ages = np.minimum(crowd.age * len(paint.driving), len(paint.driving) - 1).astype(int)
     driving = crowd.driving(step)
-    for age, colour in enumerate(colours):
+    for age, colour in enumerate(paint.driving):
         these = np.flatnonzero(driving & (ages == age))
         if driving.sum() > FEW:
             _dots(surface, points[these], colour, max(3, round(9 * place.scale)), 120)
         else:
             for index in these:
                 draw_kart(surface, place, _pose(poses[index]), colour, 150)
-    _legend(surface, colours)
-    if crowd.leader is not None:
-        _trail(surface, place, crowd, step)
-        draw_kart(surface, place, _pose(poses[crowd.leader]), AMBER)
 
 
-def _legend(surface: pygame.Surface, driving: tuple[Colour, ...]) -> None:
+def draw_leader(
+    surface: pygame.Surface, place: Scene, crowd: Crowd, step: int, colour: Colour
+) -> None:
+    """Draw the best of a crowd and its path."""
+    if crowd.leader is None:
+        return
+    points = place.at(crowd.trail(step))
+    if len(points) > 1:
+        pygame.draw.aalines(surface, colour, False, [tuple(point) for point in points])
+    draw_kart(surface, place, _pose(crowd.poses(step)[crowd.leader]), colour)
+
+
+def draw_legend(surface: pygame.Surface, paint: Paint) -> None:
     """What the colours mean, in the lower left corner."""
     x, y = 20.0, surface.get_height() - 18.0
-    entries: list[tuple[str, tuple[Colour, ...]]] = [("leader", (AMBER,)), ("finished", (GREEN,))]
-    name = "driving" if len(driving) == 1 else "driving, of early to late training"
-    entries += [("crashed", (RED,)), (name, driving)]
+    name = "driving" if len(paint.driving) == 1 else "driving, of early to late training"
+    entries: list[tuple[str, tuple[Colour, ...]]] = [
+        ("leader", (paint.leader,)),
+        ("finished", (paint.finished,)),
+        ("crashed", (paint.crashed,)),
+        (name, paint.driving),
+    ]
     for text, colours in entries:
         for colour in colours:
             pygame.draw.aacircle(surface, colour, (x, y), 5)
             x += 14
         x = write(surface, text, (x - 2, y), 12, DIM, anchor="midleft").right + 20
-
-
-def _trail(surface: pygame.Surface, place: Scene, crowd: Crowd, step: int) -> None:
-    points = place.at(crowd.trail(step))
-    if len(points) > 1:
-        pygame.draw.aalines(surface, AMBER, False, [tuple(point) for point in points])
 
 
 def _dots(

@@ -1,6 +1,6 @@
 """What a replay shows of one batch: ghosts on a track, or a robot that walks its walk again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import gymnasium
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from envs.ghosts import Ghosts
 from envs.kart_scene import Scene, scene
 from envs.rollout import Rollout
+from envs.track import Track
 from spikedeploy.play.brain import seen_by
 from spikedeploy.play.crowd import Crowd
 from spikedeploy.play.stage import stage
+from spikedeploy.play.theme import Colour
 
 Facts = list[tuple[str, str]]
 
@@ -23,10 +25,12 @@ class Reel(Protocol):
 
     length  control steps
     seed    of the episode that is looked at most closely
+    legend  names of facts that are titles -> their colours
     """
 
     length: int
     seed: int
+    legend: Mapping[str, Colour]
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
         """The picture of a step."""
@@ -48,6 +52,8 @@ class GhostReel:
     seen   (S + 1, obs) what the only ghost saw, where it was recorded
     """
 
+    legend: Mapping[str, Colour] = {}
+
     def __init__(
         self,
         env: gymnasium.Env[Any, Any],
@@ -60,23 +66,31 @@ class GhostReel:
         self.length = self.crowd.length
         self._leader = None if self.crowd.leader is None else ghosts.drives[self.crowd.leader]
         self.seed = self._leader.seed if self._leader else -1
-        env.reset(seed=max(self.seed, 0))  # where tracks are drawn at random: the leader's
+        self._enter()
+        self._track: Track = env.get_wrapper_attr("track")
         self._steps = [ghost.env_step for ghost in ghosts.drives if ghost.env_step]
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
         """The track with everybody on it."""
-        from envs.kart_picture import draw_gates
-        from spikedeploy.play.crowd_picture import draw_crowd
+        from spikedeploy.play.crowd_picture import alone, draw_crowd, draw_leader, draw_legend
 
-        place = self.place(size)
-        surface = place.ground.copy()
-        draw_gates(surface, place, -1)
-        draw_crowd(surface, place, self.crowd, step)
+        surface, place, paint = self.ground(size), self.place(size), alone(self.crowd)
+        draw_crowd(surface, place, self.crowd, step, paint)
+        draw_legend(surface, paint)
+        draw_leader(surface, place, self.crowd, step, paint.leader)
+        return surface
+
+    def ground(self, size: tuple[int, int]) -> pygame.Surface:
+        """The track with its gates and nobody on it."""
+        from envs.kart_picture import draw_gates
+
+        surface = self.place(size).ground.copy()
+        draw_gates(surface, self.place(size), -1)
         return surface
 
     def place(self, size: tuple[int, int]) -> Scene:
-        """The track on a surface of this size."""
-        return scene(self._world.track, size)
+        """The leader's track on a surface of this size."""
+        return scene(self._track, size)
 
     def facts(self, step: int) -> Facts:
         """How many do what, and how the leader does."""
@@ -95,7 +109,10 @@ class GhostReel:
         """What the world showed the leader, or would have shown it."""
         if self._seen is not None:
             return self._seen
-        return np.zeros((0, 0)) if self._leader is None else seen_by(self._leader, self._world)
+        if self._leader is None:
+            return np.zeros((0, 0))
+        self._enter()
+        return seen_by(self._leader, self._world)
 
     def action(self, step: int) -> int | None:
         """The choice that the leader made there."""
@@ -104,13 +121,27 @@ class GhostReel:
             return None
         return int(ghost.action[min(step, ghost.steps - 1)])
 
+    def led(self) -> str:
+        """How the leader ended, and when."""
+        ghost = self._leader
+        if ghost is None:
+            return "nobody"
+        time = f"{ghost.steps * self._world.CONTROL_DT:.2f} s"
+        if ghost.finish:
+            return f"finish, {time}"
+        return f"{ghost.gates} of {len(self._track.gates)} gates, {time}"
+
+    def _enter(self) -> None:
+        """Be on the leader's track, where tracks are drawn at random."""
+        self._world.reset(seed=max(self.seed, 0))
+
     def _led(self, step: int) -> Facts:
         ghost = self._leader
         if ghost is None:
             return []
         end = "finish" if ghost.finish else "crash" if ghost.crash else "no finish"
         return [
-            ("leader", f"{end}, {ghost.gates} of {len(self._world.track.gates)} gates"),
+            ("leader", f"{end}, {ghost.gates} of {len(self._track.gates)} gates"),
             ("its time", f"{ghost.steps * self._world.CONTROL_DT:.2f} s"),
             ("its speed", f"{ghost.speed[step] / 100:.2f} m/s"),
             ("its reward", f"{ghost.reward[:step].sum():+.2f}"),
@@ -125,6 +156,8 @@ class WalkReel:
     world   it walks in
     newest  what it observes now (obs,)
     """
+
+    legend: Mapping[str, Colour] = {}
 
     def __init__(self, env: gymnasium.Env[Any, Any], played: Rollout) -> None:
         self._env, self._played = env, played

@@ -1,6 +1,6 @@
 """`spikedeploy replay`: training episodes as ghosts, batch after batch or all at once."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,25 @@ import pygame
 import envs
 from runtime.errors import ConfigError
 from spikedeploy.play.brain import Brain, Thoughts
+from spikedeploy.play.overlay import OverlayReel, check_alike, distinct
 from spikedeploy.play.playback import Playback
 from spikedeploy.play.rasters import WIDTH as THOUGHTS
 from spikedeploy.play.rasters import draw_thoughts
 from spikedeploy.play.reels import GhostReel, Reel, WalkReel, action_names
 from spikedeploy.play.source import Source, open_source
 from spikedeploy.play.stage import is_kart
-from spikedeploy.play.theme import AMBER, CYAN, DIM, PANEL, TEXT, bar, heading, keycaps, write
+from spikedeploy.play.theme import (
+    AMBER,
+    CYAN,
+    DIM,
+    PANEL,
+    TEXT,
+    bar,
+    fitting,
+    heading,
+    keycaps,
+    write,
+)
 from spikedeploy.policies import check_fit, find
 from spikedeploy.worlds import made
 
@@ -37,7 +49,7 @@ MODES = ("batch", "all")
 
 
 class Replay:
-    """A source on the screen.
+    """A source on the screen, or several over one another.
 
     title, name, fps  as of a window.App
     playback          its time
@@ -47,19 +59,21 @@ class Replay:
 
     def __init__(
         self,
-        source: Source,
+        sources: Mapping[str, Source],
         env: gymnasium.Env[Any, Any],
         mode: str = "batch",
         brain: Brain | None = None,
         speed: float = 1.0,
     ) -> None:
-        self.name = envs.spec(source.env_id).short
-        self.title = f"{source.name} – spikedeploy"
-        self._source, self._env, self._mode, self._brain = source, env, mode, brain
+        self._first = next(iter(sources.values()))
+        self.name = envs.spec(self._first.env_id).short
+        self._heading = self._first.name if len(sources) == 1 else f"{len(sources)} sources"
+        self.title = f"{self._heading} – spikedeploy"
+        self._sources, self._env, self._mode, self._brain = sources, env, mode, brain
         self._world: Any = env.unwrapped
         kart = is_kart(self._world)
         self._size = (HEIGHT, HEIGHT) if kart else (HEIGHT * 4 // 3, HEIGHT)
-        batches = len(source) if mode == "batch" else 1
+        batches = max(map(len, sources.values())) if mode == "batch" else 1
         dt = float(env.get_wrapper_attr("CONTROL_DT"))
         self.playback = Playback(batches, dt, speed=speed)
         self._reel = lru_cache(maxsize=4)(self._cut)
@@ -106,10 +120,16 @@ class Replay:
         self.playback.length = self.reel.length
 
     def _cut(self, batch: int) -> Reel:
-        if self._source.rollout is not None and not is_kart(self._world):
-            return WalkReel(self._env, self._source.rollout)
-        source = self._source
-        ghosts = source.everything() if self._mode == "all" else source.batch(batch)
+        if self._first.rollout is not None and not is_kart(self._world):
+            return WalkReel(self._env, self._first.rollout)
+        if len(self._sources) == 1:
+            return self._ghosts(self._first, batch)
+        return OverlayReel({name: self._ghosts(s, batch) for name, s in self._sources.items()})
+
+    def _ghosts(self, source: Source, batch: int) -> GhostReel:
+        """A batch of a source; of one that has fewer, the last."""
+        index = min(batch, len(source) - 1)
+        ghosts = source.everything() if self._mode == "all" else source.batch(index)
         seen = None if source.rollout is None else source.rollout.observation
         return GhostReel(self._env, ghosts, seen)
 
@@ -135,13 +155,25 @@ class Replay:
         inner = place.inflate(-2 * PAD, -2 * PAD)
         track = f" · {self._world.track.name}" if is_kart(self._world) else ""
         write(surface, self.name + track, inner.topleft, 20, TEXT, "bold")
-        write(surface, self._source.name, (inner.left, inner.top + 28), 12, DIM)
-        y = self._draw_time(surface, inner, inner.top + 66)
-        for name, value in self.reel.facts(self.playback.now):
-            write(surface, name, (inner.left, y), 14, DIM)
-            write(surface, value, (inner.right, y), 14, TEXT, "plain", "topright")
-            y += 26
+        write(surface, self._heading, (inner.left, inner.top + 28), 12, DIM)
+        self._draw_facts(surface, inner, self._draw_time(surface, inner, inner.top + 66))
         keycaps(surface, KEYS, (inner.left, inner.bottom - 106), inner.width)
+
+    def _draw_facts(self, surface: pygame.Surface, inner: pygame.Rect, y: int) -> None:
+        """Names and values; below the names of sources, closer together."""
+        legend = self.reel.legend
+        size, gap = (12, 20) if legend else (14, 26)
+        for name, value in self.reel.facts(self.playback.now):
+            if name in legend:
+                pygame.draw.aacircle(surface, legend[name], (inner.left + 6, y + 8), 6)
+                text = fitting(name, inner.width - 20, size, "bold")
+                write(surface, text, (inner.left + 20, y), size, TEXT, "bold")
+            else:
+                write(surface, name, (inner.left + 20 * bool(legend), y), size, DIM)
+                last = name == "leader" and bool(legend)
+                write(surface, value, (inner.right, y), size, TEXT, "plain", "topright")
+                y += 10 * last
+            y += gap
 
     def _draw_time(self, surface: pygame.Surface, inner: pygame.Rect, y: int) -> int:
         play = self.playback
@@ -170,6 +202,7 @@ def replay(
     chip: str = "loihi1",
     speed: float = 1.0,
     options: Mapping[str, Any] | None = None,
+    beside: Sequence[Path] = (),
 ) -> Replay:
     """The app that `replay` shows.
 
@@ -179,16 +212,23 @@ def replay(
     spikes   spiking policy whose spikes are shown beside, while it sees what the leader saw
     chip     that it runs on
     options  of the environment, which go before those in the file
+    beside   further sources of the same world, laid over the first
     """
     if mode not in MODES:
         raise ConfigError(f"--mode {mode}: choose {' or '.join(MODES)}")
     if not 0.0 < speed <= 100.0:
         raise ConfigError(f"--speed {speed:g}: choose a factor above 0, up to 100; 1 is real time")
-    source = open_source(path)
-    env = made(source.env_id, {**source.options, **(options or {})}, render_mode="rgb_array")
-    app = Replay(source, env, mode, _brain(spikes, chip, env), speed)
+    paths = (path, *beside)
+    sources = [open_source(each) for each in paths]
+    check_alike(sources, options or {})
+    first = sources[0]
+    env = made(first.env_id, {**first.options, **(options or {})}, render_mode="rgb_array")
+    if beside and not is_kart(env.unwrapped):
+        raise ConfigError(f"{first.name} is a walk: only drives of karts are laid over one another")
+    named = dict(zip(distinct(paths), sources, strict=True))
+    app = Replay(named, env, mode, _brain(spikes, chip, env), speed)
     if not 1 <= batch <= app.playback.batches:
-        raise ConfigError(f"--batch {batch}: {source.name} has 1 to {app.playback.batches}")
+        raise ConfigError(f"--batch {batch}: {first.name} has 1 to {app.playback.batches}")
     app.open(batch - 1)
     return app
 

@@ -46,6 +46,14 @@ def write(
     return surface.blit(drawn, place)
 
 
+def fitting(text: str, width: int, size: int = 15, face: str = "plain") -> str:
+    """The text, or as much of its end as is no wider than that."""
+    cut = text
+    while font(size, face).size(cut)[0] > width and len(cut) > 2:
+        cut = "…" + cut[2:]
+    return cut
+
+
 def heading(surface: pygame.Surface, text: str, at: tuple[float, float]) -> None:
     """The title of a part of a panel."""
     write(surface, text.upper(), at, 11, DIM, "bold")
