@@ -10,6 +10,17 @@ reward.py           what they are paid for
 hexapod.py          walk straight ahead at 0.4 m/s
 hexapod_command.py  follow a commanded speed and turn rate
 camera.py           pictures of them
+track.py            walls, gates and a start; tracks/*.json are the shipped ones
+track_rules.py      which tracks can be driven
+corridor.py         random ones
+lidar.py            distances to walls along rays
+kart.py             what karts have in common: world, episode, options
+kart_grid.py        pushed in four directions
+kart_gazebo.py      drives or turns
+kart_steer.py       throttle, brake and steering
+kart_observation.py what their drivers are shown
+kart_reward.py      what they are paid for
+gap.py              a scripted driver
 kart_scene.py       a track on a surface
 kart_picture.py     pictures of karts
 ghosts.py           the drives of a whole training, in small files

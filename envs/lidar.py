@@ -83,16 +83,17 @@ class Lidar:
         self.options = options
         self.angles = options.angles
         self.range = float(options.range)
-        # a ray's direction d, and d turned by a quarter, (2, 2R): for all headings a rotation away
+        # the rays' directions, and the same turned by a quarter, (2, R, 2): of these two are those
+        # in any heading made
         cosine, sine = np.cos(self.angles), np.sin(self.angles)
         self._fan = np.stack((np.stack((cosine, sine), 1), np.stack((-sine, cosine), 1)))
 
     def show(self, walls: FloatArray) -> None:
         """Look at these walls (W, 2, 2) [px] from now on."""
-        self._from = walls[:, 0]
-        along = walls[:, 1] - walls[:, 0]
+        start, along = walls[:, 0], walls[:, 1] - walls[:, 0]
         self._across = np.ascontiguousarray(np.stack((along[:, 1], -along[:, 0])))  # (2, W)
-        self._offset = (self._from * self._across.T).sum(axis=1)  # (W,)
+        self._offset = (start * self._across.T).sum(axis=1)  # (W,)
+        self._turned = np.ascontiguousarray(np.stack((-start[:, 1], start[:, 0])))  # (2, W)
 
     def look(self, x: float, y: float, heading: float) -> FloatArray:
         """(R,) distances [px] from a place [px] in a heading [rad]; the range where no wall is."""
@@ -100,12 +101,10 @@ class Lidar:
         rays = math.cos(heading) * ahead + math.sin(heading) * beside
         # place + t ray = from + u along;  [a, b] = ax by - ay bx
         # t = [from - place, along] / [ray, along],  u = [from - place, ray] / [ray, along]
-        place = np.array((x, y))
         steep = rays @ self._across
         steep[steep == 0.0] = FLAT
-        away = self._from - place
-        distance = (self._offset - place @ self._across) / steep
-        share = (rays[:, 1:] * away[:, 0] - rays[:, :1] * away[:, 1]) / steep
+        distance = (self._offset - np.array((x, y)) @ self._across) / steep
+        share = (rays @ (self._turned - np.array(((-y,), (x,))))) / steep
         missed = (np.abs(share - 0.5) > 0.5 + CLOSE) | (distance < 0.0)
         distance[missed] = self.range
         nearest: FloatArray = distance.min(axis=1, initial=self.range)
