@@ -19,12 +19,12 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from envs import archive
 from envs.errors import EnvError
 from envs.rollout import Rollout
 
@@ -123,26 +123,12 @@ class Ghosts:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file that this module describes; its name appears when it is whole."""
-        target = Path(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f".{target.name}.{os.getpid()}")
-        try:
-            with partial.open("wb") as file:
-                np.savez_compressed(file, **self._arrays())
-            os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
+        archive.write(path, self._arrays())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ghosts:
         """Read what save wrote."""
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-                arrays = dict(archive)
-        except FileNotFoundError:
-            raise EnvError(f"{path}: no such ghost file") from None
-        except Exception as error:  # zipfile, zlib and numpy each have their own for a broken file
-            raise EnvError(f"{path}: not a whole ghost file ({error})") from error
+        arrays = archive.read(path, "ghost file")
         header = _header(arrays, path)
         try:
             drives = _drives(arrays)

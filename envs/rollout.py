@@ -6,13 +6,13 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from envs import archive
 from envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
@@ -72,8 +72,6 @@ class Rollout:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .npz; the name appears only when the file is whole."""
-        target = Path(path)
-        partial = target.with_name(f".{target.name}.{os.getpid()}")
         arrays: dict[str, Any] = {f"info/{name}": values for name, values in self.info.items()}
         arrays["observation"], arrays["action"], arrays["reward"] = (
             self.observation,
@@ -83,24 +81,12 @@ class Rollout:
         arrays["header"] = np.array([self.seed, self.terminated, self.truncated, VERSION])
         arrays["env_id"] = np.array(self.env_id)
         arrays["options"] = np.array(json.dumps(dict(self.options)))
-        try:
-            with partial.open("wb") as file:
-                np.savez_compressed(file, **arrays)
-            os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
+        archive.write(path, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
         """Read what save wrote."""
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-                arrays = dict(archive)
-        except FileNotFoundError:
-            raise EnvError(f"{path}: no such rollout") from None
-        except Exception as error:  # zipfile, zlib and numpy each have their own for a broken file
-            raise EnvError(f"{path}: not a whole rollout file ({error})") from error
-        return cls._parse(arrays, path)
+        return cls._parse(archive.read(path, "rollout"), path)
 
     @classmethod
     def _parse(cls, arrays: dict[str, Any], path: str | os.PathLike[str]) -> Rollout:

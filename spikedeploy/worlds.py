@@ -16,7 +16,7 @@ def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[An
     try:
         return envs.make(name, **options, **more)
     except TypeError as error:
-        wrong = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+        wrong = re.search(r"unexpected keyword argument '([^']+)'", str(error))
         if wrong is None:
             raise
         spec = envs.spec(name)
@@ -27,13 +27,22 @@ def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[An
 
 
 def parsed(settings: Iterable[str]) -> dict[str, Any]:
-    """The options in texts such as `track=small_S`; values are JSON, or else plain text."""
-    options = {}
+    """The options in texts such as `track=small_S`; values are JSON, or else plain text.
+
+    `lidar.noise=5` sets one of a group of options.
+    """
+    options: dict[str, Any] = {}
     for text in settings:
         name, equals, value = text.partition("=")
-        if not equals or not name:
+        *groups, last = name.split(".")
+        if not equals or not last or not all(groups):
             raise ConfigError(f"--set takes option=value, as in --set track=small_S; got {text!r}")
-        options[name] = _value(value)
+        place = options
+        for group in groups:
+            place = place.setdefault(group, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"--set {text}: {group!r} was given as a whole already")
+        place[last] = _value(value)
     return options
 
 

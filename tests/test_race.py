@@ -122,8 +122,10 @@ def test_an_option_that_an_environment_does_not_have_is_one_clear_line():
         made("race", {"wings": 2})
     with pytest.raises(ConfigError, match="--set takes option=value"):
         parsed(["track"])
-    assert parsed(["track=small_S", "lidar.noise=2", "on=true"]) == {
-        "track": "small_S", "lidar.noise": 2, "on": True,
+    with pytest.raises(ConfigError, match="'lidar' was given as a whole already"):
+        parsed(["lidar=3", "lidar.noise=2"])
+    assert parsed(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
+        "track": "small_S", "lidar": {"noise": 2, "count": 9}, "on": True,
     }  # fmt: skip
 
 
