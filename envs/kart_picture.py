@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from envs.kart_scene import PLAIN, Colour, Floats, Scene, scene
 
@@ -22,6 +22,17 @@ RAY = (76, 201, 240, 60)
 TYRE: Colour = (8, 10, 14)
 HELMET: Colour = (244, 247, 252)
 FINE = 8  # times as large is a kart drawn, then turned and smoothed
+
+
+class Place(Protocol):
+    """What a kart is drawn on: a Scene, or whatever else knows where points are."""
+
+    @property
+    def scale(self) -> float:
+        """[screen px / px]."""
+
+    def at(self, points: ArrayLike) -> Floats:
+        """Screen points (…, 2) of points (…, 2) [px] of the world."""
 
 
 def picture(world: Any, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
@@ -93,7 +104,7 @@ def draw_scan(
 
 def draw_kart(
     surface: pygame.Surface,
-    place: Scene,
+    place: Place,
     pose: tuple[float, float, float],
     colour: Colour,
     alpha: int = 255,

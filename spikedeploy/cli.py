@@ -10,7 +10,7 @@ from spikedeploy.failures import one_line
 
 COMMANDS = {
     "Deploy": ("demo", "compare", "run", "emulate"),
-    "Make": ("train", "export", "publish", "experiment"),
+    "Make": ("train", "export", "publish", "experiment", "draw"),
     "Look": ("play", "replay", "visualize", "policies", "chips", "envs", "recipes", "doctor"),
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -16,6 +16,10 @@ overlay.py  several sources over one another
 brain.py    what a spiking policy does at the leading ghost
 rasters.py  its spikes, drawn
 replaying.py `spikedeploy replay`
+sketch.py   a track while it is drawn: what every click and key makes of it
+sketch_file.py  tracks and drafts as files
+drawing.py  `spikedeploy draw`
+drawing_picture.py  a sketch and its panel, drawn
 film.py     an app as MP4 or GIF
 """
 

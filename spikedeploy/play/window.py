@@ -2,7 +2,7 @@
 
 import itertools
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import pygame
 
@@ -11,6 +11,7 @@ from spikedeploy.play.theme import NIGHT
 
 SCREENSHOTS = Path("screenshots")
 MOST = 25.0  # ticks between two frames
+MOUSE = (pygame.MOUSEMOTION, pygame.MOUSEBUTTONDOWN, pygame.MOUSEWHEEL)
 
 
 class App(Protocol):
@@ -35,16 +36,26 @@ class App(Protocol):
         """The frame, always of the same size."""
 
 
+@runtime_checkable
+class Pointed(Protocol):
+    """An app that takes the mouse as well."""
+
+    def point(self, event: pygame.Event) -> None:
+        """Take a move, a click or a turn of the wheel; places are those of the frame."""
+
+
 def show(app: App, screenshots: Path = SCREENSHOTS) -> None:
     """Show the app until its window is closed or ESC is pressed; P keeps a picture."""
     screen = _open(app)
     clock = pygame.time.Clock()
-    due = 1.0
+    due, size = 1.0, screen.get_size()
     try:
-        while not _handled(app, screenshots):
+        while not _handled(app, screenshots, size):
             for _ in range(int(due)):
                 app.tick()
-            _fit(screen, app.draw())
+            frame = app.draw()
+            size = frame.get_size()
+            _fit(screen, frame)
             pygame.display.flip()
             # where drawing is slow, more time passes between two frames
             due = min(due % 1 + clock.tick(app.fps) / 1000 * app.fps, MOST)
@@ -74,8 +85,8 @@ def _open(app: App) -> pygame.Surface:
     return screen
 
 
-def _handled(app: App, screenshots: Path) -> bool:
-    """Pass the waiting events on; whether one of them closes the window."""
+def _handled(app: App, screenshots: Path, size: tuple[int, int]) -> bool:
+    """Pass the waiting events on to a frame of a size; whether one of them closes the window."""
     for event in pygame.event.get():
         escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
         if event.type == pygame.QUIT or escape:
@@ -84,7 +95,20 @@ def _handled(app: App, screenshots: Path) -> bool:
             screenshot(app, screenshots)
         elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
             app.handle(event)
+        elif event.type in MOUSE and isinstance(app, Pointed):
+            app.point(_on_frame(event, size))
     return False
+
+
+def _on_frame(event: pygame.Event, size: tuple[int, int]) -> pygame.Event:
+    """An event of the mouse with its place on a frame of a size, which may be scaled to fit."""
+    screen = pygame.display.get_surface()
+    if screen is None or not hasattr(event, "pos"):
+        return event
+    whole = screen.get_size()
+    scale = min(whole[0] / size[0], whole[1] / size[1])
+    pos = tuple((event.pos[k] - (whole[k] - scale * size[k]) / 2) / scale for k in (0, 1))
+    return pygame.Event(event.type, {**event.dict, "pos": pos})
 
 
 def _fit(screen: pygame.Surface, frame: pygame.Surface) -> None:

@@ -1,0 +1,38 @@
+"""`spikedeploy draw`: a window to draw a track in."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import Json
+
+
+def draw(
+    file: Annotated[
+        Path, typer.Argument(metavar="[FILE.json]", dir_okay=False, help="New, or to be edited.")
+    ] = Path("track.json"),
+    copy: Annotated[
+        str | None,
+        typer.Option(metavar="TRACK", help="Begin a new file with this track, by name or file."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Draw or edit a track; what no kart could drive is kept as a draft."""
+    from spikedeploy.play.drawing import Drawing
+    from spikedeploy.play.window import show
+    from spikedeploy.terminal import print_json
+
+    app = Drawing(file, copy)
+    try:
+        show(app)
+    finally:
+        draft = app.close()
+    if json:
+        told = {"track": str(file) if app.saved else None, "draft": str(draft) if draft else None}
+        print_json(told)
+        return
+    if app.saved:
+        typer.echo(f"wrote {file}; drive it: spikedeploy play kart-grid --track {file}")
+    if draft:
+        typer.echo(f"kept {draft}; `spikedeploy draw {file}` goes on with it")
