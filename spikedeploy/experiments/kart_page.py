@@ -54,7 +54,11 @@ LEARNING = f"""\
 Environment steps until the first and the {COUNT}th finished episode of training, whose actions are
 drawn and whose starts are random; the steps of all copies of the world count. Medians over the
 training seeds [least, most]. "% of ANN" is the ANN's steps over the SNN's, with a 95% bootstrap
-interval over seeds. kart-simulator's figures are of single, best runs, read off once a batch."""
+interval over seeds. kart-simulator's figures are of single, best runs, read off once a batch.
+
+Dynamics, track, starts and what counts as a finish are kart-simulator's; the reward, the
+observation (rays straight ahead, all of the motion) and PPO's settings are ours. So the steps show
+what a user of this project gets, not which of these differences is worth how much."""
 DRIVING = """\
 Greedy episodes from {episodes} starts that no training saw, for each trained policy; medians over
 the trainings [least, most]. `float` is the float twin of the spiking network, `{chip}` the same
