@@ -32,7 +32,7 @@ SMOKE: dict[str, Any] = {
 KARTS: dict[str, tuple[str, dict[str, Any]]] = {
     **{
         f"{world}-{name}": (
-            f"{summary} that races {world}",
+            f"{summary}, to race {world}",
             {"env": {"name": world}, "policy": policy, **settings},
         )
         for world, settings in WORLDS.items()
