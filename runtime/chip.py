@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from runtime.chips import CHIPS
 from runtime.errors import ChipError
@@ -14,6 +14,12 @@ __all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
 
 SignMode = Literal["split", "mixed"]
 StepRounding = Literal["floor", "zero"]
+Exponents = Literal["sum", "weight", "exact"]
+CHOICES = {
+    "sign_mode": get_args(SignMode),
+    "step_rounding": get_args(StepRounding),
+    "exponents": get_args(Exponents),
+}
 
 
 @dataclass(frozen=True)
@@ -26,14 +32,18 @@ class FixedPoint:
         magnitude; "mixed" spends one bit on the sign, so the weight's step doubles.
     step_rounding: where a mixed weight goes that is no multiple of the step; the emulators
         differ for negative ones. Split weights go toward zero in all of them.
+    exponents: what a negative weight exponent rounds down: "sum", that of the weights of a list
+        that arrive together; "weight", each weight by itself; "exact", nothing.
     mantissa_shift: weights and thresholds are multiplied by 2**this to meet the states.
     threshold_max: largest threshold mantissa.
     bias_mantissa_max, bias_exponent_max: a voltage bias is mantissa * 2**exponent.
     decay_bits: a decay is a fraction of 2**this.
+    decay_max: largest number in a decay's register.
     current_decay_offset: added to the current's decay register by the hardware.
     membrane_decay_offset: likewise for the membrane.
     accumulator: sum of the weights that arrive in a timestep, after the shift.
     current, membrane: the two states.
+    push: the current and the voltage bias, on their way to the membrane.
     refractory: timesteps from a spike to the next possible one; 1 is none.
     """
 
@@ -41,15 +51,18 @@ class FixedPoint:
     weight_bits_allowed: tuple[int, ...]
     sign_mode: SignMode
     step_rounding: StepRounding
+    exponents: Exponents
     mantissa_shift: int
     threshold_max: int
     bias_mantissa_max: int
     bias_exponent_max: int
     decay_bits: int
+    decay_max: int
     current_decay_offset: int
     membrane_decay_offset: int
     accumulator: Register
     current: Register
+    push: Register
     membrane: Register
     refractory: int
 
@@ -59,12 +72,10 @@ class FixedPoint:
                 f"weight_bits is {self.weight_bits}; the chip stores one of "
                 f"{', '.join(map(str, self.weight_bits_allowed))}."
             )
-        if self.sign_mode not in ("split", "mixed"):
-            raise ChipError(f"sign_mode {self.sign_mode!r} is unknown. Choose 'split' or 'mixed'.")
-        if self.step_rounding not in ("floor", "zero"):
-            raise ChipError(
-                f"step_rounding {self.step_rounding!r} is unknown. Choose 'floor' or 'zero'."
-            )
+        for option, allowed in CHOICES.items():
+            if (found := getattr(self, option)) not in allowed:
+                choices = " or ".join(map(repr, allowed))
+                raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
         if not self.weight_max:
             raise ChipError(
                 "weight_bits is 1 and sign_mode 'mixed': the bit is the sign, and nothing is left "

@@ -45,7 +45,7 @@ class Tick:
 
     spikes: (B, N).
     busy: (B, N) where there was a membrane, a current or a bias to add up.
-    overflows: (B, N) how many of accumulator, current and membrane did not fit.
+    overflows: (B, N) how many of accumulator, current, push and membrane did not fit.
     """
 
     spikes: Bits
@@ -115,9 +115,9 @@ class Interpreter:
             of = synapses.source
             start = 0 if of == self.program.input else self.program.layer(of).start
             row = self._memory + step - synapses.delay - start
-            total = total + emitted[of][:, row].astype(total.dtype) @ synapses.weight.astype(
-                total.dtype
-            )
+            spikes, weight = emitted[of][:, row], synapses.weight
+            arrived = spikes.astype(total.dtype) @ weight.astype(total.dtype)
+            total = total + (arrived >> synapses.shift if synapses.shift else arrived)
         return total
 
 
@@ -145,13 +145,14 @@ def _integrate(
         current = layer.current_keep * state.current + weights
         membrane = layer.membrane_keep * state.membrane + current + layer.voltage_bias
         return current, membrane, np.zeros(membrane.shape, np.int64)
-    # u = keep_u u + (W s << 6)      v = keep_v v + u + bias      each as its register holds it
+    # u = keep_u u + (W s << 6)      v = keep_v v + (u + bias)      each as its register holds it
     drive, lost = _fit(fixed.accumulator, weights << fixed.mantissa_shift)
     kept = decay(state.current, layer.current_keep, fixed.decay_bits)
     current, wrapped = _fit(fixed.current, kept + drive)
+    push, turned = _fit(fixed.push, current + layer.voltage_bias)
     kept = decay(state.membrane, layer.membrane_keep, fixed.decay_bits)
-    membrane, clipped = _fit(fixed.membrane, kept + current + layer.voltage_bias)
-    return current, membrane, lost + wrapped + clipped
+    membrane, clipped = _fit(fixed.membrane, kept + push)
+    return current, membrane, lost + wrapped + turned + clipped
 
 
 def _fit(register: Register, x: Numbers) -> tuple[Numbers, NDArray[np.int64]]:

@@ -21,11 +21,14 @@ class Synapses:
     source: name of a layer, or of the program's input.
     weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
     delay: [timesteps] from a spike of the source to its arrival.
+    shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
+        weight exponent as lava reads it. Only the interpreter knows it.
     """
 
     source: str
     weight: Numbers
     delay: int
+    shift: int = 0
 
     @cached_property
     def fan_out(self) -> NDArray[np.int64]:

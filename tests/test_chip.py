@@ -64,7 +64,7 @@ def test_a_datasheet_cannot_be_written_on(name):
 
 
 def test_an_unknown_chip_is_refused_with_a_suggestion():
-    with pytest.raises(ChipError, match=r"'loihi'; did you mean 'loihi1'"):
+    with pytest.raises(ChipError, match=r"'loihi'; did you mean .*'loihi1'"):
         chip("loihi")
 
 
@@ -85,7 +85,13 @@ def test_an_option_replaces_a_field_and_leaves_the_table_alone():
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("weight_bits", 7), ("sign_mode", "both"), ("step_rounding", "up"), ("refractory", 0)],
+    [
+        ("weight_bits", 7),
+        ("sign_mode", "both"),
+        ("step_rounding", "up"),
+        ("exponents", "up"),
+        ("refractory", 0),
+    ],
 )
 def test_an_impossible_option_is_refused(option, value):
     with pytest.raises(ChipError, match=option):
