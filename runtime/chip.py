@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 from runtime.chips import CHIPS
 from runtime.errors import ChipError
+from runtime.event_point import EventPoint
 from runtime.fixed import Register
 
 __all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
@@ -108,7 +109,8 @@ class Chip:
 
     name: as in the table CHIPS.
     summary: one line.
-    fixed: its integer arithmetic; None computes in float64.
+    fixed: its integer arithmetic, if it is that of Loihi.
+    events: its integer arithmetic, if it is that of Xylo. With neither it computes in float64.
     resets: what a spike may do to the membrane, as in Convention.
     delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
         convention.
@@ -125,6 +127,7 @@ class Chip:
     delay_max: int
     energy_tables: tuple[str, ...]
     sources: Mapping[str, str] = field(compare=False)
+    events: EventPoint | None = None
 
 
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
@@ -140,7 +143,8 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
 
 def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
     own = {f.name for f in fields(Chip)}
-    arithmetic = {f.name for f in fields(FixedPoint)} if datasheet.fixed else set()
+    integers = datasheet.fixed or datasheet.events
+    arithmetic = {f.name for f in fields(integers)} if integers else set()
     for key in overrides:
         if key not in own | arithmetic:
             raise ChipError(
@@ -148,8 +152,8 @@ def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
             )
     inner = {key: value for key, value in overrides.items() if key in arithmetic}
     outer = {key: value for key, value in overrides.items() if key in own}
-    fixed = replace(datasheet.fixed, **inner) if datasheet.fixed else None
-    return replace(datasheet, **{"fixed": fixed, **outer})
+    kind = "fixed" if datasheet.fixed else "events"
+    return replace(datasheet, **{kind: integers and replace(integers, **inner), **outer})
 
 
 def _like(name: str, known: Any) -> str:  # noqa: ANN401

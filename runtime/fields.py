@@ -54,6 +54,11 @@ class Fields:
         self.unread.discard(name)
         return str(self._found.get(name, ""))
 
+    def filled(self, name: str) -> bool:
+        """Whether there is anything in the field; an empty list is nothing."""
+        self.unread.discard(name)
+        return bool(self._found.get(name))
+
     def flag(self, name: str) -> bool | None:
         """The true or false called `name`; None where it is missing."""
         if name not in self._found:
@@ -74,12 +79,12 @@ class Fields:
             raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
         return [Fields(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
 
-    def under(self, *others: "Fields") -> "Fields":
-        """These fields and those of the others, which go before; the last one's place."""
+    def under(self, *others: "Fields", where: str = "") -> "Fields":
+        """These fields and those of the others, which go before."""
         everything: dict[str, object] = {}
         for each in (self, *others):
             everything.update(each._found)
-        return Fields(everything, others[-1].where if others else self.where)
+        return Fields(everything, where or self.where)
 
     def whole(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""

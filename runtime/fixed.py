@@ -17,6 +17,12 @@ def decay(x: Integers, keep: Integers, bits: int) -> Integers:
     return cast("Integers", np.sign(x) * (np.abs(x) * keep >> bits))
 
 
+def shift_decay(x: Integers, shift: Integers) -> Integers:
+    """What x loses in a timestep: x >> shift, rounded down, and 1 toward zero where that is 0."""
+    lost = x >> shift
+    return np.where(lost == 0, np.sign(x), lost)
+
+
 @dataclass(frozen=True)
 class Register:
     """A signed register of the chip and what happens to a number that does not fit.

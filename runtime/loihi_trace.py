@@ -57,7 +57,10 @@ def _layers_of(fields: Fields) -> list[Fields]:
     shared = fields.under(fields.group("params"))
     if fields.name("layers") is None:
         return [shared]
-    return [shared.under(layer, layer.group("params")) for layer in fields.groups("layers")]
+    return [
+        shared.under(layer, layer.group("params"), where=layer.where)
+        for layer in fields.groups("layers")
+    ]
 
 
 def _table(spec: Fields, names: tuple[str, ...], least: int, most: int) -> Integers:

@@ -173,6 +173,11 @@ class Machine:
 
 def _check_fast(program: Program) -> None:
     """Refuse what only the interpreter computes."""
+    if program.chip.events is not None:
+        raise RuleError(
+            f"{program.chip.name} adds up event by event, which is not fast. Run the program with "
+            "runtime.interpreter.trace."
+        )
     for layer in program.layers:
         if any(synapses.shift for synapses in layer.synapses):
             raise RuleError(

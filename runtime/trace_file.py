@@ -33,6 +33,7 @@ READERS = {
     "loihi1-brian2": "runtime.loihi_trace:loihi_trace",
     "loihi1-nengo": "runtime.loihi_trace:loihi_trace",
     "loihi2": "runtime.loihi_trace:loihi_trace",
+    "xylo-a2": "runtime.xylo_trace:xylo_trace",
 }
 # what is for people
 PROSE = {

@@ -26,7 +26,7 @@ def check(recorded, ran):
 
 def test_there_are_traces_to_compare_with():
     makers = [path.stem.split("_")[0] for path in TRACES]
-    assert [makers.count(m) for m in ("lava", "brian2loihi", "nengoloihi")] == [7, 4, 2]
+    assert [makers.count(m) for m in ("lava", "brian2loihi", "nengoloihi", "xylo")] == [7, 4, 2, 3]
 
 
 @pytest.mark.parametrize("path", TRACES, ids=name)
