@@ -14,6 +14,7 @@ Integers = NDArray[np.int64]
 
 # JSON numbers that float64 holds exactly
 EXACT = 1 << 53
+HUGE = 1e300
 
 
 def read_json(path: Path) -> "Fields":
@@ -104,6 +105,15 @@ class Fields:
         if found.size not in (1, size):
             raise self.wrong(name, f"has {found.size} values", f"Write one, or {size}.")
         return np.full(size, found, np.int64)
+
+    def numbers(self, *names: str) -> dict[str, float]:
+        """Those of the finite numbers that are there, by name."""
+        found = {name: self._taken(name) for name in names if name in self._found}
+        for name, value in found.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not -HUGE < value < HUGE:
+                raise self.wrong(name, f"is {_short(value)}", "Write a finite number.")
+        return found
 
     def array(self, *names: str, axes: int, least: int, most: int) -> Integers:
         """Whole numbers within a range, of at most so many axes."""

@@ -21,6 +21,7 @@ from runtime.program import Program
 
 # who wrote a trace, by what its name, source and kind say -> the chip in that reading
 MAKERS = (
+    (r"sana-?fe", "sanafe"),
     (r"xylo", "xylo-a2"),
     (r"brian2", "loihi1-brian2"),
     (r"nengo", "loihi1-nengo"),
@@ -67,33 +68,33 @@ Reader: TypeAlias = Callable[[Fields, str], TraceFile]
 
 def read_trace(path: Path) -> TraceFile:
     """The trace in a file, checked."""
-    fields = read_json(path)
-    chip = _chip_of(fields, path)
-    module, attribute = READERS[chip].split(":")
-    reader: Reader = getattr(import_module(module), attribute)
-    return reader(fields, chip)
+    return trace_in(read_json(path), path.stem)
 
 
-def _chip_of(fields: Fields, path: Path) -> str:
-    """The chip that the file names, or that of the emulator which its prose names."""
-    prose = {key: fields.text(key) for key in ("chip", "name", "source", "kind")}
-    if prose["chip"]:
-        return _known(prose["chip"], fields)
-    # the name of the file is a last resort
-    for text in (" ".join(prose.values()), path.stem):
-        for pattern, chip in MAKERS:
-            if re.search(pattern, text, re.IGNORECASE):
-                return _known(chip, fields)
-    raise TraceError(
-        f"{path.name}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
-        f"by that. Add a field chip; it may be {', '.join(READERS)}."
-    )
-
-
-def _known(chip: str, fields: Fields) -> str:
+def trace_in(fields: Fields, stem: str) -> TraceFile:
+    """The trace in the fields of a file of that name."""
+    chip = maker(fields, stem)
     if chip not in READERS:
         hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
         raise TraceError(
             f"{fields.where}: chip {chip!r} {hint}. Traces may be of {', '.join(READERS)}."
         )
-    return chip
+    module, attribute = READERS[chip].split(":")
+    reader: Reader = getattr(import_module(module), attribute)
+    return reader(fields, chip)
+
+
+def maker(fields: Fields, stem: str) -> str:
+    """The chip that the file names, or that of the emulator which its prose names."""
+    prose = {key: fields.text(key) for key in ("chip", "name", "source", "kind")}
+    if prose["chip"]:
+        return prose["chip"]
+    # the name of the file is a last resort
+    for text in (" ".join(prose.values()), stem):
+        for pattern, chip in MAKERS:
+            if re.search(pattern, text, re.IGNORECASE):
+                return chip
+    raise TraceError(
+        f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
+        f"by that. Add a field chip; it may be {', '.join(READERS)}."
+    )

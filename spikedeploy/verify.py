@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from runtime.verify import Verdict
+from runtime.verdict import Verdict
 from runtime.verify import verify as verdict_of
 from spikedeploy.failures import one_line
 
@@ -37,7 +37,7 @@ class Replay:
         if self.verdict is None:
             return f"not replayed: {self.error}"
         found = self.verdict
-        what = f"{found.compared:,} numbers of {found.steps} steps"
+        what = f"{found.compared:,} numbers of {found.steps} timesteps"
         if found.difference is not None:
             return f"differs on {found.chip}: {found.difference.describe()}"
         return f"equal on {found.chip}: {what}; recorded by {found.source}"
@@ -48,7 +48,7 @@ class Replay:
             return []
         found, remarks = self.verdict, []
         if found.passed_over:
-            remarks.append(f"{found.passed_over} membranes at spikes, which probes do not show")
+            remarks.append(f"{found.passed_over} {found.why}")
         if found.unread:
             remarks.append(f"fields that mean nothing here: {', '.join(found.unread)}")
         return remarks

@@ -235,6 +235,37 @@ def test_a_trace_without_recordings_is_refused(lava, file):
         verify(file(lava))
 
 
+@pytest.fixture
+def sanafe():
+    return json.loads((GOLDEN / "sanafe_loihi_energy_example.json").read_text())
+
+
+def test_the_energy_of_sanafe_is_verified(sanafe, file):
+    verdict = verify(file(sanafe))
+    assert verdict.difference is None
+    assert (verdict.compared, verdict.passed_over) == (9, 1)
+    sanafe["setup"] = sanafe["setup"].replace("10 input", "20 input")
+    found = verify(file(sanafe)).difference
+    assert (found.step, found.quantity, found.expected, found.found) == (
+        None, "spikes(synops)", 300, 600,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (top("setup", "a network"), "cannot be read"),
+        (top("result", {}), "nothing to compare"),
+        (top("result", {"energy": {"total": "much"}}), "total is 'much'"),
+        (top("result", {"energy": {"total": float("inf")}}), "finite"),
+    ],
+)
+def test_a_broken_energy_file_is_told_what_is_wrong(change, message, sanafe, file):
+    change(sanafe)
+    with pytest.raises(TraceError, match=message):
+        verify(file(sanafe))
+
+
 def test_a_program_of_a_trace_runs_like_any_other():
     recorded = read_trace(LAVA)
     ran = trace(recorded.program, np.repeat(recorded.raster, 2, axis=0))
