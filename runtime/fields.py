@@ -20,7 +20,7 @@ HUGE = 1e300
 def read_json(path: Path) -> "Fields":
     """The object in a JSON file."""
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = json.loads(path.read_text("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         reason = str(error) or type(error).__name__
         raise TraceError(f"{path} is not JSON: {reason}. Write the trace again.") from error

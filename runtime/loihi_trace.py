@@ -10,12 +10,12 @@ from runtime.loihi_layer import STATE, LoihiLayer, loihi_layer
 from runtime.program import Program
 from runtime.trace_file import PROSE, TraceFile
 
-INPUT = ("input_spikes", "input", "inputs", "spikes_in", "s_in")
+INPUT = ("input_spikes", "input", "inputs", "spikes_in", "s_in", "in_spikes")
 # quantity -> what emulators call it
 RECORDED = {
     "current": ("u", "current", "I", "i"),
-    "membrane": ("v", "voltage", "membrane"),
-    "spikes": ("s", "spikes", "s_out"),
+    "membrane": ("v", "voltage", "membrane", "v_mem", "v_hw"),
+    "spikes": ("s", "spikes", "s_out", "output_spikes", "out_spikes", "s_hw"),
 }
 # what the files say twice, or the reading says
 REPEATED = {

@@ -1,11 +1,14 @@
 """Verifying says equal, or the first difference, or what is wrong with the file."""
 
+import contextlib
 import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from runtime.errors import RuleError, TraceError
+from runtime.errors import RuleError, SpikedeployError, TraceError
 from runtime.interpreter import trace
 from runtime.machine import Machine
 from runtime.trace_file import read_trace
@@ -264,6 +267,28 @@ def test_a_broken_energy_file_is_told_what_is_wrong(change, message, sanafe, fil
     change(sanafe)
     with pytest.raises(TraceError, match=message):
         verify(file(sanafe))
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(sorted(GOLDEN.glob("*.json"))), st.randoms(use_true_random=False), JUNK)
+def test_junk_in_a_field_is_an_error_or_a_verdict_and_never_a_crash(
+    tmp_path_factory, source, dice, junk
+):
+    record = json.loads(source.read_text())
+    groups = [record, *(record[name] for name in ("params", "result") if name in record)]
+    group = dice.choice([*groups, *record.get("layers", [])])
+    group[dice.choice(sorted(group))] = junk
+    path = tmp_path_factory.getbasetemp() / "junk.json"
+    path.write_text(json.dumps(record))
+    with contextlib.suppress(SpikedeployError):
+        assert verify(path).compared > 0
 
 
 def test_a_program_of_a_trace_runs_like_any_other():
