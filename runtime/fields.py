@@ -106,6 +106,17 @@ class Fields:
             raise self.wrong(name, f"has {found.size} values", f"Write one, or {size}.")
         return np.full(size, found, np.int64)
 
+    def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
+        """Lists of whole numbers within a range, of any lengths."""
+        found = self._taken(name)
+        if not isinstance(found, list) or not all(isinstance(row, list) for row in found):
+            raise self.wrong(name, f"is {_short(found)}", "Write a list of lists.")
+        for each in (each for row in found for each in row):
+            if type(each) is not int or not least <= each <= most:
+                remedy = f"Write whole numbers within {least} and {most}."
+                raise self.wrong(name, f"holds {_short(each)}", remedy)
+        return tuple(tuple(row) for row in found)
+
     def numbers(self, *names: str) -> dict[str, float]:
         """Those of the finite numbers that are there, by name."""
         found = {name: self._taken(name) for name in names if name in self._found}

@@ -182,14 +182,36 @@ def update_by_events(
     change, low = _fit(point.state, current.sum(axis=1) - leak)
     change, turned = _fit(point.state, change + layer.voltage_bias)
     membrane, high = _fit(point.state, state.membrane + change)
-    spikes = np.zeros(membrane.shape, np.int64)
     most = point.output_spikes_max if layer.name == program.output else point.spikes_max
-    for _ in range(most):
-        fired = membrane >= layer.threshold
-        spikes, membrane = spikes + fired, membrane - layer.threshold * fired
+    spikes, membrane = _spikes(layer, membrane, most)
     busy = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
     state.current, state.membrane = current, membrane
     return Tick(spikes, busy, lost + low + turned + high)
+
+
+def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Numbers]:
+    """Spikes (B, N) of the membranes, and what they leave of them; at most so many of a neuron."""
+    budget = np.full(membrane.shape, most)
+    if not layer.aliases:
+        return _fired(membrane, layer.threshold, budget)
+    membrane, spikes = membrane.copy(), 0 * budget
+    for n, others in enumerate(layer.aliases):
+        # spikes that were counted for a neuron before its turn use up its budget
+        left = budget[:, n] - spikes[:, n]
+        own, membrane[:, n] = _fired(membrane[:, n], layer.threshold[n], left)
+        spikes[:, n] += own
+        for other in others:
+            spikes[:, other] = np.minimum(spikes[:, other] + spikes[:, n], most)
+    return spikes, membrane
+
+
+def _fired(membrane: Numbers, threshold: Numbers, budget: Numbers) -> tuple[Numbers, Numbers]:
+    """Spikes while there is a threshold to take off the membrane, and what is left of it."""
+    spikes = 0 * budget
+    for _ in range(budget.max()):
+        fires = (membrane >= threshold) & (spikes < budget)
+        spikes, membrane = spikes + fires, membrane - threshold * fires
+    return spikes, membrane
 
 
 def _arrived(

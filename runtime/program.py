@@ -52,6 +52,7 @@ class Layer:
         of K currents as (K, N).
     scale: float units of current and membrane per state unit.
     start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
+    aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Layer:
     membrane_keep: Numbers
     scale: float
     start: int
+    aliases: tuple[tuple[int, ...], ...] = ()
 
     @property
     def size(self) -> int:

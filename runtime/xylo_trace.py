@@ -1,5 +1,7 @@
 """Traces of Xylo, as xylosim's layers are built and recorded."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from runtime.chip import Chip
@@ -32,7 +34,6 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     used = datasheet(chip)
     if used.events is None:
         raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
-    _check_aliases(spec)
     counts = _table(spec, INPUT, 255)
     hidden, output = _hidden(spec, used.events, counts.shape[1]), _output(spec, used.events)
     if (found := output.synapses[0].weight.shape[0]) != hidden.size:
@@ -58,10 +59,16 @@ def _program(chip: Chip, width: int, hidden: Layer, output: Layer) -> Program:
     return Program(chip, convention, "input", width, (hidden, output), OUTPUT, None)
 
 
-def _check_aliases(spec: Fields) -> None:
-    """What xylosim does with aliases was never recorded."""
-    if spec.filled("aliases"):
-        raise spec.wrong("aliases", "join neurons", "Record a network without; none are emulated.")
+def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
+    """The neurons that each neuron's spikes are counted for too."""
+    if not spec.filled("aliases"):
+        return ()
+    rows = spec.lists("aliases", least=0, most=size - 1)
+    if len(rows) != size:
+        raise spec.wrong("aliases", f"has {len(rows)} lists", f"Write {size}, one for each neuron.")
+    if own := [n for n, others in enumerate(rows) if n in others]:
+        raise spec.wrong("aliases", f"of neuron {own[0]} name itself", "Name other neurons.")
+    return rows
 
 
 def _hidden(spec: Fields, point: EventPoint, width: int) -> Layer:
@@ -80,7 +87,8 @@ def _hidden(spec: Fields, point: EventPoint, width: int) -> Layer:
         each = range(recurrent.shape[2])
         synapses += [Synapses(HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
     dashes = [_dash(spec, name, point, size) for name in ("dash_syn", "dash_syn_2")]
-    return _layer(spec, HIDDEN, tuple(synapses), dashes, point)
+    layer = _layer(spec, HIDDEN, tuple(synapses), dashes, point)
+    return replace(layer, aliases=_aliases(spec, size))
 
 
 def _output(spec: Fields, point: EventPoint) -> Layer:

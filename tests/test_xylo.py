@@ -109,6 +109,40 @@ def test_a_hidden_neuron_spikes_31_times_and_an_output_once(ran):
     assert output.membrane[0, 1, 0] == 992 - 1  # 31 * 64, half of it left, less one threshold
 
 
+@pytest.mark.parametrize(
+    ("aliases", "counts", "spikes"),
+    [
+        # the aliases come later: what is counted for them already is passed on with their own
+        (
+            [[1], [2], []],
+            [[2, 0, 0], [1, 1, 0], [0, 0, 0], [3, 3, 3]],
+            [[10, 10, 10], [10, 15, 15], [5, 7, 7], [17, 31, 31]],
+        ),
+        # they had their turn before: nothing is passed on
+        (
+            [[], [0], [1]],
+            [[0, 0, 2], [1, 1, 1], [0, 0, 0], [3, 3, 3]],
+            [[0, 10, 10], [10, 15, 10], [4, 7, 5], [31, 31, 17]],
+        ),
+        (
+            [[1, 2], [0], [0]],
+            [[2, 0, 0], [1, 1, 1], [0, 0, 0], [3, 3, 3]],
+            [[30, 10, 10], [31, 15, 15], [19, 7, 7], [31, 31, 31]],
+        ),
+    ],
+)
+def test_spikes_are_counted_for_aliases_as_in_xylosim(aliases, counts, spikes, ran):
+    # spikes as xylosim 0.1.3 gave them for this network
+    wide = {
+        "weights_in": [[[100], [0], [0]], [[0], [100], [0]], [[0], [0], [100]]],
+        "weights_rec": [],
+        "weights_out": [[1], [1], [1]],
+    }
+    record = network([], counts, threshold=10, aliases=aliases, **wide)
+    record["v_mem"] = [[0] * 3] * len(counts)
+    assert ran(record)["hidden"].spikes[0].tolist() == spikes
+
+
 def test_the_first_difference_names_the_second_current(file):
     record = json.loads((GOLDEN / "xylo_B_two_syn_bias_rec.json").read_text())
     found = record["i_syn2"][7][3]
@@ -131,7 +165,11 @@ def test_options_of_its_arithmetic_can_be_set():
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"aliases": [[1], []]}, "aliases join neurons"),
+        ({"aliases": [[], []]}, "aliases has 2 lists"),
+        ({"aliases": [[0]]}, "neuron 0 name itself"),
+        ({"aliases": [[7]]}, "aliases holds 7"),
+        ({"aliases": [[True]]}, "aliases holds True"),
+        ({"aliases": 1}, "list of lists"),
         ({"weights_in": [[[200]]]}, "weights_in holds 200"),
         ({"weights_in": [[[1]], [[1]]]}, "has 2 rows"),
         ({"weights_in": [[[1, 2, 3]]]}, "2 synapses at most"),

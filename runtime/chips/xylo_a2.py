@@ -1,7 +1,6 @@
 """Xylo-Audio 2 (SynSense SYNS61201): core version 2, in the reading of xylosim.
 
-Equal to xylosim's traces, which SynSense calls exact; never "equal to the chip". Aliases of neurons
-are not emulated.
+Equal to xylosim's traces, which SynSense calls exact; never "equal to the chip".
 """
 
 from runtime.chip import Chip
