@@ -8,7 +8,10 @@ from dataclasses import replace
 
 from runtime.chips.loihi1 import LAVA, LOIHI1
 
-BOARD = "one LIF neuron on a board, NIR paper 01_lif (1000 timesteps, spikes and membranes equal)"
+BOARD = (
+    "one LIF neuron on a board, NIR paper 01_lif: the rule gives its spikes in 1000 timesteps and "
+    "all membranes but those at 4 spikes, where the probe reads 128"
+)
 GUESS = "taken from Loihi 1; no public source for Loihi 2"
 
 LOIHI2 = replace(
