@@ -39,7 +39,8 @@ class Bounds:
 
 def room(register: Register) -> int:
     """Largest magnitude that a register holds, and that float64 decays exactly."""
-    return EXACT if register.overflow == "none" else register.limit
+    unbounded = register.overflow == "none" and register.between is None
+    return EXACT if unbounded else register.limit
 
 
 def bounds(program: Program, layer: Layer, fixed: FixedPoint, timesteps: int | None) -> Bounds:

@@ -4,16 +4,23 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from runtime.chips import CHIPS
 from runtime.errors import ChipError
+from runtime.event_point import EventPoint
 from runtime.fixed import Register
 
 __all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
 
 SignMode = Literal["split", "mixed"]
 StepRounding = Literal["floor", "zero"]
+Exponents = Literal["sum", "weight", "exact"]
+CHOICES = {
+    "sign_mode": get_args(SignMode),
+    "step_rounding": get_args(StepRounding),
+    "exponents": get_args(Exponents),
+}
 
 
 @dataclass(frozen=True)
@@ -26,14 +33,18 @@ class FixedPoint:
         magnitude; "mixed" spends one bit on the sign, so the weight's step doubles.
     step_rounding: where a mixed weight goes that is no multiple of the step; the emulators
         differ for negative ones. Split weights go toward zero in all of them.
+    exponents: what a negative weight exponent rounds down: "sum", that of the weights of a list
+        that arrive together; "weight", each weight by itself; "exact", nothing.
     mantissa_shift: weights and thresholds are multiplied by 2**this to meet the states.
     threshold_max: largest threshold mantissa.
     bias_mantissa_max, bias_exponent_max: a voltage bias is mantissa * 2**exponent.
     decay_bits: a decay is a fraction of 2**this.
+    decay_max: largest number in a decay's register.
     current_decay_offset: added to the current's decay register by the hardware.
     membrane_decay_offset: likewise for the membrane.
     accumulator: sum of the weights that arrive in a timestep, after the shift.
     current, membrane: the two states.
+    push: the current and the voltage bias, on their way to the membrane.
     refractory: timesteps from a spike to the next possible one; 1 is none.
     """
 
@@ -41,15 +52,18 @@ class FixedPoint:
     weight_bits_allowed: tuple[int, ...]
     sign_mode: SignMode
     step_rounding: StepRounding
+    exponents: Exponents
     mantissa_shift: int
     threshold_max: int
     bias_mantissa_max: int
     bias_exponent_max: int
     decay_bits: int
+    decay_max: int
     current_decay_offset: int
     membrane_decay_offset: int
     accumulator: Register
     current: Register
+    push: Register
     membrane: Register
     refractory: int
 
@@ -59,12 +73,10 @@ class FixedPoint:
                 f"weight_bits is {self.weight_bits}; the chip stores one of "
                 f"{', '.join(map(str, self.weight_bits_allowed))}."
             )
-        if self.sign_mode not in ("split", "mixed"):
-            raise ChipError(f"sign_mode {self.sign_mode!r} is unknown. Choose 'split' or 'mixed'.")
-        if self.step_rounding not in ("floor", "zero"):
-            raise ChipError(
-                f"step_rounding {self.step_rounding!r} is unknown. Choose 'floor' or 'zero'."
-            )
+        for option, allowed in CHOICES.items():
+            if (found := getattr(self, option)) not in allowed:
+                choices = " or ".join(map(repr, allowed))
+                raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
         if not self.weight_max:
             raise ChipError(
                 "weight_bits is 1 and sign_mode 'mixed': the bit is the sign, and nothing is left "
@@ -97,7 +109,8 @@ class Chip:
 
     name: as in the table CHIPS.
     summary: one line.
-    fixed: its integer arithmetic; None computes in float64.
+    fixed: its integer arithmetic, if it is that of Loihi.
+    events: its integer arithmetic, if it is that of Xylo. With neither it computes in float64.
     resets: what a spike may do to the membrane, as in Convention.
     delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
         convention.
@@ -114,6 +127,7 @@ class Chip:
     delay_max: int
     energy_tables: tuple[str, ...]
     sources: Mapping[str, str] = field(compare=False)
+    events: EventPoint | None = None
 
 
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
@@ -129,7 +143,8 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
 
 def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
     own = {f.name for f in fields(Chip)}
-    arithmetic = {f.name for f in fields(FixedPoint)} if datasheet.fixed else set()
+    integers = datasheet.fixed or datasheet.events
+    arithmetic = {f.name for f in fields(integers)} if integers else set()
     for key in overrides:
         if key not in own | arithmetic:
             raise ChipError(
@@ -137,8 +152,8 @@ def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
             )
     inner = {key: value for key, value in overrides.items() if key in arithmetic}
     outer = {key: value for key, value in overrides.items() if key in own}
-    fixed = replace(datasheet.fixed, **inner) if datasheet.fixed else None
-    return replace(datasheet, **{"fixed": fixed, **outer})
+    kind = "fixed" if datasheet.fixed else "events"
+    return replace(datasheet, **{kind: integers and replace(integers, **inner), **outer})
 
 
 def _like(name: str, known: Any) -> str:  # noqa: ANN401

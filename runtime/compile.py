@@ -25,6 +25,11 @@ def compile(
         unless the convention itself has a delay.
     """
     _check_reset(artifact.convention, chip)
+    if chip.events is not None:
+        raise RuleError(
+            f"{chip.name}: networks cannot be compiled for it yet, only traces of it replayed. "
+            "Choose another chip."
+        )
     wires = wiring(artifact.graph)
     if stagger is None:
         stagger = artifact.convention.delay == 0

@@ -30,3 +30,7 @@ class ObservationError(SpikedeployError):
 
 class ConfigError(SpikedeployError):
     """A configuration, option or name that the product does not know."""
+
+
+class TraceError(SpikedeployError):
+    """A trace file that is broken, contradicts itself, or is of a chip that is not known."""

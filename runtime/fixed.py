@@ -8,13 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 Integers = NDArray[np.int64]
-Overflow = Literal["none", "wrap", "wrap-once", "clip"]
+Overflow = Literal["none", "wrap", "wrap-once", "clip", "saturate"]
 
 
 def decay(x: Integers, keep: Integers, bits: int) -> Integers:
     """What is left of x after a timestep: keep / 2**bits of it, rounded toward zero."""
     # y = sign(x) * ((|x| * keep) >> bits)
     return cast("Integers", np.sign(x) * (np.abs(x) * keep >> bits))
+
+
+def shift_decay(x: Integers, shift: Integers) -> Integers:
+    """What x loses in a timestep: x >> shift, rounded down, and 1 toward zero where that is 0."""
+    lost = x >> shift
+    return np.where(lost == 0, np.sign(x), lost)
 
 
 @dataclass(frozen=True)
@@ -24,20 +30,25 @@ class Register:
     bits: width with the sign.
     overflow: "none" is not modelled; "wrap" is two's complement; "wrap-once" is lava's current
         (lava PyLifModelBitAcc): the width is added or subtracted once, and the two edges are
-        read as +2**(bits - 1); "clip" saturates at the largest magnitude on both sides.
+        read as +2**(bits - 1); "clip" saturates at the largest magnitude on both sides;
+        "saturate" at the edges of two's complement, where the lower is one further out.
+    between: a narrower range, to which numbers are clipped after that (nengo-loihi's vmin, vmax).
     """
 
     bits: int
     overflow: Overflow
+    between: tuple[int, int] | None = None
 
     @property
     def limit(self) -> int:
-        """Largest magnitude that fits whatever the overflow: 2**(bits - 1) - 1."""
-        return (1 << (self.bits - 1)) - 1
+        """Largest magnitude that fits whatever the overflow: 2**(bits - 1) - 1, if not less."""
+        edge = (1 << (self.bits - 1)) - 1
+        return min(edge, *map(abs, self.between)) if self.between else edge
 
     def fit(self, x: Integers) -> Integers:
         """The numbers x as the register holds them."""
-        return _OVERFLOWS[self.overflow](x, self.bits)
+        held = _OVERFLOWS[self.overflow](x, self.bits)
+        return held if self.between is None else np.asarray(np.clip(held, *self.between))
 
 
 def _unchanged(x: Integers, bits: int) -> Integers:
@@ -59,9 +70,15 @@ def _clip(x: Integers, bits: int) -> Integers:
     return np.asarray(np.clip(x, -limit, limit))
 
 
+def _saturate(x: Integers, bits: int) -> Integers:
+    half = 1 << (bits - 1)
+    return np.asarray(np.clip(x, -half, half - 1))
+
+
 _OVERFLOWS: dict[Overflow, Callable[[Integers, int], Integers]] = {
     "none": _unchanged,
     "wrap": _wrap,
     "wrap-once": _wrap_once,
     "clip": _clip,
+    "saturate": _saturate,
 }

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.chip import FixedPoint
-from runtime.fixed import Register, decay
+from runtime.event_point import EventPoint
+from runtime.fixed import Register, decay, shift_decay
 from runtime.program import Layer, Program
 
 Numbers = NDArray[Any]
@@ -22,7 +23,7 @@ Bits = NDArray[np.bool_]
 class State:
     """What a layer remembers between timesteps.
 
-    current: (B, N) [state units].
+    current: (B, N) [state units]; (B, K, N) where neurons have K currents.
     membrane: (B, N) [state units].
     silent: (B, N) timesteps of refractory left.
     """
@@ -36,19 +37,20 @@ class State:
         """The state of a layer that was just reset."""
         shape = (batch, layer.size)
         dtype = np.float64 if layer.threshold.dtype.kind == "f" else np.int64
-        return cls(np.zeros(shape, dtype), np.zeros(shape, dtype), np.zeros(shape, np.int64))
+        currents = np.zeros((batch, *layer.current_keep.shape), dtype)
+        return cls(currents, np.zeros(shape, dtype), np.zeros(shape, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
 class Tick:
     """What a layer did in one timestep.
 
-    spikes: (B, N).
+    spikes: (B, N); counts where neurons spike several times in a timestep.
     busy: (B, N) where there was a membrane, a current or a bias to add up.
-    overflows: (B, N) how many of accumulator, current and membrane did not fit.
+    overflows: (B, N) how many of accumulator, current, push and membrane did not fit.
     """
 
-    spikes: Bits
+    spikes: NDArray[Any]
     busy: Bits
     overflows: NDArray[np.int64]
 
@@ -57,9 +59,9 @@ class Tick:
 class LayerTrace:
     """Everything that a layer did in its window, after each timestep, resets included.
 
-    current: (B, T, N) [state units].
+    current: (B, T, N) [state units]; (B, T, K, N) where neurons have K currents.
     membrane: (B, T, N) [state units].
-    spikes: (B, T, N).
+    spikes: (B, T, N); counts where neurons spike several times in a timestep.
     busy: (B, T, N) as in Tick.
     overflows: (B, T, N) as in Tick.
     """
@@ -102,23 +104,37 @@ class Interpreter:
                 if not layer.start <= step < layer.start + timesteps:
                     continue
                 state = self.states[layer.name]
-                tick = update(program, layer, self._drive(layer, step, emitted), state)
+                tick = self._tick(layer, self._heard(layer, step, emitted), state)
                 emitted[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self._tails = {name: rows[:, timesteps:] for name, rows in emitted.items()}
         return {name: _stacked(ticks) for name, ticks in history.items()}
 
-    def _drive(self, layer: Layer, step: int, emitted: dict[str, NDArray[np.uint8]]) -> Numbers:
-        """Weights (B, N) that arrive at a layer in a chip timestep, those of the bias included."""
-        total = layer.bias.astype(layer.threshold.dtype)
+    def _tick(self, layer: Layer, heard: list[Numbers], state: State) -> Tick:
+        """Advance a layer by one timestep, in the arithmetic of the chip."""
+        if self.program.chip.events is not None:
+            return update_by_events(self.program, self.program.chip.events, layer, heard, state)
+        return update(self.program, layer, _weights(layer, heard), state)
+
+    def _heard(
+        self, layer: Layer, step: int, emitted: dict[str, NDArray[np.uint8]]
+    ) -> list[Numbers]:
+        """Spikes (B, M) that arrive through each synapse of a layer in a chip timestep."""
+        heard = []
         for synapses in layer.synapses:
             of = synapses.source
             start = 0 if of == self.program.input else self.program.layer(of).start
-            row = self._memory + step - synapses.delay - start
-            total = total + emitted[of][:, row].astype(total.dtype) @ synapses.weight.astype(
-                total.dtype
-            )
-        return total
+            heard.append(emitted[of][:, self._memory + step - synapses.delay - start])
+        return heard
+
+
+def _weights(layer: Layer, heard: list[Numbers]) -> Numbers:
+    """Sum of the weights (B, N) that arrive, those of the bias included."""
+    total = layer.bias.astype(layer.threshold.dtype)
+    for synapses, spikes in zip(layer.synapses, heard, strict=True):
+        arrived = spikes.astype(total.dtype) @ synapses.weight.astype(total.dtype)
+        total = total + (arrived >> synapses.shift if synapses.shift else arrived)
+    return total
 
 
 def update(program: Program, layer: Layer, weights: Numbers, state: State) -> Tick:
@@ -145,13 +161,73 @@ def _integrate(
         current = layer.current_keep * state.current + weights
         membrane = layer.membrane_keep * state.membrane + current + layer.voltage_bias
         return current, membrane, np.zeros(membrane.shape, np.int64)
-    # u = keep_u u + (W s << 6)      v = keep_v v + u + bias      each as its register holds it
+    # u = keep_u u + (W s << 6)      v = keep_v v + (u + bias)      each as its register holds it
     drive, lost = _fit(fixed.accumulator, weights << fixed.mantissa_shift)
     kept = decay(state.current, layer.current_keep, fixed.decay_bits)
     current, wrapped = _fit(fixed.current, kept + drive)
+    push, turned = _fit(fixed.push, current + layer.voltage_bias)
     kept = decay(state.membrane, layer.membrane_keep, fixed.decay_bits)
-    membrane, clipped = _fit(fixed.membrane, kept + current + layer.voltage_bias)
-    return current, membrane, lost + wrapped + clipped
+    membrane, clipped = _fit(fixed.membrane, kept + push)
+    return current, membrane, lost + wrapped + turned + clipped
+
+
+def update_by_events(
+    program: Program, point: EventPoint, layer: Layer, heard: list[Numbers], state: State
+) -> Tick:
+    """Advance a layer of Xylo by one timestep, in which these spikes (B, M) arrive."""
+    current, lost = _arrived(program, point, layer, heard, state.current)
+    # I = I - dec(I)      V = V + (sum I - dec(V) + bias)      each sum as its register holds it
+    current = current - shift_decay(current, layer.current_keep)
+    leak = shift_decay(state.membrane, layer.membrane_keep)
+    change, low = _fit(point.state, current.sum(axis=1) - leak)
+    change, turned = _fit(point.state, change + layer.voltage_bias)
+    membrane, high = _fit(point.state, state.membrane + change)
+    most = point.output_spikes_max if layer.name == program.output else point.spikes_max
+    spikes, membrane = _spikes(layer, membrane, most)
+    busy = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
+    state.current, state.membrane = current, membrane
+    return Tick(spikes, busy, lost + low + turned + high)
+
+
+def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Numbers]:
+    """Spikes (B, N) of the membranes, and what they leave of them; at most so many of a neuron."""
+    budget = np.full(membrane.shape, most)
+    if not layer.aliases:
+        return _fired(membrane, layer.threshold, budget)
+    membrane, spikes = membrane.copy(), 0 * budget
+    for n, others in enumerate(layer.aliases):
+        # spikes that were counted for a neuron before its turn use up its budget
+        left = budget[:, n] - spikes[:, n]
+        own, membrane[:, n] = _fired(membrane[:, n], layer.threshold[n], left)
+        spikes[:, n] += own
+        for other in others:
+            spikes[:, other] = np.minimum(spikes[:, other] + spikes[:, n], most)
+    return spikes, membrane
+
+
+def _fired(membrane: Numbers, threshold: Numbers, budget: Numbers) -> tuple[Numbers, Numbers]:
+    """Spikes while there is a threshold to take off the membrane, and what is left of it."""
+    spikes = 0 * budget
+    for _ in range(budget.max()):
+        fires = (membrane >= threshold) & (spikes < budget)
+        spikes, membrane = spikes + fires, membrane - threshold * fires
+    return spikes, membrane
+
+
+def _arrived(
+    program: Program, point: EventPoint, layer: Layer, heard: list[Numbers], current: Numbers
+) -> tuple[Numbers, NDArray[np.int64]]:
+    """The currents (B, K, N) after the events, axon by axon, and how many additions saturated."""
+    current, lost = current.copy(), np.zeros((len(current), layer.size), np.int64)
+    for synapses, counts in zip(layer.synapses, heard, strict=True):
+        weight = synapses.weight.astype(np.int64)
+        events = counts.clip(max=point.events_max) if synapses.source == program.input else counts
+        for copy, axon in np.argwhere(events):
+            for _ in range(events[copy, axon]):
+                raised = current[copy, synapses.current] + weight[axon]
+                current[copy, synapses.current], over = _fit(point.state, raised)
+                lost[copy] += over
+    return current, lost
 
 
 def _fit(register: Register, x: Numbers) -> tuple[Numbers, NDArray[np.int64]]:

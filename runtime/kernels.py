@@ -201,8 +201,13 @@ class Checks:
         self._push = float(layer.voltage_bias.max(initial=0))
         self._open = limits.current > current or max(limits.above, limits.below) > membrane
         self._open_above = limits.above > membrane
-        # refractory and accumulators that overflow are left to the interpreter
-        self._never = fixed.refractory > 1 or limits.drive > room(fixed.accumulator)
+        pushed = min(limits.current, current) + np.abs(layer.voltage_bias).max(initial=0)
+        # refractory, and accumulators and pushes that overflow, are left to the interpreter
+        self._never = (
+            fixed.refractory > 1
+            or limits.drive > room(fixed.accumulator)
+            or pushed > room(fixed.push)
+        )
 
     def passed(self, states: Floats) -> bool:
         """Whether no register overflowed on the way to these states."""

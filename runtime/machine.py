@@ -5,7 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import ConfigError, ObservationError
+from runtime.errors import ConfigError, ObservationError, RuleError
 from runtime.ledger import EVENTS, Ledger
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
@@ -41,6 +41,7 @@ class Machine:
     ) -> None:
         if batch < 1:
             raise ConfigError(f"batch is {batch}; the least is 1.")
+        _check_fast(program)
         self.program, self.batch = program, batch
         self.recordings: dict[str, Recording] = {}
         self._trace = trace
@@ -168,6 +169,21 @@ class Machine:
         spikes = heard.astype(np.float64)
         output = self.program.readout(spikes) if self.program.readout else spikes
         return np.asarray(output.swapaxes(0, 1))
+
+
+def _check_fast(program: Program) -> None:
+    """Refuse what only the interpreter computes."""
+    if program.chip.events is not None:
+        raise RuleError(
+            f"{program.chip.name} adds up event by event, which is not fast. Run the program with "
+            "runtime.interpreter.trace."
+        )
+    for layer in program.layers:
+        if any(synapses.shift for synapses in layer.synapses):
+            raise RuleError(
+                f"layer {layer.name!r}: its weights have a negative exponent, by which "
+                f"{program.chip.name} rounds sums. Run the program with runtime.interpreter.trace."
+            )
 
 
 def _largest(spikes: NDArray[Any]) -> int:

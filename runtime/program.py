@@ -21,11 +21,16 @@ class Synapses:
     source: name of a layer, or of the program's input.
     weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
     delay: [timesteps] from a spike of the source to its arrival.
+    shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
+        weight exponent as lava reads it. Only the interpreter knows it.
+    current: which current of the neurons they feed, where neurons have several.
     """
 
     source: str
     weight: Numbers
     delay: int
+    shift: int = 0
+    current: int = 0
 
     @cached_property
     def fan_out(self) -> NDArray[np.int64]:
@@ -43,9 +48,11 @@ class Layer:
     voltage_bias: (N,) added to the membrane in every timestep [state units].
     threshold: (N,) membrane above which a neuron spikes [state units].
     current_keep: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
-    membrane_keep: (N,) likewise of the membrane.
+    membrane_keep: (N,) likewise of the membrane. Where decays are shifts, both hold the shift, that
+        of K currents as (K, N).
     scale: float units of current and membrane per state unit.
     start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
+    aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     """
 
     name: str
@@ -57,6 +64,7 @@ class Layer:
     membrane_keep: Numbers
     scale: float
     start: int
+    aliases: tuple[tuple[int, ...], ...] = ()
 
     @property
     def size(self) -> int:

@@ -27,6 +27,7 @@ def quantise(layer: Layer, fixed: FixedPoint, rounding: Rounding = "nearest") ->
     """
     if rounding not in get_args(Rounding):
         raise ConfigError(f"rounding {rounding!r} is unknown. Choose 'nearest' or 'truncate'.")
+    _check_bias(layer, fixed)
     scale = _scale(layer, fixed)
     one = 1 << fixed.mantissa_shift
     quantised = replace(
@@ -43,14 +44,30 @@ def quantise(layer: Layer, fixed: FixedPoint, rounding: Rounding = "nearest") ->
     return quantised
 
 
-def stored(weights: NDArray[Any], fixed: FixedPoint) -> NDArray[np.int16]:
-    """What the chip keeps of whole weights when it drops the bits below its weight step."""
+def stored(weights: NDArray[Any], fixed: FixedPoint, exponent: int = 0) -> NDArray[np.int16]:
+    """What the chip keeps of whole weights when it drops the bits below its weight step.
+
+    exponent: each weight then counts 2**this times, rounded down.
+    """
     whole = weights.astype(np.int64)
     if fixed.sign_mode == "mixed" and fixed.step_rounding == "floor":
         steps = whole // fixed.weight_step
     else:
         steps = np.sign(whole) * (np.abs(whole) // fixed.weight_step)
-    return np.asarray(steps * fixed.weight_step, np.int16)
+    kept = steps * fixed.weight_step
+    kept = kept << exponent if exponent > 0 else kept >> -exponent
+    if fixed.exponents == "weight":  # brian2_loihi clips what a weight adds to the accumulator
+        limit = fixed.accumulator.limit >> fixed.mantissa_shift
+        kept = np.clip(kept, -limit, limit)
+    return np.asarray(kept, np.int16)
+
+
+def _check_bias(layer: Layer, fixed: FixedPoint) -> None:
+    if not fixed.bias_mantissa_max and layer.voltage_bias.any():
+        raise RuleError(
+            f"layer {layer.name!r}: a voltage bias of {_magnitude(layer.voltage_bias):g}; the "
+            "chip's neurons have none. Set v_leak to 0, or take another reading of the chip."
+        )
 
 
 def _scale(layer: Layer, fixed: FixedPoint) -> float:
@@ -105,7 +122,7 @@ def _threshold(layer: Layer, scale: float, fixed: FixedPoint, rounding: Rounding
 
 def _voltage_bias(values: Floats, fixed: FixedPoint, rounding: Rounding) -> Integers:
     """Biases as mantissa * 2**exponent, with the smallest exponent that holds each value."""
-    over = np.maximum(np.abs(values) / fixed.bias_mantissa_max, 1.0)
+    over = np.maximum(np.abs(values) / max(fixed.bias_mantissa_max, 1), 1.0)
     exponent = np.ceil(np.log2(over)).astype(np.int64)
     exponent = np.minimum(exponent, fixed.bias_exponent_max)
     mantissa = _rounded(values / 2.0**exponent, rounding)
@@ -117,7 +134,7 @@ def _keep(layer: Layer, of: str, fixed: FixedPoint, rounding: Rounding) -> Integ
     """What is left after a timestep, of 2**decay_bits, as near as the decay's register allows."""
     keep = layer.current_keep if of == "current" else layer.membrane_keep
     offset = fixed.current_decay_offset if of == "current" else fixed.membrane_decay_offset
-    least, most = offset, fixed.decay_one - 1 + offset
+    least, most = offset, fixed.decay_max + offset
     if (least > 0 and (keep == 1).any()) or (most < fixed.decay_one and (keep == 0).any()):
         raise RuleError(
             f"layer {layer.name!r}: a {of} that keeps {'all' if least else 'nothing'} of itself "

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from exporters.check import Check
     from spikedeploy.emulate import Emulation
+    from spikedeploy.verify import Replay
 
 PIPE_WIDTH = 120
 
@@ -52,6 +53,14 @@ def print_checks(checks: "Iterable[Check]") -> None:
     for check in checks:
         mark = "[green]✓[/]" if check.passed else "[red]✗[/]"
         console().print(f"{mark} {check.name}: {check.detail}")
+
+
+def print_replays(replays: "Iterable[Replay]") -> None:
+    """Write a line for each trace: ✓ or ✗, what was found, and what was passed over."""
+    for replay in replays:
+        print(f"{'✓' if replay.equal else '✗'} {replay.path}: {replay.describe()}")
+        for remark in replay.remarks():
+            print(f"    not compared: {remark}")
 
 
 def print_comparison(document: Mapping[str, Any]) -> None:

@@ -1,6 +1,5 @@
-"""Programs that several tests build without a policy: from trace files and random integers."""
+"""Programs that several tests build without a policy: from registers and random integers."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from runtime.chip import chip
 from runtime.convention import Convention
 from runtime.fixed import Register
 from runtime.program import Layer, Program, Synapses
-from runtime.quantize import stored
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -28,71 +26,6 @@ def layer(fixed, name, weights, synapses, *, decays, threshold, bias=0, start=0)
         membrane_keep=(fixed.decay_one - decays[1] - fixed.membrane_decay_offset) * ones,
         scale=1.0,
         start=start,
-    )
-
-
-def golden(path):
-    """The program, raster (1, T, M) and list of layers with expected u, v, s of a trace file."""
-    trace = json.loads(Path(path).read_text())
-    reading = READINGS[Path(path).name.split("_")[0]]
-    common = trace.get("params", {})
-    datasheet = chip(
-        "loihi1",
-        **reading,
-        sign_mode="mixed" if _mixed(common) else "split",
-        weight_bits=common.get("num_weight_bits", 8),
-        refractory=common.get("refractory", common.get("refract_delay", 1)),
-    )
-    layers = trace.get("layers", [trace])
-    names = [f"layer{k}" for k in range(len(layers))]
-    built = [
-        _golden_layer(datasheet, source, name, spec.get("params", spec))
-        for source, name, spec in zip(["input", *names], names, layers, strict=False)
-    ]
-    convention = Convention(1e-3, delay=datasheet.delay)
-    width = built[0].synapses[0].weight.shape[0]
-    program = Program(datasheet, convention, "input", width, tuple(built), names[-1], None)
-    return program, np.array(trace["input_spikes"], np.uint8)[None], layers
-
-
-# where the emulators differ; without an entry a trace is lava's
-READINGS = {
-    "lava": {},
-    # effective decays, mixed weights toward zero, no overflow, input acts in its own row
-    "brian2loihi": {
-        "delay": 0,
-        "current_decay_offset": 0,
-        "step_rounding": "zero",
-        "current": Register(24, "none"),
-        "membrane": Register(24, "none"),
-    },
-    # two's complement, input acts in its own row
-    "nengoloihi": {
-        "delay": 0,
-        "accumulator": Register(22, "wrap"),
-        "current": Register(24, "wrap"),
-    },
-}
-
-
-def _mixed(p):
-    return not p.get("exc_inh_split", True) or p.get("weights_mixed") is not None
-
-
-def _golden_layer(datasheet, source, name, p):
-    if "weights_exc" in p and p["weights_mixed"] is None:
-        weights = np.array(p["weights_exc"]) + np.array(p["weights_inh"])
-    else:
-        weights = np.array(p.get("weights_mixed") or p["weights"])  # [post][pre]
-    kept = np.ascontiguousarray(stored(weights.T, datasheet.fixed))
-    return layer(
-        datasheet.fixed,
-        name,
-        weights,
-        (Synapses(source, kept, datasheet.delay),),
-        decays=(p.get("du", p.get("decay_u")), p.get("dv", p.get("decay_v"))),
-        threshold=p.get("vth", p.get("vth_mant")) << datasheet.fixed.mantissa_shift,
-        bias=p.get("bias", p.get("bias_mant", 0) << p.get("bias_exp", 0)),
     )
 
 
@@ -117,7 +50,12 @@ def random_programs(draw):
             draw(st.sampled_from([17, 24])),
             draw(st.sampled_from(["none", "wrap", "wrap-once", "clip"])),
         ),
-        membrane=Register(draw(st.sampled_from([18, 24])), draw(st.sampled_from(["none", "clip"]))),
+        push=Register(draw(st.sampled_from([17, 24])), draw(st.sampled_from(["none", "wrap"]))),
+        membrane=Register(
+            draw(st.sampled_from([18, 24])),
+            draw(st.sampled_from(["none", "clip", "saturate"])),
+            draw(st.sampled_from([None, None, (0, 1 << 20)])),
+        ),
         refractory=draw(st.sampled_from([1, 1, 3])),
     )
     staggered = draw(st.booleans())

@@ -35,6 +35,7 @@ def test_no_spikes_exceed_the_bounds(program, seed, rate):
             assert (
                 limits.drive > fixed.accumulator.limit
                 or limits.current > fixed.current.limit
+                or limits.current + np.abs(a.voltage_bias).max() > fixed.push.limit
                 or max(limits.above, limits.below) > fixed.membrane.limit
             )
         else:

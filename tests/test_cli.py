@@ -16,6 +16,7 @@ from spikedeploy import cli, zoo
 from spikedeploy.failures import one_line
 from tests import strolling
 from tests.networks import popsan
+from tests.programs import GOLDEN
 from trainers.config import MlpConfig, PopsanConfig
 
 VERBS = [verb for verbs in cli.COMMANDS.values() for verb in verbs]
@@ -251,7 +252,7 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
     [
         (("run", "nowhere.nir"), "no policy at 'nowhere.nir'"),
         (("run", "gait", "--env", "hexapd"), "did you mean 'hexapod'?"),
-        (("run", "stroll/popsan", "--chip", "loihi9"), "did you mean 'loihi1'?"),
+        (("run", "stroll/popsan", "--chip", "loihi9"), "did you mean 'loihi2' or 'loihi1'?"),
         (("compare", "stroll", "--seed", "0"), "evaluation starts at 10000"),
         (("train", "hexapod-sax"), "hexapod-sac"),
         (("visualize", "."), "metrics.csv"),
@@ -284,3 +285,30 @@ def test_a_missing_extra_is_named():
 def test_a_bug_keeps_its_traceback():
     assert one_line(KeyError("x")) is None
     assert one_line(ModuleNotFoundError("No module named 'spikedeploy.x'", name="x")) is None
+
+
+TRACE = GOLDEN / "lava_A_popsan_decays.json"
+
+
+def test_verify_says_equal_and_exits_with_0(command):
+    code, out, _ = command("verify", TRACE, GOLDEN / "nengoloihi_A_popsan_decays.json")
+    assert code == 0
+    assert "equal on loihi1: 600 numbers" in out
+    assert "equal on loihi1-nengo" in out
+
+
+def test_verify_tells_the_first_difference_and_goes_on(command, tmp_path):
+    record = json.loads(TRACE.read_text())
+    record["v"][17][2] += 64
+    other, broken = tmp_path / "other.json", tmp_path / "broken.json"
+    other.write_text(json.dumps(record))
+    broken.write_text("{")
+    code, out, _ = command("verify", other, broken, tmp_path / "missing.json", TRACE, "--json")
+    assert code == 1
+    differs, torn, missing, equal = json.loads(out)
+    difference = differs["difference"]
+    assert [difference[key] for key in ("step", "neuron", "quantity")] == [17, 2, "membrane"]
+    assert difference["expected"] == difference["found"] + 64
+    assert "not JSON" in torn["error"]
+    assert "No such file" in missing["error"]
+    assert [each["equal"] for each in (differs, torn, missing, equal)] == [False] * 3 + [True]

@@ -3,4 +3,8 @@
 CHIPS: dict[str, str] = {
     "ideal": "runtime.chips.ideal:IDEAL",
     "loihi1": "runtime.chips.loihi1:LOIHI1",
+    "loihi1-brian2": "runtime.chips.loihi1:LOIHI1_BRIAN2",
+    "loihi1-nengo": "runtime.chips.loihi1:LOIHI1_NENGO",
+    "loihi2": "runtime.chips.loihi2:LOIHI2",
+    "xylo-a2": "runtime.chips.xylo_a2:XYLO_A2",
 }

@@ -1,0 +1,31 @@
+"""Loihi 2 (Intel 4, 2021) with the default neuron, which computes as Loihi 1's does.
+
+Neurons of Loihi 2 are microcode; this is what the default CuBa-LIF does as far as one public trace
+of a board shows: a single neuron, membranes of 0 and above, a current that forgets at once.
+"""
+
+from dataclasses import replace
+
+from runtime.chips.loihi1 import LAVA, LOIHI1
+
+BOARD = (
+    "one LIF neuron on a board, NIR paper 01_lif: the rule gives its spikes in 1000 timesteps and "
+    "all membranes but those at 4 spikes, where the probe reads 128"
+)
+GUESS = "taken from Loihi 1; no public source for Loihi 2"
+
+LOIHI2 = replace(
+    LOIHI1,
+    name="loihi2",
+    summary="Loihi 2 with its default neuron, which computes as Loihi 1's does",
+    energy_tables=(),  # no public energy per operation
+    sources={
+        **{field: f"{LAVA}, as on Loihi 1; {GUESS}" for field in LOIHI1.sources},
+        "mantissa_shift": BOARD,
+        "decay_bits": BOARD,
+        "membrane_decay_offset": BOARD,
+        "resets": f"{BOARD}; microcode could do others",
+        "delay": BOARD,
+        "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {GUESS}",
+    },
+)

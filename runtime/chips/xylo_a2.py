@@ -1,0 +1,44 @@
+"""Xylo-Audio 2 (SynSense SYNS61201): core version 2, in the reading of xylosim.
+
+Equal to xylosim's traces, which SynSense calls exact; never "equal to the chip".
+"""
+
+from runtime.chip import Chip
+from runtime.event_point import EventPoint
+from runtime.fixed import Register
+
+XYLOSIM = "xylosim 0.1.3, core v2 (run, traces equal)"
+ROCKPOOL = "rockpool's table of Xylo's cores"
+
+XYLO_A2 = Chip(
+    name="xylo-a2",
+    summary="Xylo-Audio 2: 8-bit weights, 16-bit states that saturate, several spikes a timestep",
+    fixed=None,
+    events=EventPoint(
+        weight_bits=8,
+        shift_max=15,
+        dash_max=15,
+        currents=2,
+        state=Register(16, "saturate"),
+        events_max=15,
+        spikes_max=31,
+        output_spikes_max=1,
+    ),
+    resets=("subtract",),
+    delay=1,
+    delay_max=1,
+    energy_tables=(),  # published for whole tasks only
+    sources={
+        "weight_bits": f"{ROCKPOOL}: 8 bits with the sign",
+        "shift_max": "by definition: a further shift of any weight saturates 16 bits as well",
+        "dash_max": f"{ROCKPOOL}: 4 bits",
+        "currents": f"{ROCKPOOL}: two synapses for hidden neurons, one for outputs",
+        "state": f"{XYLOSIM}: saturates at every event",
+        "events_max": f"{XYLOSIM}; 4 bits",
+        "spikes_max": f"{XYLOSIM}; 5 bits",
+        "output_spikes_max": XYLOSIM,
+        "resets": f"{XYLOSIM}: the threshold is taken off once a spike",
+        "delay": f"{XYLOSIM}: spikes of hidden neurons arrive one timestep later, input at once",
+        "delay_max": XYLOSIM,
+    },
+)

@@ -1,0 +1,166 @@
+"""A layer of Loihi from the registers that a trace lists, in whose words ever."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.chip import Chip, FixedPoint
+from runtime.fields import Fields, Integers
+from runtime.fixed import Register
+from runtime.program import Layer, Synapses
+from runtime.quantize import stored
+
+WEIGHTS = ("weights", "weight", "w", "weight_mant", "weights_mixed")
+THRESHOLDS = ("vth", "vth_mant", "v_th", "threshold")
+
+# mantissas are shifted by so much to become states; thresholds always are
+SHIFT = 6
+
+# states beyond this are no chip's
+STATE = 1 << 40
+
+
+@dataclass(frozen=True, eq=False)
+class LoihiLayer:
+    """A layer, and the chip with the options that the layer asks for."""
+
+    layer: Layer
+    chip: Chip
+
+
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """Weights as they were given.
+
+    mantissa: (N, M).
+    mixed: whether one list holds both signs, and a bit for them.
+    exponent: they count 2**this times.
+    """
+
+    mantissa: Integers
+    mixed: bool
+    exponent: int
+
+
+def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer:
+    """The layer at a place of a chain, as the fields describe it."""
+    fixed = chip.fixed
+    if fixed is None:
+        raise spec.wrong("chip", f"{chip.name} has no integers", "Name a chip that has.")
+    weights = _weights(spec, fixed, fan_in)
+    fixed = _with_options(spec, fixed, weights)
+    delay = spec.whole("delay", default=chip.delay, least=0, most=chip.delay_max)
+    source, size = f"layer{place - 1}" if place else "input", len(weights.mantissa)
+    layer = Layer(
+        name=f"layer{place}",
+        synapses=tuple(Synapses(source, w, delay, shift) for w, shift in _lists(weights, fixed)),
+        bias=np.zeros(size, np.int64),
+        voltage_bias=_bias(spec, size),
+        threshold=_threshold(spec, fixed, size),
+        current_keep=_keep(spec, "u", fixed, size),
+        membrane_keep=_keep(spec, "v", fixed, size),
+        scale=1.0,
+        start=0,
+    )
+    return LoihiLayer(layer, replace(chip, fixed=fixed))
+
+
+def _weights(spec: Fields, fixed: FixedPoint, fan_in: int) -> _Weights:
+    exponent = spec.whole("weight_exp", "w_exp", "wgt_exp", default=0, least=-8, most=7)
+    lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
+    if lists:
+        tables = [_matrix(spec, name, fan_in) for name in lists]
+        if tables[0].shape != tables[-1].shape:
+            raise spec.wrong(lists[1], f"has shape {tables[1].shape}", f"Match {lists[0]}.")
+        return _Weights(np.asarray(sum(tables)), False, exponent)
+    effective = spec.name("weights_effective", "weight_effective")
+    if effective and spec.name(*WEIGHTS) is None:
+        return _Weights(_matrix(spec, effective, fan_in, 1 << SHIFT) >> SHIFT, False, 0)
+    name = spec.name(*WEIGHTS) or WEIGHTS[0]
+    mantissa = _matrix(spec, name, fan_in)
+    mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False
+    # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
+    one_sign = fixed.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
+    return _Weights(mantissa, mixed and not one_sign, exponent)
+
+
+def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
+    """(N, M) weights, whichever way the file says that they stand."""
+    found = spec.array(name, axes=2, least=-256 * unit, most=255 * unit)
+    if found.ndim < 2:
+        # one neuron with several axons, or one axon onto several neurons
+        found = found.reshape((1, -1) if found.size == fan_in else (-1, 1))
+    if spec.text("index").startswith("[pre]"):
+        found = found.T
+    if found.shape[1] != fan_in:
+        remedy = f"Write a row for each neuron, with {fan_in} weights, one for each input."
+        raise spec.wrong(name, f"has shape {found.shape}", remedy)
+    return found
+
+
+def _with_options(spec: Fields, fixed: FixedPoint, weights: _Weights) -> FixedPoint:
+    silent = spec.whole("refractory", "refract_delay", default=fixed.refractory, least=1, most=64)
+    return replace(
+        fixed,
+        sign_mode="mixed" if weights.mixed else "split",
+        weight_bits=spec.whole("num_weight_bits", default=fixed.weight_bits, least=0, most=8),
+        refractory=silent,
+        mantissa_shift=_mantissa_shift(spec, fixed, weights.exponent),
+        membrane=_membrane(spec, fixed.membrane),
+    )
+
+
+def _mantissa_shift(spec: Fields, fixed: FixedPoint, exponent: int) -> int:
+    """Where nothing is rounded, a negative exponent moves the weights by fewer bits."""
+    shift = SHIFT + min(exponent, 0) * (fixed.exponents == "exact")
+    if shift < 0:
+        raise spec.wrong("weight_exp", f"is {exponent}", f"This reading goes down to {-SHIFT}.")
+    return shift
+
+
+def _membrane(spec: Fields, register: Register) -> Register:
+    if spec.name("vmin", "vmax") is None:
+        return register
+    least = spec.whole("vmin", default=-register.limit, least=-STATE, most=0)
+    most = spec.whole("vmax", default=register.limit, least=0, most=STATE)
+    return replace(register, between=(least, most))
+
+
+def _lists(weights: _Weights, fixed: FixedPoint) -> list[tuple[NDArray[np.int16], int]]:
+    """The lists of weights (M, N) that the chip keeps, and the bits that each one's sum loses."""
+    axons, exponent = weights.mantissa.T, weights.exponent
+    if exponent >= 0 or fixed.exponents == "weight":
+        return [(stored(axons, fixed, exponent), 0)]
+    if fixed.exponents == "exact":
+        return [(stored(axons, fixed), 0)]
+    signs = [axons] if weights.mixed else [axons.clip(min=0), axons.clip(max=0)]
+    return [(stored(sign, fixed), -exponent) for sign in signs]
+
+
+def _threshold(spec: Fields, fixed: FixedPoint, size: int) -> Integers:
+    """(N,) [state units]."""
+    if spec.name(*THRESHOLDS) is None and spec.name("vth_effective"):
+        return spec.row("vth_effective", size=size, least=0, most=STATE)
+    return spec.row(*THRESHOLDS, size=size, least=0, most=fixed.threshold_max) << SHIFT
+
+
+def _bias(spec: Fields, size: int) -> Integers:
+    """(N,) [state units]."""
+    if spec.name("bias", "bias_effective"):
+        return spec.row("bias", "bias_effective", size=size, least=-STATE, most=STATE)
+    mantissa = spec.row("bias_mant", size=size, default=0, least=-4096, most=4095)
+    exponent = spec.row("bias_exp", size=size, default=0, least=-8, most=7)
+    return np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
+
+
+def _keep(spec: Fields, state: str, fixed: FixedPoint, size: int) -> Integers:
+    """(N,) what a timestep leaves, from the register or from what the register does."""
+    offset = fixed.current_decay_offset if state == "u" else fixed.membrane_decay_offset
+    registers, effective = (f"d{state}", f"decay_{state}"), f"effective_decay_{state}"
+    if spec.name(*registers) is None and spec.name(effective):
+        return fixed.decay_one - spec.row(effective, size=size, least=0, most=fixed.decay_one)
+    # a neuron of which no current is known forgets it at once
+    default = fixed.decay_one - offset if state == "u" else None
+    found = spec.row(*registers, size=size, default=default, least=0, most=fixed.decay_max)
+    return fixed.decay_one - offset - found

@@ -1,0 +1,100 @@
+"""Trace files: what an emulator or a chip did, with everything that is needed to do it again.
+
+The format is in docs/traces.md. It grew from what four emulators write, so quantities have several
+names, and a file says in prose who made it.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.chip import CHIPS
+from runtime.errors import TraceError
+from runtime.fields import Fields, Integers, read_json
+from runtime.program import Program
+
+# who wrote a trace, by what its name, source and kind say -> the chip in that reading
+MAKERS = (
+    (r"sana-?fe", "sanafe"),
+    (r"xylo", "xylo-a2"),
+    (r"brian2", "loihi1-brian2"),
+    (r"nengo", "loihi1-nengo"),
+    (r"loihi1simcfg|loihi2simcfg", "loihi1"),
+    (r"loihi[ _-]?2", "loihi2"),
+    (r"lava", "loihi1"),
+)
+READERS = {
+    "loihi1": "runtime.loihi_trace:loihi_trace",
+    "loihi1-brian2": "runtime.loihi_trace:loihi_trace",
+    "loihi1-nengo": "runtime.loihi_trace:loihi_trace",
+    "loihi2": "runtime.loihi_trace:loihi_trace",
+    "xylo-a2": "runtime.xylo_trace:xylo_trace",
+}
+# what is for people
+PROSE = {
+    "name", "source", "kind", "note", "convention", "index", "trace_index", "input_spikes_index",
+    "check", "seed", "license", "licence",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class TraceFile:
+    """A run that was recorded.
+
+    source: who recorded it.
+    program: what ran, on the chip in the reading of the source.
+    raster: (1, T, M) spikes that went in; counts where the chip takes several in a timestep.
+    recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
+    blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
+    unread: fields that mean nothing to the reader.
+    """
+
+    source: str
+    program: Program
+    raster: NDArray[np.uint8]
+    recorded: Mapping[str, Mapping[str, Integers]]
+    blind_at_spikes: bool
+    unread: tuple[str, ...]
+
+
+Reader: TypeAlias = Callable[[Fields, str], TraceFile]
+
+
+def read_trace(path: Path) -> TraceFile:
+    """The trace in a file, checked."""
+    return trace_in(read_json(path), path.stem)
+
+
+def trace_in(fields: Fields, stem: str) -> TraceFile:
+    """The trace in the fields of a file of that name."""
+    chip = maker(fields, stem)
+    if chip not in READERS:
+        hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
+        raise TraceError(
+            f"{fields.where}: chip {chip!r} {hint}. Traces may be of {', '.join(READERS)}."
+        )
+    module, attribute = READERS[chip].split(":")
+    reader: Reader = getattr(import_module(module), attribute)
+    return reader(fields, chip)
+
+
+def maker(fields: Fields, stem: str) -> str:
+    """The chip that the file names, or that of the emulator which its prose names."""
+    prose = {key: fields.text(key) for key in ("chip", "name", "source", "kind")}
+    if prose["chip"]:
+        return prose["chip"]
+    # the name of the file is a last resort
+    for text in (" ".join(prose.values()), stem):
+        for pattern, chip in MAKERS:
+            if re.search(pattern, text, re.IGNORECASE):
+                return chip
+    raise TraceError(
+        f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
+        f"by that. Add a field chip; it may be {', '.join(READERS)}."
+    )

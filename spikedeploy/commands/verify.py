@@ -1,0 +1,24 @@
+"""`spikedeploy verify`: recorded runs of emulators and chips against our arithmetic."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import Json
+
+
+def verify(
+    traces: Annotated[list[Path], typer.Argument(metavar="TRACE.json…", help="Trace files.")],
+    json: Json = False,
+) -> None:
+    """Replay traces; say equal or the first difference, and exit 1 if any is not equal."""
+    from spikedeploy.terminal import print_json, print_replays
+    from spikedeploy.verify import replay
+
+    replays = [replay(path) for path in traces]
+    if json:
+        print_json([each.as_json() for each in replays])
+    else:
+        print_replays(replays)
+    raise typer.Exit(0 if all(each.equal for each in replays) else 1)
