@@ -10,16 +10,7 @@ Of karts, PPO's rollouts are measured, too, with the recipes' spiking policies: 
 spike through all timesteps, draw an action, and step, in 16 copies.
 """
 
-# ruff: noqa: E402 - the number of threads has to be set before numpy is imported
-import os
-import sys
-
-# this file has the name of the package that it measures, and its folder comes first in the path
-sys.path[:] = [
-    p for p in sys.path if os.path.abspath(p) != os.path.dirname(os.path.abspath(__file__))
-]
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
 import tempfile

@@ -9,11 +9,7 @@ ours is compared without its ledger; with it, as closed loops run, is a row of i
 actions are compared with the float twin's too, so that both are seen to compute the same policy.
 """
 
-# ruff: noqa: E402 - the number of threads has to be set before numpy and torch are imported
-import os
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
 import json

@@ -6,11 +6,7 @@ The torch policy is read back from the file; every spike of every layer is compa
 how many differ in float32 is reported. Exits with 1 when a check fails.
 """
 
-# ruff: noqa: E402 - the number of threads has to be set before numpy and torch are imported
-import os
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
 import sys
