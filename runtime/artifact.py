@@ -14,6 +14,8 @@ from runtime.codec import Codec
 from runtime.convention import Convention, Integrator, Reset, State
 from runtime.discrete import NEURONS, discretise
 from runtime.errors import ArtifactError, ConventionError
+from runtime.float_delay import delay_timesteps
+from runtime.nesting import flattened
 from runtime.origin import Origin
 from runtime.record import Record, Tree
 from runtime.soundness import DERIVED, check_graph
@@ -27,7 +29,7 @@ KEY = "spikedeploy"
 class Artifact:
     """A network with everything that NIR leaves open.
 
-    graph: standard NIR nodes, which any NIR tool can open.
+    graph: standard NIR nodes, which any NIR tool can open; graphs inside it are taken apart.
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is stepped; inferred or given for files of other tools.
     origin: who made it; None in files of other tools.
@@ -39,10 +41,14 @@ class Artifact:
     origin: Origin | None = None
 
     def __post_init__(self) -> None:
+        # frozen for others; what is inside an inner graph must be seen by everyone
+        object.__setattr__(self, "graph", flattened(self.graph))
         check_graph(self.graph)
         for name in sorted(self.graph.nodes):
             if isinstance(self.graph.nodes[name], NEURONS):
                 discretise(name, self.graph.nodes[name], self.convention)
+            if isinstance(self.graph.nodes[name], nir.Delay):
+                delay_timesteps(name, self.graph.nodes[name], self.convention)
         if self.codec is not None:
             _check_width(self.graph, self.codec)
 
@@ -154,6 +160,7 @@ def _read(path: Path) -> nir.NIRGraph:
             f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
             "truncated, damaged or something else; copy or export it again."
         ) from error
+    graph = flattened(graph)
     check_graph(graph)
     return graph
 

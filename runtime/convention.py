@@ -21,8 +21,9 @@ class Convention:
     reset: after a spike the membrane goes to v_reset ("zero"; exporters write 0 there), or the
         distance from v_reset to the threshold is taken off it ("subtract").
     integrator: decays are 1 - dt/tau ("euler") or exp(-dt/tau) ("exponential").
-    delay: [timesteps] from a spike, or a row of the input, through an Affine or Linear to what
-        follows: y[t] = W x[t - delay] + b. Recurrent connections take one timestep in any case.
+    delay: [timesteps] from a spike, or a row of the input, through an Affine, Linear or
+        convolution to what follows: y[t] = W x[t - delay] + b. Recurrent connections take one
+        timestep in any case.
     state: currents and membranes start from 0 at each inference ("reset") or go on ("kept").
     source: who says so; no part of equality.
     """

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.discrete import CURRENT_BASED, LEAKY, NEURONS
+from runtime.edges import check_edges
 from runtime.errors import ArtifactError
+from runtime.shapes import infer_shapes
 
 # kinds whose every field is an array of numbers, except for what nir derives
 NUMERIC = (nir.Affine, nir.Linear, nir.Scale, nir.Threshold, *NEURONS)
@@ -19,37 +21,12 @@ REMEDY = "Export the network again, or correct the node."
 
 def check_graph(graph: nir.NIRGraph) -> None:
     """Refuse a graph that is not sound; fills in the shapes that NIR infers."""
-    _check_edges(graph)
+    check_edges(graph)
     for name in sorted(graph.nodes):
         _check_name(name)
         _check_node(name, graph.nodes[name])
     _check_ends(graph)
-    _check_shapes(graph)
-
-
-def _check_edges(graph: nir.NIRGraph) -> None:
-    for edge in graph.edges:
-        if not (isinstance(edge, tuple) and len(edge) == 2):
-            raise ArtifactError(f"edge {edge!r} is not a pair (source, target). {REMEDY}")
-        source, target = edge
-        for name in edge:
-            if name not in graph.nodes:
-                raise ArtifactError(
-                    f"edge {source!r} -> {target!r}: there is no node {name!r}; the nodes are "
-                    f"{', '.join(sorted(graph.nodes))}. Correct the edge or add the node."
-                )
-        if isinstance(graph.nodes[target], nir.Input):
-            raise ArtifactError(
-                f"edge {source!r} -> {target!r} goes into an Input node. Point it at the node that "
-                "follows."
-            )
-    doubles = sorted({edge for edge in graph.edges if graph.edges.count(edge) > 1})
-    if doubles:
-        source, target = doubles[0]
-        raise ArtifactError(
-            f"edge {source!r} -> {target!r} is there twice, which tools read as one or as a sum. "
-            "Remove one."
-        )
+    infer_shapes(graph)
 
 
 def _check_name(name: str) -> None:
@@ -120,12 +97,3 @@ def _check_ends(graph: nir.NIRGraph) -> None:
                 f"node {name!r}: shape is {shape.tolist()}; it must be whole numbers above 0. "
                 f"{REMEDY}"
             )
-
-
-def _check_shapes(graph: nir.NIRGraph) -> None:
-    try:
-        graph.infer_types()
-        graph.check_types()
-    # nir raises nearly anything for shapes that it did not expect
-    except Exception as error:
-        raise ArtifactError(f"the shapes of the graph disagree: {error}. {REMEDY}") from error
