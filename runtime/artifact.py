@@ -17,6 +17,7 @@ from runtime.errors import ArtifactError, ConventionError
 from runtime.float_delay import delay_timesteps
 from runtime.nesting import flattened
 from runtime.origin import Origin
+from runtime.reading import read_graph
 from runtime.record import Record, Tree
 from runtime.soundness import DERIVED, check_graph
 from runtime.timestep import inferred_convention, timestep
@@ -152,15 +153,7 @@ def _read(path: Path) -> nir.NIRGraph:
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
             "NIR tool wrote; if it is that one, its download or copy was cut short."
         )
-    try:
-        graph = nir.read(path, type_check=False)
-    # nir and h5py raise nearly anything when a file is not what they expect
-    except Exception as error:
-        raise ArtifactError(
-            f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
-            "truncated, damaged or something else; copy or export it again."
-        ) from error
-    graph = flattened(graph)
+    graph = flattened(read_graph(path))
     check_graph(graph)
     return graph
 

@@ -52,7 +52,9 @@ class Delay:
 
 def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArray[np.int64]:
     """The delay of each element in timesteps, which must be whole."""
-    found = node.delay.astype(np.float64) / convention.dt
+    with np.errstate(over="ignore", under="ignore"):
+        # later than any raster is long: the number only has to fit
+        found = np.minimum(node.delay.astype(np.float64) / convention.dt, 2.0**62)
     whole = np.rint(found)
     tolerance = ROUNDING.get(node.delay.dtype.type, ROUNDING[np.float64])
     odd = np.abs(found - whole) > tolerance * np.maximum(whole, 1)
@@ -61,5 +63,4 @@ def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArr
             f"node {name!r}: a delay of {node.delay[odd][0]:g} s is {found[odd][0]:g} timesteps of "
             f"{convention.dt:g} s, which is not whole. Choose a dt that divides it, or round it."
         )
-    # later than any raster is long: the number only has to fit
-    return np.asarray(np.minimum(whole, 2.0**62), np.int64)
+    return np.asarray(whole, np.int64)

@@ -67,7 +67,9 @@ class FloatGraph:
             self.reset()
         self._check_batch(len(x))
         parts = np.split(x, x.shape[1], axis=1) if self.loops else [x]
-        steps = [self._advance(part) for part in parts]
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = [self._advance(part) for part in parts]
+        self._check_finite()
         values = {
             name: np.concatenate([step[name] for step in steps], axis=1)
             for name in (*self.spiking, self.output)
@@ -121,6 +123,16 @@ class FloatGraph:
         if not np.isfinite(x).all():
             raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
         return x
+
+    def _check_finite(self) -> None:
+        """Refuse to go on from sums that were too large for the type of numbers."""
+        for name, node in self.nodes.items():
+            state = node.membrane if isinstance(node, Neurons) else self.before[name]
+            if state is not None and not np.isfinite(state).all():
+                raise ObservationError(
+                    f"node {name!r}: its values became too large for {self.dtype}. Give a smaller "
+                    "raster, or correct the weights that lead to it."
+                )
 
     def _check_batch(self, batch: int) -> None:
         held = len(self.before[self.output]) if self.before else batch

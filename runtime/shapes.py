@@ -10,7 +10,6 @@ from collections.abc import Mapping
 import nir
 import numpy as np
 
-from runtime.discrete import NEURONS
 from runtime.errors import ArtifactError
 from runtime.windows import (
     CONVOLUTIONS,
@@ -28,9 +27,9 @@ DENSE = (nir.Affine, nir.Linear)
 
 def infer_shapes(graph: nir.NIRGraph) -> None:
     """Write its shapes into every node; those that disagree along an edge are refused by name."""
-    before = {
-        name: [source for source, target in graph.edges if target == name] for name in graph.nodes
-    }
+    before: dict[str, list[str]] = {name: [] for name in graph.nodes}
+    for source, target in graph.edges:
+        before[target].append(source)
     shapes = _shapes(graph, before)
     for source, target in sorted(graph.edges):
         puts, takes = shapes[source][1], shapes[target][0]
@@ -82,13 +81,13 @@ def _stated(name: str, node: nir.NIRNode) -> Shape | None:
         if stated is None:
             return None
         return whole_numbers(name, "shape", np.asarray(stated), np.size(stated), least=1)
-    return elementwise(node)
+    return _elementwise(node)
 
 
-def elementwise(node: nir.NIRNode) -> Shape:
+def _elementwise(node: nir.NIRNode) -> Shape:
     """The shape of a node that has one parameter for every number that it takes."""
     fields = {nir.Scale: "scale", nir.Threshold: "threshold", nir.Delay: "delay"}
-    field = "r" if isinstance(node, NEURONS) else fields[type(node)]
+    (field,) = [name for kind, name in fields.items() if isinstance(node, kind)] or ["r"]
     return tuple(map(int, getattr(node, field).shape))
 
 

@@ -41,6 +41,8 @@ def timestep(graph: nir.NIRGraph) -> Timestep:
     if any((node.r <= 0).any() for node in neurons.values()):
         return Timestep(None, "a gain r is not above 0")
     every = np.concatenate([_candidates(node) for node in neurons.values()])
+    if not np.isfinite(every).all() or not every.min() > 0:
+        return Timestep(None, "tau/r is too large or too small for a number")
     tolerance = max(rounding(node) for node in neurons.values())
     dt = _rounded(float(np.median(every)), tolerance)
     for name, node in neurons.items():
@@ -80,10 +82,11 @@ def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conven
 
 def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
     """The dt of each neuron for which the gain of its membrane is 1."""
-    if isinstance(node, INTEGRATORS):
-        return np.ravel(1 / node.r)
-    tau = node.tau_mem if isinstance(node, CURRENT_BASED) else node.tau
-    return np.ravel(tau / node.r)
+    with np.errstate(over="ignore", under="ignore"):
+        if isinstance(node, INTEGRATORS):
+            return np.ravel(1 / node.r)
+        tau = node.tau_mem if isinstance(node, CURRENT_BASED) else node.tau
+        return np.ravel(tau / node.r)
 
 
 def _rounded(dt: float, tolerance: float) -> float:
