@@ -11,12 +11,13 @@ import nir
 import numpy as np
 
 from runtime.codec import Codec
-from runtime.convention import Convention, Integrator, Reset, State
+from runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
 from runtime.discrete import NEURONS, discretise
 from runtime.errors import ArtifactError, ConventionError
 from runtime.float_delay import delay_timesteps
 from runtime.nesting import flattened
 from runtime.origin import Origin
+from runtime.presets import read_like
 from runtime.reading import read_graph
 from runtime.record import Record, Tree
 from runtime.soundness import DERIVED, check_graph
@@ -76,18 +77,28 @@ def load(
     integrator: Integrator | None = None,
     delay: int | None = None,
     state: State | None = None,
+    spikes: Spikes | None = None,
+    floor: Floor | None = None,
+    like: str | None = None,
 ) -> Artifact:
-    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says."""
+    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says.
+
+    like: name of one of runtime.presets.PRESETS, whose tool's reading of the file it shall be.
+    """
     options = {
         "dt": dt,
         "reset": reset,
         "integrator": integrator,
         "delay": delay,
         "state": state,
+        "spikes": spikes,
+        "floor": floor,
     }
     given = {name: value for name, value in options.items() if value is not None}
     try:
         graph = _read(Path(path))
+        if like is not None:
+            return _like(graph, like, given)
         if KEY in graph.metadata:
             return _ours(graph, given)
         return Artifact(graph, None, inferred_convention(graph, given))
@@ -171,6 +182,13 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     if origin is not None:
         _check_digest(stated, origin)
     return replace(stated, convention=convention.given(given))
+
+
+def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
+    """The artifact that another tool makes of a graph; of ours it knows the nodes, not the rest."""
+    codec = _ours(graph, {}).codec if KEY in graph.metadata else None
+    read, convention = read_like(graph, tool, given)
+    return Artifact(read, codec, convention)
 
 
 def _stated_convention(record: Record) -> Convention:

@@ -75,9 +75,19 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
             "number. Correct its parameters, or choose another dt."
         )
     gain[np.abs(gain - 1) <= rounding(node)] = 1.0
+    if convention.spikes == "many" and isinstance(node, SPIKING):
+        _check_distance(name, node)
     threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
     v_reset = _array(node.v_reset) if isinstance(node, SPIKING) else np.zeros_like(gain)
     return Discrete(current_decay, membrane_decay, gain, leak, threshold, v_reset)
+
+
+def _check_distance(name: str, node: nir.NIRNode) -> None:
+    if not (node.v_threshold > node.v_reset).all():
+        raise ConventionError(
+            f"node {name!r}: its threshold is not above v_reset, so that 'many' spikes would be "
+            "endless. Raise the threshold, or choose spikes 'above'."
+        )
 
 
 def rounding(node: nir.NIRNode) -> float:

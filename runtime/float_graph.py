@@ -61,7 +61,10 @@ class FloatGraph:
                 node.reset()
 
     def run(self, raster: ArrayLike) -> Trace:
-        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, act)."""
+        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, act).
+
+        Where the convention lets a neuron send many in a timestep they are counted in int64.
+        """
         x = self._checked(raster)
         if self.convention.state == "reset":
             self.reset()
@@ -74,7 +77,8 @@ class FloatGraph:
             name: np.concatenate([step[name] for step in steps], axis=1)
             for name in (*self.spiking, self.output)
         }
-        trace: Trace = {name: values[name].astype(np.uint8) for name in self.spiking}
+        kind = np.int64 if self.convention.spikes == "many" else np.uint8
+        trace: Trace = {name: values[name].astype(kind) for name in self.spiking}
         trace["output"] = values[self.output]
         return trace
 

@@ -33,12 +33,14 @@ class Neurons:
         layer = discretise(name, node, convention)
         self.name = name
         self.subtract = convention.reset == "subtract"
+        self.spikes = convention.spikes
         self.a = None if layer.current_decay is None else layer.current_decay.astype(dtype)
         self.b = layer.membrane_decay.astype(dtype)
         self.gain = layer.gain.astype(dtype)
         self.leak = layer.leak.astype(dtype)
         self.threshold = None if layer.threshold is None else layer.threshold.astype(dtype)
         self.v_reset = layer.v_reset.astype(dtype)
+        self.floor = _floor(layer.threshold, convention)
         self.current: Array | None = None
         self.membrane: Array | None = None
 
@@ -65,10 +67,23 @@ class Neurons:
         """Output of this timestep, and the membrane after the reset."""
         if self.threshold is None:
             return membrane, membrane
-        spikes = membrane > self.threshold
+        spikes = self._spikes(membrane, self.threshold)
         if self.subtract:
-            return spikes, membrane - spikes * (self.threshold - self.v_reset)
-        return spikes, np.where(spikes, self.v_reset, membrane)
+            membrane = membrane - spikes * (self.threshold - self.v_reset)
+        else:
+            membrane = np.where(spikes, self.v_reset, membrane)
+        return spikes, membrane if self.floor is None else np.maximum(membrane, self.floor)
+
+    def _spikes(self, membrane: Array, threshold: Array) -> NDArray[Any]:
+        """How many each neuron sends in this timestep."""
+        if self.spikes == "above":
+            return np.asarray(membrane > threshold)
+        reached = membrane >= threshold
+        if self.spikes == "reached":
+            return np.asarray(reached)
+        # n = floor((V - v_reset) / (threshold - v_reset))
+        times = np.floor((membrane - self.v_reset) / (threshold - self.v_reset))
+        return np.asarray(times * reached)
 
     def _state(self, like: Array) -> tuple[Array, Array]:
         if self.current is None or self.membrane is None:
@@ -79,6 +94,13 @@ class Neurons:
                 f"is for {len(like)}. Call reset() between batches of different size."
             )
         return self.current, self.membrane
+
+
+def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Array | None:
+    """Lowest membrane (N,), or None where there is none."""
+    if threshold is None or convention.floor == "none":
+        return None
+    return np.zeros_like(threshold) if convention.floor == "zero" else -threshold
 
 
 def build(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
