@@ -14,14 +14,19 @@ import numpy as np
 from nir.serialization import hdf2dict
 
 from runtime.errors import ArtifactError
+from runtime.heap import check_heaps
 
 # bytes of parameters beyond which a file is a mistake, and would only exhaust the memory
 LARGEST = 1 << 31
+# and what a stored byte can become: deflate packs 1032 zeros into it
+PACKED = 1100
+FREE = 1 << 20
 REMEDY = "Export the network again, or correct the node."
 
 
 def read_graph(path: Path) -> nir.NIRGraph:
     """The graph in a HDF5 file, as it is written there; nothing is checked but that it is one."""
+    check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
             _check_size(file)
@@ -46,6 +51,11 @@ def _check_size(file: h5py.File) -> None:
     def note(name: str, thing: object) -> None:
         if isinstance(thing, h5py.Dataset):
             sizes[name] = int(thing.nbytes)
+            if sizes[name] > FREE + PACKED * thing.id.get_storage_size():
+                raise ArtifactError(
+                    f"{name} is {sizes[name]} bytes, for which too few are in the file. It is "
+                    "damaged; copy or export it again."
+                )
 
     file.visititems(note)
     if sum(sizes.values()) > LARGEST:

@@ -75,7 +75,8 @@ def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conven
     if evidence.dt is None:
         raise ArtifactError(
             f"the file does not say its timestep and it cannot be inferred: {evidence.reason}. "
-            "Give dt in seconds, as the tool that wrote the file used it."
+            "Give dt in seconds, as the tool that wrote the file used it, or name the tool whose "
+            "reading is wanted."
         )
     return Convention(evidence.dt, source=f"{evidence.reason}; {USUAL}").given(given)
 

@@ -246,8 +246,28 @@ def test_a_file_that_claims_more_than_memory_holds_is_refused(tmp_path):
     with h5py.File(path, "r+") as file:
         del file["node/nodes/n/weight"]
         file.create_dataset("node/nodes/n/weight", (1 << 20, 1 << 20), "f4", chunks=(8, 8))
-    with pytest.raises(ArtifactError, match=r"node/nodes/n/weight is \d+ bytes"):
+    with pytest.raises(ArtifactError, match=r"node/nodes/n/weight is \d+ bytes, for which"):
         load(path)
+
+
+def test_texts_that_hdf5_would_read_for_ever_are_refused(tmp_path):
+    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
+    content = bytearray(path.read_bytes())
+    heap = content.index(b"GCOL")
+    at, end = heap + 16, heap + int.from_bytes(content[heap + 8 : heap + 16], "little")
+    while content[at] or content[at + 1]:
+        at += 16 + -(-int.from_bytes(content[at + 8 : at + 16], "little") // 8) * 8
+    # the free space behind the last text now has no length, and is never left
+    assert at < end - 16
+    content[at + 8 : at + 16] = bytes(8)
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError, match=r"its texts, at byte \d+, are damaged"):
+        load(path)
+
+
+def test_zeros_that_compress_well_are_read(tmp_path):
+    network = alone(nir.Linear(np.zeros((1000, 2000))), (2000,), (1000,))
+    assert load(written(tmp_path / "a.nir", network), dt=1e-3).graph.nodes["n"].weight.size == 2e6
 
 
 # numbers
