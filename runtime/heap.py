@@ -8,6 +8,9 @@ multiple of 8. The object of index 0 is the free space behind the others, its he
 
 from pathlib import Path
 
+import h5py
+import numpy as np
+
 from runtime.errors import ArtifactError
 
 # with the version and its three bytes, so that no weight looks like it
@@ -26,6 +29,23 @@ def check_heaps(path: Path) -> None:
                 "file or export it again."
             )
         at = content.find(SIGNATURE, at + 1)
+
+
+def check_texts(name: str, texts: h5py.Dataset, path: Path) -> None:
+    """Refuse texts that say they are longer than the file: HDF5 would reserve the memory first.
+
+    Each is kept as its length in 4 bytes, then 12 bytes that say where.
+    """
+    if (offset := texts.id.get_offset()) is None:
+        return
+    with path.open("rb") as file:
+        file.seek(offset)
+        lengths = np.frombuffer(file.read(16 * int(texts.size)).ljust(16, b"\0"), "<u4")
+    if lengths[::4].size and lengths[::4].max() > path.stat().st_size:
+        raise ArtifactError(
+            f"{name} holds a text of {lengths[::4].max()} bytes, more than the file. It is "
+            "damaged; copy or export it again."
+        )
 
 
 def _ends(content: bytes, at: int) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from nir.serialization import hdf2dict
 
 from runtime.errors import ArtifactError
-from runtime.heap import check_heaps
+from runtime.heap import check_heaps, check_texts
 
 # bytes of parameters beyond which a file is a mistake, and would only exhaust the memory
 LARGEST = 1 << 31
@@ -29,7 +29,7 @@ def read_graph(path: Path) -> nir.NIRGraph:
     check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
-            _check_size(file)
+            _check_size(file, path)
             tree = hdf2dict(file["node"])
         if tree["type"] != "NIRGraph":
             raise ValueError(f"it holds a single {tree['type']} and no graph")
@@ -44,7 +44,7 @@ def read_graph(path: Path) -> nir.NIRGraph:
         ) from error
 
 
-def _check_size(file: h5py.File) -> None:
+def _check_size(file: h5py.File, path: Path) -> None:
     """Refuse sizes that a compressed file claims and no memory can hold."""
     sizes: dict[str, int] = {}
 
@@ -56,6 +56,8 @@ def _check_size(file: h5py.File) -> None:
                     f"{name} is {sizes[name]} bytes, for which too few are in the file. It is "
                     "damaged; copy or export it again."
                 )
+            if thing.dtype.kind == "O":
+                check_texts(name, thing, path)
 
     file.visititems(note)
     if sum(sizes.values()) > LARGEST:
