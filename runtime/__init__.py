@@ -14,6 +14,7 @@ EXPORTS = {
     "FloatGraph": "runtime.float_graph:FloatGraph",
     "Normaliser": "runtime.codec:Normaliser",
     "Origin": "runtime.origin:Origin",
+    "PRESETS": "runtime.presets:PRESETS",
     "PopulationEncoder": "runtime.population:PopulationEncoder",
     "RateEncoder": "runtime.rate:RateEncoder",
     "load": "runtime.artifact:load",

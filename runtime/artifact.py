@@ -11,10 +11,14 @@ import nir
 import numpy as np
 
 from runtime.codec import Codec
-from runtime.convention import Convention, Integrator, Reset, State
+from runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
 from runtime.discrete import NEURONS, discretise
 from runtime.errors import ArtifactError, ConventionError
+from runtime.float_delay import delay_timesteps
+from runtime.nesting import flattened
 from runtime.origin import Origin
+from runtime.presets import read_like
+from runtime.reading import read_graph
 from runtime.record import Record, Tree
 from runtime.soundness import DERIVED, check_graph
 from runtime.timestep import inferred_convention, timestep
@@ -27,7 +31,7 @@ KEY = "spikedeploy"
 class Artifact:
     """A network with everything that NIR leaves open.
 
-    graph: standard NIR nodes, which any NIR tool can open.
+    graph: standard NIR nodes, which any NIR tool can open; graphs inside it are taken apart.
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is stepped; inferred or given for files of other tools.
     origin: who made it; None in files of other tools.
@@ -39,10 +43,14 @@ class Artifact:
     origin: Origin | None = None
 
     def __post_init__(self) -> None:
+        # frozen for others; what is inside an inner graph must be seen by everyone
+        object.__setattr__(self, "graph", flattened(self.graph))
         check_graph(self.graph)
         for name in sorted(self.graph.nodes):
             if isinstance(self.graph.nodes[name], NEURONS):
                 discretise(name, self.graph.nodes[name], self.convention)
+            if isinstance(self.graph.nodes[name], nir.Delay):
+                delay_timesteps(name, self.graph.nodes[name], self.convention)
         if self.codec is not None:
             _check_width(self.graph, self.codec)
 
@@ -69,18 +77,28 @@ def load(
     integrator: Integrator | None = None,
     delay: int | None = None,
     state: State | None = None,
+    spikes: Spikes | None = None,
+    floor: Floor | None = None,
+    like: str | None = None,
 ) -> Artifact:
-    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says."""
+    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says.
+
+    like: name of one of runtime.presets.PRESETS, whose tool's reading of the file it shall be.
+    """
     options = {
         "dt": dt,
         "reset": reset,
         "integrator": integrator,
         "delay": delay,
         "state": state,
+        "spikes": spikes,
+        "floor": floor,
     }
     given = {name: value for name, value in options.items() if value is not None}
     try:
         graph = _read(Path(path))
+        if like is not None:
+            return _like(graph, like, given)
         if KEY in graph.metadata:
             return _ours(graph, given)
         return Artifact(graph, None, inferred_convention(graph, given))
@@ -146,14 +164,7 @@ def _read(path: Path) -> nir.NIRGraph:
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
             "NIR tool wrote; if it is that one, its download or copy was cut short."
         )
-    try:
-        graph = nir.read(path, type_check=False)
-    # nir and h5py raise nearly anything when a file is not what they expect
-    except Exception as error:
-        raise ArtifactError(
-            f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
-            "truncated, damaged or something else; copy or export it again."
-        ) from error
+    graph = flattened(read_graph(path))
     check_graph(graph)
     return graph
 
@@ -171,6 +182,13 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     if origin is not None:
         _check_digest(stated, origin)
     return replace(stated, convention=convention.given(given))
+
+
+def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
+    """The artifact that another tool makes of a graph; of ours it knows the nodes, not the rest."""
+    codec = _ours(graph, {}).codec if KEY in graph.metadata else None
+    read, convention = read_like(graph, tool, given)
+    return Artifact(read, codec, convention)
 
 
 def _stated_convention(record: Record) -> Convention:

@@ -55,6 +55,12 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
             f"reset {convention.reset!r}: a spike on {chip.name} can only do "
             f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
         )
+    if convention.spikes != "above" or convention.floor != "none":
+        raise RuleError(
+            f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
+            "sends one spike where its membrane is above the threshold, and its membrane has no "
+            "floor. Run in float."
+        )
 
 
 def _starts(wires: Wiring, delay: int) -> dict[str, int]:

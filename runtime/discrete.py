@@ -52,6 +52,7 @@ class Discrete:
     v_reset: Array
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete:
     """The difference equation of one of NEURONS; `name` is for messages."""
     current_decay = None
@@ -68,10 +69,25 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
     if isinstance(node, CURRENT_BASED):
         current_decay, share = _decay(name, node, "tau_syn", convention)
         gain = share * _array(node.w_in) * gain
+    if not np.isfinite(gain).all() or not np.isfinite(leak).all():
+        raise ConventionError(
+            f"node {name!r}: at dt = {convention.dt:g} s its gain or leak is too large for a "
+            "number. Correct its parameters, or choose another dt."
+        )
     gain[np.abs(gain - 1) <= rounding(node)] = 1.0
+    if convention.spikes == "many" and isinstance(node, SPIKING):
+        _check_distance(name, node)
     threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
     v_reset = _array(node.v_reset) if isinstance(node, SPIKING) else np.zeros_like(gain)
     return Discrete(current_decay, membrane_decay, gain, leak, threshold, v_reset)
+
+
+def _check_distance(name: str, node: nir.NIRNode) -> None:
+    if not (node.v_threshold > node.v_reset).all():
+        raise ConventionError(
+            f"node {name!r}: its threshold is not above v_reset, so that 'many' spikes would be "
+            "endless. Raise the threshold, or choose spikes 'above'."
+        )
 
 
 def rounding(node: nir.NIRNode) -> float:
@@ -81,7 +97,8 @@ def rounding(node: nir.NIRNode) -> float:
 
 def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> tuple[Array, Array]:
     """What stays after one timestep, and 1 minus it without cancellation."""
-    step = convention.dt / _array(getattr(node, field))
+    with np.errstate(over="ignore"):
+        step = convention.dt / _array(getattr(node, field))
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)
     # where tau was written as dt, dt/tau may come out a hair above 1

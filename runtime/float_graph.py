@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from runtime.artifact import Artifact
 from runtime.discrete import SPIKING
 from runtime.errors import ArtifactError, ObservationError
+from runtime.float_delay import Delay, delay_timesteps
 from runtime.float_nodes import Array, Neurons, build
-from runtime.order import Edge, order, sources
+from runtime.order import Edge, has_loop, order, sources
+from runtime.windows import CONVOLUTIONS
 
 Trace = dict[str, NDArray[np.generic]]
 
@@ -31,17 +33,23 @@ class FloatGraph:
         self.input = _only(self.graph.inputs, "Input")
         self.output = _only(self.graph.outputs, "Output")
         self.spiking = _spiking(self.graph)
-        at_once = order(self.graph)
-        in_steps = order(self.graph, _into_dense(self.graph) if self.convention.delay else ())
-        self.loops = bool(at_once.late)
+        waiting = self._waiting()
+        into = {edge for edge in self.graph.edges if edge[1] in waiting}
+        if self.convention.delay:
+            into |= _into_weights(self.graph)
+        in_steps = order(self.graph, into)
+        self.loops = has_loop(self.graph)
         self.late = in_steps.late
         # a late edge may come from a later node of the same timestep, but not of all timesteps
-        self.names = in_steps.names if self.loops else at_once.names
+        self.names = in_steps.names if self.loops else order(self.graph).names
         self.sources = {name: sources(self.graph, name) for name in self.names}
         self.nodes = {
             name: build(name, self.graph.nodes[name], self.convention, self.dtype)
             for name in self.names
         }
+        for name in waiting:
+            # its late edges are the first of its timesteps
+            self.nodes[name] = Delay(name, waiting[name] - 1)
         # what each node put out in the timestep before, (B, 1, *shape)
         self.before: dict[str, Array] = {}
 
@@ -49,23 +57,42 @@ class FloatGraph:
         """Begin again: currents and membranes are 0, and nothing is on its way."""
         self.before = {}
         for node in self.nodes.values():
-            if isinstance(node, Neurons):
+            if isinstance(node, (Neurons, Delay)):
                 node.reset()
 
     def run(self, raster: ArrayLike) -> Trace:
-        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, act)."""
+        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, act).
+
+        Where the convention lets a neuron send many in a timestep they are counted in int64.
+        """
         x = self._checked(raster)
         if self.convention.state == "reset":
             self.reset()
+        self._check_batch(len(x))
         parts = np.split(x, x.shape[1], axis=1) if self.loops else [x]
-        steps = [self._advance(part) for part in parts]
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = [self._advance(part) for part in parts]
+        self._check_finite()
         values = {
             name: np.concatenate([step[name] for step in steps], axis=1)
             for name in (*self.spiking, self.output)
         }
-        trace: Trace = {name: values[name].astype(np.uint8) for name in self.spiking}
+        kind = np.int64 if self.convention.spikes == "many" else np.uint8
+        trace: Trace = {name: values[name].astype(kind) for name in self.spiking}
         trace["output"] = values[self.output]
         return trace
+
+    def _waiting(self) -> dict[str, NDArray[np.int64]]:
+        """Timesteps of the Delay nodes that hold every value back for at least one timestep.
+
+        Such a node opens a loop by itself, so that its delay counts once: I[t] = w z[t - delay].
+        """
+        delays = {
+            name: delay_timesteps(name, node, self.convention)
+            for name, node in self.graph.nodes.items()
+            if isinstance(node, nir.Delay)
+        }
+        return {name: timesteps for name, timesteps in delays.items() if timesteps.min() >= 1}
 
     def _advance(self, x: Array) -> dict[str, Array]:
         """Output (B, T, *shape) of every node for the next T timesteps."""
@@ -101,6 +128,24 @@ class FloatGraph:
             raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
         return x
 
+    def _check_finite(self) -> None:
+        """Refuse to go on from sums that were too large for the type of numbers."""
+        for name, node in self.nodes.items():
+            state = node.membrane if isinstance(node, Neurons) else self.before[name]
+            if state is not None and not np.isfinite(state).all():
+                raise ObservationError(
+                    f"node {name!r}: its values became too large for {self.dtype}. Give a smaller "
+                    "raster, or correct the weights that lead to it."
+                )
+
+    def _check_batch(self, batch: int) -> None:
+        held = len(self.before[self.output]) if self.before else batch
+        if held != batch:
+            raise ObservationError(
+                f"the graph holds the state of {held} networks, the raster is for {batch}. Call "
+                "reset() between batches of different size."
+            )
+
 
 def _only(found: dict[str, nir.NIRNode], kind: str) -> str:
     if len(found) != 1:
@@ -119,7 +164,6 @@ def _spiking(graph: nir.NIRGraph) -> list[str]:
     return names
 
 
-def _into_dense(graph: nir.NIRGraph) -> set[Edge]:
-    return {
-        edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], (nir.Affine, nir.Linear))
-    }
+def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
+    kinds = (nir.Affine, nir.Linear, *CONVOLUTIONS)
+    return {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], kinds)}

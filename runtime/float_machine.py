@@ -23,7 +23,7 @@ class FloatMachine:
 
     def __init__(self, artifact: Artifact, ledger: Rows = "each") -> None:
         self.graph = FloatGraph(artifact)
-        self.spikes: dict[str, NDArray[np.uint8]] = {}
+        self.spikes: dict[str, NDArray[Any]] = {}
         self._recorder: Recorder | None = None
         try:
             self._program: Program | RuleError = compile(artifact, chip("ideal"))
@@ -41,7 +41,7 @@ class FloatMachine:
         """Output (B, T, act) of the spikes (B, T, M); states as the convention says."""
         trace = self.graph.run(spikes)
         output = trace.pop("output").astype(np.float64)
-        self.spikes = {name: rows.astype(np.uint8) for name, rows in trace.items()}
+        self.spikes = {name: np.asarray(rows) for name, rows in trace.items()}
         if self._recorder is not None and self._recorder.keeps:
             self._count(self._recorder, spikes)
         return output

@@ -14,6 +14,9 @@ from numpy.typing import DTypeLike, NDArray
 from runtime.convention import Convention
 from runtime.discrete import NEURONS, discretise
 from runtime.errors import ArtifactError, ObservationError
+from runtime.float_delay import Delay, delay_timesteps
+from runtime.float_nodes_spatial import convolution, pool
+from runtime.windows import CONVOLUTIONS, POOLS
 
 Array: TypeAlias = NDArray[np.floating[Any]]
 
@@ -30,12 +33,14 @@ class Neurons:
         layer = discretise(name, node, convention)
         self.name = name
         self.subtract = convention.reset == "subtract"
+        self.spikes = convention.spikes
         self.a = None if layer.current_decay is None else layer.current_decay.astype(dtype)
         self.b = layer.membrane_decay.astype(dtype)
         self.gain = layer.gain.astype(dtype)
         self.leak = layer.leak.astype(dtype)
         self.threshold = None if layer.threshold is None else layer.threshold.astype(dtype)
         self.v_reset = layer.v_reset.astype(dtype)
+        self.floor = _floor(layer.threshold, convention)
         self.current: Array | None = None
         self.membrane: Array | None = None
 
@@ -62,10 +67,23 @@ class Neurons:
         """Output of this timestep, and the membrane after the reset."""
         if self.threshold is None:
             return membrane, membrane
-        spikes = membrane > self.threshold
+        spikes = self._spikes(membrane, self.threshold)
         if self.subtract:
-            return spikes, membrane - spikes * (self.threshold - self.v_reset)
-        return spikes, np.where(spikes, self.v_reset, membrane)
+            membrane = membrane - spikes * (self.threshold - self.v_reset)
+        else:
+            membrane = np.where(spikes, self.v_reset, membrane)
+        return spikes, membrane if self.floor is None else np.maximum(membrane, self.floor)
+
+    def _spikes(self, membrane: Array, threshold: Array) -> NDArray[Any]:
+        """How many each neuron sends in this timestep."""
+        if self.spikes == "above":
+            return np.asarray(membrane > threshold)
+        reached = membrane >= threshold
+        if self.spikes == "reached":
+            return np.asarray(reached)
+        # n = floor((V - v_reset) / (threshold - v_reset))
+        times = np.floor((membrane - self.v_reset) / (threshold - self.v_reset))
+        return np.asarray(times * reached)
 
     def _state(self, like: Array) -> tuple[Array, Array]:
         if self.current is None or self.membrane is None:
@@ -78,10 +96,23 @@ class Neurons:
         return self.current, self.membrane
 
 
+def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Array | None:
+    """Lowest membrane (N,), or None where there is none."""
+    if threshold is None or convention.floor == "none":
+        return None
+    return np.zeros_like(threshold) if convention.floor == "zero" else -threshold
+
+
 def build(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
-    """The node, ready to be computed; kinds that are not supported are refused by name."""
+    """The node, ready to be computed; kinds that NIR does not have are refused by name."""
     if isinstance(node, (nir.Affine, nir.Linear)):
-        return _dense(name, node, dtype)
+        return _dense(node, dtype) if node.weight.ndim == 2 else _stacked(node, dtype)
+    if isinstance(node, CONVOLUTIONS):
+        return convolution(name, node, dtype)
+    if isinstance(node, POOLS):
+        return pool(name, node)
+    if isinstance(node, nir.Delay):
+        return Delay(name, delay_timesteps(name, node, convention))
     if isinstance(node, NEURONS):
         return Neurons(name, node, convention, dtype)
     if isinstance(node, (nir.Input, nir.Output)):
@@ -96,19 +127,12 @@ def build(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
         shape = tuple(int(n) for n in node.output_type["output"])
         return lambda x: x.reshape(*x.shape[:2], *shape)
     raise ArtifactError(
-        f"node {name!r}: {type(node).__name__} is not supported here. Supported are Input, Output, "
-        "Affine, Linear, Scale, Flatten, Threshold, LIF, CubaLIF, IF, LI, CubaLI and I; write a "
-        "convolution or a pool as an Affine."
+        f"node {name!r}: {type(node).__name__} is no primitive of NIR. Write it with those."
     )
 
 
-def _dense(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
+def _dense(node: nir.NIRNode, dtype: DTypeLike) -> Node:
     """Affine or Linear: all timesteps in one multiplication."""
-    if node.weight.ndim != 2:
-        raise ArtifactError(
-            f"node {name!r}: weight has shape {node.weight.shape}; only (N, M) is supported. "
-            "Write stacked weights as separate nodes."
-        )
     # (M, N) in C order: BLAS multiplies it in half the time
     weight = np.ascontiguousarray(node.weight.T, dtype=dtype)
     bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
@@ -124,3 +148,16 @@ def _dense(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
         return y if bias is None else y + bias
 
     return dense
+
+
+def _stacked(node: nir.NIRNode, dtype: DTypeLike) -> Node:
+    """Affine or Linear with a matrix of its own (..., N, M) for every row of the input (..., M)."""
+    weight = node.weight.astype(dtype)
+    bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
+
+    def stacked(x: Array) -> Array:
+        # y = W x + b
+        y: Array = np.matmul(weight, x[..., None])[..., 0]
+        return y if bias is None else y + bias
+
+    return stacked

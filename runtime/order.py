@@ -34,13 +34,30 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
     delayed = set(late)
     done: dict[str, None] = {}
     pending = set(graph.nodes)
+    edges = tuple(graph.edges)
     while pending:
-        ready = [n for n in sorted(pending) if set(_sources(graph, n, delayed)) <= done.keys()]
+        held = {
+            target
+            for source, target in edges
+            if source in pending and (source, target) not in delayed
+        }
+        ready = sorted(pending - held)
         if not ready:
             delayed |= _feedback(graph, pending, delayed)
         done.update(dict.fromkeys(ready))
         pending.difference_update(ready)
     return Order(tuple(done), frozenset(delayed))
+
+
+def has_loop(graph: nir.NIRGraph) -> bool:
+    """Whether any node hears itself, over however many others."""
+    pending = set(graph.nodes)
+    while pending:
+        held = {target for source, target in graph.edges if source in pending} & pending
+        if held == pending:
+            return True
+        pending = held
+    return False
 
 
 def sources(graph: nir.NIRGraph, name: str) -> list[str]:

@@ -8,73 +8,100 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.discrete import CURRENT_BASED, LEAKY, NEURONS
+from runtime.discrete import CURRENT_BASED, LEAKY, NEURONS, SPIKING
+from runtime.edges import check_connected, check_edges
 from runtime.errors import ArtifactError
+from runtime.shapes import infer_shapes
+from runtime.windows import CONVOLUTIONS, POOLS, whole_numbers
 
 # kinds whose every field is an array of numbers, except for what nir derives
-NUMERIC = (nir.Affine, nir.Linear, nir.Scale, nir.Threshold, *NEURONS)
+DENSE = (nir.Affine, nir.Linear)
+NUMERIC = (*DENSE, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)
+KINDS = (nir.Input, nir.Output, *NUMERIC, *CONVOLUTIONS, *POOLS, nir.Flatten)
 DERIVED = ("input_type", "output_type", "metadata")
 REMEDY = "Export the network again, or correct the node."
 
 
 def check_graph(graph: nir.NIRGraph) -> None:
     """Refuse a graph that is not sound; fills in the shapes that NIR infers."""
-    _check_edges(graph)
+    check_edges(graph)
     for name in sorted(graph.nodes):
         _check_name(name)
         _check_node(name, graph.nodes[name])
     _check_ends(graph)
-    _check_shapes(graph)
-
-
-def _check_edges(graph: nir.NIRGraph) -> None:
-    for edge in graph.edges:
-        if not (isinstance(edge, tuple) and len(edge) == 2):
-            raise ArtifactError(f"edge {edge!r} is not a pair (source, target). {REMEDY}")
-        source, target = edge
-        for name in edge:
-            if name not in graph.nodes:
-                raise ArtifactError(
-                    f"edge {source!r} -> {target!r}: there is no node {name!r}; the nodes are "
-                    f"{', '.join(sorted(graph.nodes))}. Correct the edge or add the node."
-                )
-        if isinstance(graph.nodes[target], nir.Input):
-            raise ArtifactError(
-                f"edge {source!r} -> {target!r} goes into an Input node. Point it at the node that "
-                "follows."
-            )
-    doubles = sorted({edge for edge in graph.edges if graph.edges.count(edge) > 1})
-    if doubles:
-        source, target = doubles[0]
-        raise ArtifactError(
-            f"edge {source!r} -> {target!r} is there twice, which tools read as one or as a sum. "
-            "Remove one."
-        )
+    infer_shapes(graph)
+    check_connected(graph)
 
 
 def _check_name(name: str) -> None:
-    if not name or "/" in name or name == ".":
+    if name in ("", ".") or set(name) & {"/", "\0"}:
         raise ArtifactError(
             f"node {name!r}: HDF5 cannot hold this name. Choose one that is not empty, not '.' "
-            "and has no '/'."
+            "and has no '/' and no zero byte."
         )
 
 
 def _check_node(name: str, node: nir.NIRNode) -> None:
-    if isinstance(node, nir.NIRGraph):
+    if not isinstance(node, KINDS):
         raise ArtifactError(
-            f"node {name!r}: graphs inside graphs are not supported. Flatten the graph first."
+            f"node {name!r}: {type(node).__name__} is no primitive of NIR that has a meaning here. "
+            f"Write it with {', '.join(kind.__name__ for kind in KINDS)}."
         )
     for field, value in sorted(vars(node).items()):
         if isinstance(value, np.ndarray) or (isinstance(node, NUMERIC) and field not in DERIVED):
             _check_values(name, field, value)
+    if isinstance(node, DENSE):
+        _check_dense(name, node)
+    if isinstance(node, CONVOLUTIONS):
+        _check_convolution(name, node)
+    if isinstance(node, NEURONS):
+        _check_neurons(name, node)
+    if isinstance(node, nir.Delay) and node.delay.min() < 0:
+        raise ArtifactError(
+            f"node {name!r}: delay holds {node.delay.min():g} s; nothing arrives before it left. "
+            f"{REMEDY}"
+        )
+
+
+def _check_dense(name: str, node: nir.NIRNode) -> None:
+    if node.weight.ndim < 2:
+        raise ArtifactError(
+            f"node {name!r}: weight has shape {node.weight.shape}; it must be (N, M). {REMEDY}"
+        )
     if isinstance(node, nir.Affine):
         _same_shape(name, "bias", node.bias.shape, node.weight.shape[:-1])
-    if isinstance(node, CURRENT_BASED):
-        _same_shape(name, "w_in", node.w_in.shape, node.r.shape)
+
+
+def _check_convolution(name: str, node: nir.NIRNode) -> None:
+    axes = 3 if isinstance(node, nir.Conv1d) else 4
+    for field in ("weight", "bias"):
+        _check_values(name, field, getattr(node, field))
+    if node.weight.ndim != axes:
+        raise ArtifactError(
+            f"node {name!r}: weight has shape {node.weight.shape}; a {type(node).__name__} needs "
+            f"{axes} axes: features, channels of a group, kernel. {REMEDY}"
+        )
+    (groups,) = whole_numbers(name, "groups", node.groups, 1, least=1)
+    if len(node.weight) % groups:
+        raise ArtifactError(
+            f"node {name!r}: {len(node.weight)} features cannot be divided into {groups} groups. "
+            f"{REMEDY}"
+        )
+    _same_shape(name, "bias", node.bias.shape, node.weight.shape[:1])
+
+
+def _check_neurons(name: str, node: nir.NIRNode) -> None:
+    for field in sorted(set(vars(node)) - set(DERIVED)):
+        _same_shape(name, field, getattr(node, field).shape, node.r.shape)
     taus = ("tau",) if isinstance(node, LEAKY) else ("tau_syn", "tau_mem")
     for field in taus if isinstance(node, (*LEAKY, *CURRENT_BASED)) else ():
         _check_time_constant(name, field, getattr(node, field))
+    if isinstance(node, SPIKING) and (node.v_threshold < node.v_reset).any():
+        low = node.v_threshold < node.v_reset
+        raise ArtifactError(
+            f"node {name!r}: v_threshold holds {node.v_threshold[low][0]:g}, below its v_reset "
+            f"{node.v_reset[low][0]:g}: a spike would bring on the next. {REMEDY}"
+        )
 
 
 def _check_values(name: str, field: str, value: object) -> None:
@@ -85,6 +112,8 @@ def _check_values(name: str, field: str, value: object) -> None:
         raise ArtifactError(
             f"node {name!r}: {field} is a single number without a shape. Give one value per neuron."
         )
+    if not found.size:
+        raise ArtifactError(f"node {name!r}: {field} is empty, {found.shape}. {REMEDY}")
     if not np.isfinite(found).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
         raise ArtifactError(
@@ -120,12 +149,3 @@ def _check_ends(graph: nir.NIRGraph) -> None:
                 f"node {name!r}: shape is {shape.tolist()}; it must be whole numbers above 0. "
                 f"{REMEDY}"
             )
-
-
-def _check_shapes(graph: nir.NIRGraph) -> None:
-    try:
-        graph.infer_types()
-        graph.check_types()
-    # nir raises nearly anything for shapes that it did not expect
-    except Exception as error:
-        raise ArtifactError(f"the shapes of the graph disagree: {error}. {REMEDY}") from error

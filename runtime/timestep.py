@@ -41,6 +41,8 @@ def timestep(graph: nir.NIRGraph) -> Timestep:
     if any((node.r <= 0).any() for node in neurons.values()):
         return Timestep(None, "a gain r is not above 0")
     every = np.concatenate([_candidates(node) for node in neurons.values()])
+    if not np.isfinite(every).all() or not every.min() > 0:
+        return Timestep(None, "tau/r is too large or too small for a number")
     tolerance = max(rounding(node) for node in neurons.values())
     dt = _rounded(float(np.median(every)), tolerance)
     for name, node in neurons.items():
@@ -73,17 +75,19 @@ def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conven
     if evidence.dt is None:
         raise ArtifactError(
             f"the file does not say its timestep and it cannot be inferred: {evidence.reason}. "
-            "Give dt in seconds, as the tool that wrote the file used it."
+            "Give dt in seconds, as the tool that wrote the file used it, or name the tool whose "
+            "reading is wanted."
         )
     return Convention(evidence.dt, source=f"{evidence.reason}; {USUAL}").given(given)
 
 
 def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
     """The dt of each neuron for which the gain of its membrane is 1."""
-    if isinstance(node, INTEGRATORS):
-        return np.ravel(1 / node.r)
-    tau = node.tau_mem if isinstance(node, CURRENT_BASED) else node.tau
-    return np.ravel(tau / node.r)
+    with np.errstate(over="ignore", under="ignore"):
+        if isinstance(node, INTEGRATORS):
+            return np.ravel(1 / node.r)
+        tau = node.tau_mem if isinstance(node, CURRENT_BASED) else node.tau
+        return np.ravel(tau / node.r)
 
 
 def _rounded(dt: float, tolerance: float) -> float:

@@ -76,7 +76,7 @@ class Emulation:
 def emulate(path: Path, chip: str, raster: Raster, **convention: Any) -> Emulation:  # noqa: ANN401
     """Play the raster (T, N) into the network once, from zero states.
 
-    convention  dt, reset, integrator, delay: go before what the file says, None leaves it
+    convention  options of runtime.artifact.load: go before what the file says, None leaves it
     """
     artifact = load(path, **convention)
     return _in_float(artifact, raster) if chip == FLOAT else _on_chip(artifact, chip, raster)

@@ -288,13 +288,6 @@ def test_edges_that_make_no_graph_are_refused(path, edges, message):
         load(path, dt=1e-3)
 
 
-def test_a_graph_inside_a_graph_is_refused(path):
-    inner = chain(lif(2), width=2, act=2)
-    foreign(path, chain(inner, width=2, act=2))
-    with pytest.raises(ArtifactError, match="node 'n1': graphs inside graphs"):
-        load(path)
-
-
 @pytest.mark.parametrize("name", ["a/b", "", "."])
 def test_a_name_that_hdf5_cannot_hold_is_refused_before_it_is_written(name):
     ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}

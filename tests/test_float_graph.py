@@ -402,24 +402,6 @@ def test_float32_computes_in_float32():
 # what is refused
 
 
-@pytest.mark.parametrize(
-    "node",
-    [
-        nir.Conv2d((4, 4), np.ones((1, 1, 3, 3)), 1, (1, 1), 1, 1, np.zeros(1)),
-        nir.SumPool2d(np.array([1, 1]), np.array([1, 1]), np.array([0, 0])),
-        nir.Delay(np.ones((1, 4, 4))),
-    ],
-    ids=lambda node: type(node).__name__,
-)
-def test_a_kind_that_is_not_supported_is_refused_by_name(node):
-    shape = np.array([1, 4, 4])
-    nodes = graph(
-        "input->odd, odd->output", input=nir.Input(shape), output=nir.Output(shape), odd=node
-    )
-    with pytest.raises(ArtifactError, match=f"'odd': {type(node).__name__} is not supported"):
-        network(nodes)
-
-
 def test_two_inputs_are_refused_by_name():
     nodes = graph("input->output, other->output", **ends(2, 2), other=nir.Input(np.array([2])))
     with pytest.raises(ArtifactError, match=r"2 Input nodes \(input, other\)"):

@@ -43,6 +43,12 @@ def emulate(
         int | None,
         typer.Option(min=0, max=1, help="Timesteps between layers.", show_default="from the file"),
     ] = None,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
@@ -55,6 +61,7 @@ def emulate(
         "reset": reset and reset.value,
         "integrator": integrator and integrator.value,
         "delay": delay,
+        "like": like,
     }
     result = play(file, chip, read_raster(input_), **given)
     result.save(output)
