@@ -1,0 +1,130 @@
+"""A program as the arrays that the compiled kernels take."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime import native_kernels as kernels
+from runtime.bounds import bounds, room
+from runtime.chip import FixedPoint
+from runtime.errors import ConfigError
+from runtime.fixed import Register
+from runtime.native_kernels import Constants
+from runtime.program import Layer, Program
+from runtime.synapses import EXACT_INT16
+
+Integers = NDArray[np.int64]
+
+EXACT_INT32 = (1 << 31) - 1
+# bits of every whole number that float64 holds
+EXACT_BITS = 53
+
+OVERFLOWS = {
+    "none": kernels.NONE,
+    "wrap": kernels.WRAP,
+    "wrap-once": kernels.WRAP_ONCE,
+    "clip": kernels.CLIP,
+}
+
+
+@lru_cache(maxsize=8)
+def constants(program: Program, late: tuple[tuple[int, ...], ...]) -> Constants:
+    """All that does not change while the program runs; shared by its machines.
+
+    late: rows by which each synapse of each layer delivers late.
+    """
+    fixed = program.chip.fixed
+    if fixed is None:
+        raise ConfigError(f"chip {program.chip.name!r} has no integers. Choose backend='numpy'.")
+    return Constants(
+        weights=_weights(program),
+        fan_out=np.concatenate([s.fan_out for a in program.layers for s in a.synapses]),
+        wires=_wires(program, late),
+        layers=_layers(program, fixed),
+        sources=_sources(program, late),
+        chip=_chip(program, fixed),
+        registers=_registers(fixed),
+        whole=_whole(program),
+        real=_whole(program)[:4] * np.array([[1 / fixed.decay_one]] * 2 + [[1.0]] * 2),
+        rooms=np.array([_rooms(fixed)] * len(program.layers)),
+    )
+
+
+def _weights(program: Program) -> NDArray[Any]:
+    """(W,) in the smallest integers that hold them."""
+    all_ = np.concatenate([s.weight.ravel() for a in program.layers for s in a.synapses])
+    largest = int(np.abs(all_.astype(np.int64)).max(initial=0))
+    return all_.astype(_whole_type(largest))
+
+
+def _whole_type(largest: int) -> Any:  # noqa: ANN401
+    return np.int16 if largest <= EXACT_INT16 else np.int32 if largest <= EXACT_INT32 else np.int64
+
+
+def _wires(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
+    index = {name: k for k, name in enumerate(program.sizes)}
+    rows, weights, axons = [], 0, 0
+    for layer, lags in zip(program.layers, late, strict=True):
+        for synapses, lag in zip(layer.synapses, lags, strict=True):
+            rows.append((index[synapses.source], lag, weights, axons))
+            weights += synapses.weight.size
+            axons += len(synapses.weight)
+    return np.array(rows, np.int64)
+
+
+def _layers(program: Program, fixed: FixedPoint) -> Integers:
+    rows, neurons, wires = [], 0, 0
+    for layer in program.layers:
+        limits = bounds(program, layer, fixed, None)
+        # refractory and accumulators that overflow are never tried in float64
+        careful = fixed.refractory > 1 or limits.drive > room(fixed.accumulator)
+        bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
+        end = wires + len(layer.synapses)
+        output = layer.name == program.output
+        about = (layer.start, layer.bias_fan_out, output)
+        rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
+        neurons, wires = neurons + layer.size, end
+    return np.array(rows, np.int64)
+
+
+def _sources(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
+    """Without places in memory, which depend on the timesteps."""
+    remembered = dict.fromkeys(program.sizes, 0)
+    for layer, lags in zip(program.layers, late, strict=True):
+        for synapses, lag in zip(layer.synapses, lags, strict=True):
+            remembered[synapses.source] = max(remembered[synapses.source], lag)
+    lag = program.readout.lag if program.readout else 0
+    remembered[program.output] = max(remembered[program.output], lag)
+    return np.array([(n, remembered[name], 0, 0) for name, n in program.sizes.items()], np.int64)
+
+
+def _chip(program: Program, fixed: FixedPoint) -> Integers:
+    subtract = program.convention.reset == "subtract"
+    return np.array([fixed.mantissa_shift, fixed.decay_bits, fixed.refractory, subtract], np.int64)
+
+
+def _registers(fixed: FixedPoint) -> Integers:
+    all_ = (fixed.accumulator, fixed.current, fixed.membrane)
+    return np.array([(OVERFLOWS[r.overflow], r.bits) for r in all_], np.int64)
+
+
+def _whole(program: Program) -> Integers:
+    def row(of: Any) -> NDArray[Any]:  # noqa: ANN401
+        return np.concatenate([np.broadcast_to(of(layer), layer.size) for layer in program.layers])
+
+    def order(layer: Layer) -> list[NDArray[Any]]:
+        keeps = [layer.current_keep, layer.membrane_keep]
+        return [*keeps, layer.threshold, layer.voltage_bias, layer.bias]
+
+    return np.concatenate([np.stack(order(a)) for a in program.layers], axis=1).astype(np.int64)
+
+
+def _rooms(fixed: FixedPoint) -> tuple[float, float, float]:
+    """State units per weight unit, and what float64 may hold of a current and of a membrane."""
+
+    def held(register: Register) -> float:
+        return float(min(room(register), 1 << (EXACT_BITS - 1 - fixed.decay_bits)))
+
+    return float(1 << fixed.mantissa_shift), held(fixed.current), held(fixed.membrane)
