@@ -17,9 +17,17 @@ def jit(function: Function) -> Function:
     except ImportError:
         return function
     njit: Any = numba.njit
+    options = {
+        "nogil": True,
+        "error_model": "numpy",
+        # arguments are tuples of arrays, which take longer to hand over than a tick to compute
+        "forceinline": True,
+        # no arrays are made, so none are counted; what would allocate does not compile
+        "_nrt": False,
+    }
     try:
-        compiled: Function = njit(function, cache=True, nogil=True, error_model="numpy")
+        compiled: Function = njit(function, cache=True, **options)
     except RuntimeError:
         # neither the package nor the user's cache folder can be written: compiled in every process
-        compiled = njit(function, nogil=True, error_model="numpy")
+        compiled = njit(function, **options)
     return compiled

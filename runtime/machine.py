@@ -152,7 +152,14 @@ class Machine:
         # loads the compiler, which takes longer than everything else
         from runtime.native import NativePipeline
 
-        return NativePipeline(program, schedule, self.batch, way == "row", self._trace)
+        return NativePipeline(
+            program,
+            schedule,
+            self.batch,
+            rowwise=way == "row",
+            trace=self._trace,
+            counting=self._recorder.keeps,
+        )
 
     def _window(self, rows: NDArray[Any], way: Way) -> NDArray[Any]:
         """What the readout hears (T, B, N) when the pipeline runs all timesteps at once."""

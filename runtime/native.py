@@ -21,10 +21,18 @@ class NativePipeline:
 
     rowwise: whether all layers run one timestep after another, which closes loops.
     trace: whether to keep what `recordings` needs.
+    counting: whether to count what `report` needs.
     """
 
     def __init__(
-        self, program: Program, schedule: Schedule, batch: int, rowwise: bool, trace: bool
+        self,
+        program: Program,
+        schedule: Schedule,
+        batch: int,
+        *,
+        rowwise: bool,
+        trace: bool,
+        counting: bool,
     ) -> None:
         self.program, self.schedule = program, schedule
         timesteps = schedule.timesteps
@@ -33,7 +41,8 @@ class NativePipeline:
         self._counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
         self._heard = np.zeros((timesteps, batch, program.layer(program.output).size))
         self._input = memory.rows(0)
-        self._rowwise, self._fresh = rowwise, True
+        self._ways = (rowwise, counting)
+        self._fresh = True
         lag = program.readout.lag if program.readout else 0
         numbers = (memory.slots, lag, schedule.steps)
         self._arguments = (*memory.constants, *memory.arrays, self._counts, self._heard, *numbers)
@@ -48,7 +57,7 @@ class NativePipeline:
         step: chip timestep of a single row; layers that start later only wait.
         """
         self._input[...] = rows.swapaxes(0, 1)
-        run(*self._arguments, -1 if step is None else step, self._rowwise, self._fresh)
+        run(*self._arguments, -1 if step is None else step, *self._ways, self._fresh)
         self._fresh = False
         return self._heard
 

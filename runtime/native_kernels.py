@@ -21,10 +21,10 @@ Number = Any
 # events, in the order of runtime.ledger.EVENTS
 SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION = range(8)
 
-# columns of Constants.layers; STATE is where the layer's states begin in a row of Memory.states
-SIZE, NEURON, STATE, FIRST_WIRE, LAST_WIRE, SUM_BITS, CAREFUL, START, BIAS_FAN_OUT, IS_OUTPUT = (
-    range(10)
-)
+# columns of Constants.layers; STATE is where the layer's states begin in a row of Memory.states,
+# BIAS where its biases begin in Constants.weights
+SIZE, NEURON, STATE, FIRST_WIRE, LAST_WIRE, SUM_BITS, CAREFUL, START = range(8)
+BIAS, BIAS_FAN_OUT, IS_OUTPUT = range(8, 11)
 # columns of Constants.wires
 SOURCE, LAG, WEIGHT, FAN_OUT = range(4)
 # columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
@@ -32,8 +32,8 @@ SOURCE, LAG, WEIGHT, FAN_OUT = range(4)
 NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
 # entries of Constants.chip
 SHIFT, DECAY_BITS, REFRACTORY, SUBTRACT = range(4)
-# rows of Constants.whole and, the first four, of Constants.real
-CURRENT_KEEP, MEMBRANE_KEEP, THRESHOLD, VOLTAGE_BIAS, BIAS = range(5)
+# rows of Constants.whole and of Constants.real
+CURRENT_KEEP, MEMBRANE_KEEP, THRESHOLD, VOLTAGE_BIAS = range(4)
 # columns of Constants.rooms
 UNIT, ROOM_CURRENT, ROOM_MEMBRANE = range(3)
 # what a register does, in Constants.registers with its bits
@@ -43,12 +43,12 @@ NONE, WRAP, WRAP_ONCE, CLIP = range(4)
 class Constants(NamedTuple):
     """A program as arrays; those of its layers and synapses one after another.
 
-    weights: (W,) mantissas, axon-major.
+    weights: (W,) mantissas, axon-major, and then the biases.
     fan_out: (A,) of each axon of each synapses.
     wires, layers, sources: a row for each, columns above; source 0 is the input, k + 1 layer k.
     chip: entries above.
     registers: (3, 2) what accumulator, current and membrane do, and their bits.
-    whole: (5, N) rows above; keeps in 1 / 2**decay_bits.
+    whole: (4, N) rows above; keeps in 1 / 2**decay_bits.
     real: (4, N) the same for float64; keeps as fractions.
     rooms: (L, 3) columns above [state units].
     """
@@ -116,6 +116,7 @@ def run(
     steps: int,
     step: int,
     rowwise: bool,
+    counting: bool,
     fresh: bool,
 ) -> None:
     """One window of every layer, for each of a batch.
@@ -130,6 +131,7 @@ def run(
     steps: chip timesteps that the window stands for.
     step: chip timestep of a single row, in which layers may only wait; -1 runs all of them.
     rowwise: all layers in one timestep after another, which closes loops; else layer by layer.
+    counting: whether somebody will look at the counts.
     fresh: whether to begin from zero.
     """
     constants = Constants(
@@ -156,7 +158,8 @@ def run(
                     _tick(constants, memory, counts, b, layer, row, timesteps, slots, step)
     for b in range(batch):
         _leave(constants, memory, heard, b, timesteps, lag)
-        _count(constants, memory, counts, b, timesteps, steps, step)
+        if counting:
+            _count(constants, memory, counts, b, timesteps, steps, step)
         _remember(constants, memory, b, timesteps, slots)
 
 
@@ -207,14 +210,16 @@ def _tick(
     """One timestep of one layer."""
     about, own = constants.layers[layer], constants.sources[layer + 1]
     size, first = about[SIZE], about[NEURON]
-    at = about[STATE] + row % slots * 2 * size
+    # not row % slots, which is a division
+    slot, next_slot = (row, row + 1) if slots > 2 else (row & 1, ~row & 1)
+    at = about[STATE] + slot * 2 * size
     before = memory.states[b, at : at + 2 * size]
-    at = about[STATE] + (row + 1) % slots * 2 * size
+    at = about[STATE] + next_slot * 2 * size
     after = memory.states[b, at : at + 2 * size]
     at = own[RASTER] + (own[REMEMBERS] + row) * size
     spikes = memory.rasters[b, at : at + size]
     if 0 <= step < about[START]:
-        after[:] = before
+        _copy(before, after)
         spikes[:] = 0
     else:
         _drive(constants, memory, b, layer, row)
@@ -254,8 +259,8 @@ def _drive(constants: Array, memory: Array, b: int, layer: int, row: int) -> Non
 def _arrive(constants: Array, memory: Array, sums: Array, b: int, layer: int, row: int) -> None:
     """Fill sums (N,) with those of the bias and of each axon that spiked."""
     about, wires, sources = constants.layers[layer], constants.wires, constants.sources
-    size, first = about[SIZE], about[NEURON]
-    bias = constants.whole[BIAS, first : first + size]
+    size, at = about[SIZE], about[BIAS]
+    bias = constants.weights[at : at + size]
     for n in range(size):
         sums[n] = bias[n]
     for wire in range(about[FIRST_WIRE], about[LAST_WIRE]):
@@ -404,6 +409,13 @@ def _too_large(states: Array, rooms: Array) -> bool:
 
 
 @jit
+def _copy(source: Array, target: Array) -> None:
+    """Copy without the memory that assigning to a slice would take."""
+    for n in range(len(target)):
+        target[n] = source[n]
+
+
+@jit
 def _leave(constants: Array, memory: Array, heard: Array, b: int, timesteps: int, lag: int) -> None:
     """Copy what leaves the chip."""
     layers, sources = constants.layers, constants.sources
@@ -413,7 +425,7 @@ def _leave(constants: Array, memory: Array, heard: Array, b: int, timesteps: int
             size = own[NEURONS]
             for row in range(timesteps):
                 at = own[RASTER] + (own[REMEMBERS] + row - lag) * size
-                heard[row, b, :] = memory.rasters[b, at : at + size]
+                _copy(memory.rasters[b, at : at + size], heard[row, b])
 
 
 @jit
@@ -464,12 +476,12 @@ def _sent(constants: Array, memory: Array, b: int, wire: Array, timesteps: int) 
 def _remember(constants: Array, memory: Array, b: int, timesteps: int, slots: int) -> None:
     """Bring the last states to slot 0, and the last rows of sources before those of a window."""
     layers, sources = constants.layers, constants.sources
-    last = timesteps % slots
+    last = timesteps if slots > 2 else timesteps & 1
     for layer in range(len(layers)):
         if last:
             size, first = 2 * layers[layer, SIZE], layers[layer, STATE]
             at = first + last * size
-            memory.states[b, first : first + size] = memory.states[b, at : at + size]
+            _copy(memory.states[b, at : at + size], memory.states[b, first : first + size])
     for source in range(len(sources)):
         size, rows = sources[source, NEURONS], sources[source, REMEMBERS]
         # forwards, since the rows may overlap

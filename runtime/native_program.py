@@ -17,6 +17,7 @@ from runtime.synapses import EXACT_INT16
 
 Integers = NDArray[np.int64]
 
+EXACT_INT8 = (1 << 7) - 1
 EXACT_INT32 = (1 << 31) - 1
 # bits of every whole number that float64 holds
 EXACT_BITS = 53
@@ -47,16 +48,17 @@ def constants(program: Program, late: tuple[tuple[int, ...], ...]) -> Constants:
         chip=_chip(program, fixed),
         registers=_registers(fixed),
         whole=_whole(program),
-        real=_whole(program)[:4] * np.array([[1 / fixed.decay_one]] * 2 + [[1.0]] * 2),
+        real=_real(program, fixed),
         rooms=np.array([_rooms(fixed)] * len(program.layers)),
     )
 
 
 def _weights(program: Program) -> NDArray[Any]:
     """(W,) in the smallest integers that hold them."""
-    all_ = np.concatenate([s.weight.ravel() for a in program.layers for s in a.synapses])
+    weights = [s.weight.ravel() for layer in program.layers for s in layer.synapses]
+    all_ = np.concatenate([*weights, *(layer.bias for layer in program.layers)])
     largest = int(np.abs(all_.astype(np.int64)).max(initial=0))
-    return all_.astype(_whole_type(largest))
+    return all_.astype(np.int8 if largest <= EXACT_INT8 else _whole_type(largest))
 
 
 def _whole_type(largest: int) -> Any:  # noqa: ANN401
@@ -76,6 +78,7 @@ def _wires(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
 
 def _layers(program: Program, fixed: FixedPoint) -> Integers:
     rows, neurons, wires = [], 0, 0
+    biases = sum(s.weight.size for layer in program.layers for s in layer.synapses)
     for layer in program.layers:
         limits = bounds(program, layer, fixed, None)
         # refractory and accumulators that overflow are never tried in float64
@@ -83,7 +86,7 @@ def _layers(program: Program, fixed: FixedPoint) -> Integers:
         bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
         end = wires + len(layer.synapses)
         output = layer.name == program.output
-        about = (layer.start, layer.bias_fan_out, output)
+        about = (layer.start, biases + neurons, layer.bias_fan_out, output)
         rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
         neurons, wires = neurons + layer.size, end
     return np.array(rows, np.int64)
@@ -111,14 +114,19 @@ def _registers(fixed: FixedPoint) -> Integers:
 
 
 def _whole(program: Program) -> Integers:
-    def row(of: Any) -> NDArray[Any]:  # noqa: ANN401
-        return np.concatenate([np.broadcast_to(of(layer), layer.size) for layer in program.layers])
-
     def order(layer: Layer) -> list[NDArray[Any]]:
-        keeps = [layer.current_keep, layer.membrane_keep]
-        return [*keeps, layer.threshold, layer.voltage_bias, layer.bias]
+        return [layer.current_keep, layer.membrane_keep, layer.threshold, layer.voltage_bias]
 
     return np.concatenate([np.stack(order(a)) for a in program.layers], axis=1).astype(np.int64)
+
+
+def _real(program: Program, fixed: FixedPoint) -> NDArray[np.floating]:
+    """(4, N) in float32 if that holds them: a layer of 512 neurons then fits the nearest cache."""
+    real: NDArray[np.float64] = _whole(program) * np.array(
+        [[1 / fixed.decay_one]] * 2 + [[1.0]] * 2
+    )
+    single = real.astype(np.float32)
+    return single if (single == real).all() else real
 
 
 def _rooms(fixed: FixedPoint) -> tuple[float, float, float]:

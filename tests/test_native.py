@@ -175,7 +175,7 @@ def test_weights_and_sums_of_any_width_are_exact():
     raster = rasters(narrow, 2, 5, 0.5, seed=3)[0]
     none = Register(62, "none")
     datasheet = chip("loihi1", accumulator=none, current=none, membrane=none)
-    for factor in (1, 1 << 7, 1 << 16, 1 << 30):  # sums of 16, 32, 64 bits; weights likewise
+    for factor in (1, 1 << 7, 1 << 16, 1 << 30):  # weights and sums of 8 to 64 bits
         layers = [
             replace(
                 layer,
