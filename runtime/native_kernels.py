@@ -73,7 +73,6 @@ class Memory(NamedTuple):
     lengths: (B, Q) how many.
     states: (B, K) of each layer slots of current and membrane, used in turn; slot 0 is now.
     silent: (B, N) timesteps of refractory left.
-    doubtful: (B, L) whether a state is too large for float64.
     sums16, sums32, sums64: (N,) what arrives in a tick.
     """
 
@@ -82,7 +81,6 @@ class Memory(NamedTuple):
     lengths: Array
     states: Array
     silent: Array
-    doubtful: Array
     sums16: Array
     sums32: Array
     sums64: Array
@@ -105,7 +103,6 @@ def run(
     lengths: Array,
     states: Array,
     silent: Array,
-    doubtful: Array,
     sums16: Array,
     sums32: Array,
     sums64: Array,
@@ -137,7 +134,7 @@ def run(
     constants = Constants(
         weights, fan_out, wires, layers, sources, chip, registers, whole, real, rooms
     )
-    memory = Memory(rasters, lists, lengths, states, silent, doubtful, sums16, sums32, sums64)
+    memory = Memory(rasters, lists, lengths, states, silent, sums16, sums32, sums64)
     timesteps, batch = heard.shape[0], heard.shape[1]
     counts[:] = 0
     for b in range(batch):
@@ -171,7 +168,6 @@ def _forget(constants: Array, memory: Array, b: int, timesteps: int) -> None:
         at = layers[layer, STATE]
         memory.states[b, at : at + 2 * layers[layer, SIZE]] = 0.0
     memory.silent[b, :] = 0
-    memory.doubtful[b, :] = 0
     for source in range(len(sources)):
         rows = sources[source, REMEMBERS]
         at = sources[source, RASTER]
@@ -223,7 +219,7 @@ def _tick(
         spikes[:] = 0
     else:
         _drive(constants, memory, b, layer, row)
-        careful = about[CAREFUL] == 1 or memory.doubtful[b, layer] == 1
+        careful = about[CAREFUL] == 1
         if not careful:
             if about[SUM_BITS] == 16:
                 careful, busy = _leap(constants, memory.sums16, layer, before, after, spikes)
@@ -237,7 +233,6 @@ def _tick(
             _widen(memory, about[SUM_BITS], size)
             silent = memory.silent[b, first : first + size]
             busy, lost = _walk(constants, memory.sums64, layer, before, after, silent, spikes)
-            memory.doubtful[b, layer] = _too_large(after, constants.rooms[layer])
             counts[b, layer, UPDATE] += busy
             counts[b, layer, SATURATION] += lost
     _listen(constants, memory, b, layer + 1, row, timesteps)
@@ -396,16 +391,6 @@ def _widen(memory: Array, bits: int, size: int) -> None:
     elif bits == 32:
         for n in range(size):
             memory.sums64[n] = memory.sums32[n]
-
-
-@jit
-def _too_large(states: Array, rooms: Array) -> bool:
-    """Whether float64 might not decay these states (2 N,) exactly."""
-    size = len(states) // 2
-    for n in range(size):
-        if abs(states[n]) > rooms[ROOM_CURRENT] or abs(states[size + n]) > rooms[ROOM_MEMBRANE]:
-            return True
-    return False
 
 
 @jit

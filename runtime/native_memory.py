@@ -40,7 +40,6 @@ class NativeMemory:
             lengths=np.zeros((batch, lengths), np.int64),
             states=np.zeros((batch, states)),
             silent=np.zeros((batch, int(layers[:, SIZE].sum())), np.int64),
-            doubtful=np.zeros((batch, len(layers)), np.uint8),
             sums16=np.zeros(widest, np.int16),
             sums32=np.zeros(widest, np.int32),
             sums64=np.zeros(widest, np.int64),
@@ -67,7 +66,6 @@ class NativeMemory:
             lengths = other.arrays.lengths[:, there : there + past]
             self.arrays.lengths[:, at : at + past] = lengths
         self.arrays.silent[:] = other.arrays.silent
-        self.arrays.doubtful[:] = other.arrays.doubtful
 
     def _split(self, array: NDArray[Any], source: int) -> NDArray[Any]:
         """(B, remembered + T, N) of the rasters or of the lists."""

@@ -81,8 +81,7 @@ def _layers(program: Program, fixed: FixedPoint) -> Integers:
     biases = sum(s.weight.size for layer in program.layers for s in layer.synapses)
     for layer in program.layers:
         limits = bounds(program, layer, fixed, None)
-        # refractory and accumulators that overflow are never tried in float64
-        careful = fixed.refractory > 1 or limits.drive > room(fixed.accumulator)
+        careful = fixed.refractory > 1 or _too_much(layer, fixed, limits.drive)
         bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
         end = wires + len(layer.synapses)
         output = layer.name == program.output
@@ -90,6 +89,15 @@ def _layers(program: Program, fixed: FixedPoint) -> Integers:
         rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
         neurons, wires = neurons + layer.size, end
     return np.array(rows, np.int64)
+
+
+def _too_much(layer: Layer, fixed: FixedPoint, drive: float) -> bool:
+    """Whether what is added in a tick could overflow the accumulator, or hide an inexact decay.
+
+    Where it cannot, a sum that float64 may hold was made from a decay that it computed exactly.
+    """
+    bias = float(np.abs(layer.voltage_bias.astype(np.int64)).max(initial=0))
+    return drive > room(fixed.accumulator) or max(drive, bias) > _exact(fixed)
 
 
 def _sources(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
@@ -133,6 +141,11 @@ def _rooms(fixed: FixedPoint) -> tuple[float, float, float]:
     """State units per weight unit, and what float64 may hold of a current and of a membrane."""
 
     def held(register: Register) -> float:
-        return float(min(room(register), 1 << (EXACT_BITS - 1 - fixed.decay_bits)))
+        return float(min(room(register), _exact(fixed)))
 
     return float(1 << fixed.mantissa_shift), held(fixed.current), held(fixed.membrane)
+
+
+def _exact(fixed: FixedPoint) -> int:
+    """Largest magnitude of three that are added, so that float64 decays their sum exactly."""
+    return 1 << (EXACT_BITS - 2 - fixed.decay_bits)

@@ -14,14 +14,16 @@ from hypothesis import strategies as st
 from runtime import backend, native_kernels
 from runtime.chip import FixedPoint, chip
 from runtime.compile import compile
+from runtime.convention import Convention
 from runtime.errors import ConfigError
 from runtime.fixed import Register
 from runtime.interpreter import Interpreter
 from runtime.ledger import EVENTS, count
 from runtime.machine import Machine
 from runtime.machine_pool import CHUNK, MachinePool
+from runtime.program import Program, Synapses
 from tests.networks import popsan
-from tests.programs import random_programs, rasters
+from tests.programs import layer, random_programs, rasters
 from tests.test_machine import check_equal, runs
 
 ROOT = Path(__file__).parent.parent
@@ -69,13 +71,13 @@ def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(program
     ours, numpy = (Machine(program, batch, backend=name) for name in ("numba", "numpy"))
     for raster in rasters(program, *run, inferences=3):
         np.testing.assert_array_equal(ours.infer(raster), numpy.infer(raster))
-        for layer in program.layers:
+        for one in program.layers:
             for found, expected in (
                 (ours.current, numpy.current),
                 (ours.membrane, numpy.membrane),
             ):
-                assert found[layer.name].dtype == expected[layer.name].dtype
-                np.testing.assert_array_equal(found[layer.name], expected[layer.name])
+                assert found[one.name].dtype == expected[one.name].dtype
+                np.testing.assert_array_equal(found[one.name], expected[one.name])
     check_ledgers(ours, numpy)
 
 
@@ -89,8 +91,7 @@ def test_step_by_step_it_equals_the_numpy_kernels(program, run):
         for step in range(timesteps):
             spikes = raster[:, step]
             np.testing.assert_array_equal(ours.step(spikes), numpy.step(spikes))
-            for layer in program.layers:
-                name = layer.name
+            for name in [one.name for one in program.layers]:
                 np.testing.assert_array_equal(ours.current[name], numpy.current[name])
                 np.testing.assert_array_equal(ours.membrane[name], numpy.membrane[name])
         check_ledgers(ours, numpy)
@@ -178,19 +179,38 @@ def test_weights_and_sums_of_any_width_are_exact():
     for factor in (1, 1 << 7, 1 << 16, 1 << 30):  # weights and sums of 8 to 64 bits
         layers = [
             replace(
-                layer,
+                one,
                 synapses=tuple(
-                    replace(s, weight=s.weight.astype(np.int64) * factor) for s in layer.synapses
+                    replace(s, weight=s.weight.astype(np.int64) * factor) for s in one.synapses
                 ),
-                bias=layer.bias.astype(np.int64) * factor,
-                threshold=layer.threshold * factor,
+                bias=one.bias.astype(np.int64) * factor,
+                threshold=one.threshold * factor,
             )
-            for layer in narrow.layers
+            for one in narrow.layers
         ]
         program = replace(narrow, chip=datasheet, layers=tuple(layers))
         machine = Machine(program, 2, trace=True, backend="numba")
         machine.infer(raster)
         check_equal(machine.recordings, Interpreter(program, 2).run(raster))
+
+
+@compiled
+def test_a_state_that_float64_cannot_decay_exactly_is_decayed_in_whole_numbers():
+    # 49 bits times 12 are too many, though the next drive makes the sum small again
+    none = Register(62, "none")
+    datasheet = chip("loihi1", accumulator=none, current=none, membrane=none)
+    rng = np.random.default_rng(0)
+    large = (1 << 43) + rng.integers(0, 1 << 42, 300)
+    weight = np.stack([large, -large])
+    neurons = layer(
+        datasheet.fixed, "n", weight.T, (Synapses("input", weight, delay=1),),
+        decays=(0, 4096), threshold=1 << 60, start=1,
+    )  # fmt: skip
+    program = Program(datasheet, Convention(1e-3), "input", 2, (neurons,), "n", None)
+    machine = Machine(program, trace=True, backend="numba")
+    raster = np.array([[[1, 0], [0, 1], [0, 0]]], np.uint8)
+    machine.infer(raster)
+    check_equal(machine.recordings, Interpreter(program, 1).run(raster))
 
 
 @compiled
