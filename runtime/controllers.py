@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.artifact import Artifact
+from runtime.backend import Backend
 from runtime.chip import Chip
 from runtime.compile import compile
 from runtime.errors import ArtifactError
@@ -25,6 +26,7 @@ class SpikingController:
     chip: what it runs on; None is the float twin, in float64.
     ledger: rows to keep, as in Recorder.
     sampled: draw one of several actions from the softmax of their scores; else the best is taken.
+    backend: what computes on a chip, as in Machine; the float twin is always NumPy.
     options: for compile.
     """
 
@@ -34,6 +36,7 @@ class SpikingController:
         chip: Chip | None = None,
         ledger: Rows = "each",
         sampled: bool = False,
+        backend: Backend = "numpy",
         **options: Any,  # noqa: ANN401
     ) -> None:
         if artifact.codec is None:
@@ -47,7 +50,7 @@ class SpikingController:
         self.network: FloatMachine | MachinePool = (
             FloatMachine(artifact, ledger)
             if chip is None
-            else MachinePool(compile(artifact, chip, **options), ledger)
+            else MachinePool(compile(artifact, chip, **options), ledger, backend)
         )
         self.reset(0)
 

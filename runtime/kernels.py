@@ -73,7 +73,7 @@ class Window:
 
     def wait(self) -> Raster:
         """No spikes, because the layer has not started."""
-        self.waiting = True
+        self.waiting, self.interpreted = True, False
         self.spikes.fill(False)
         return Raster(self.spikes)
 

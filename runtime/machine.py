@@ -1,15 +1,19 @@
 """The machine: a chip with a program on it, running."""
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.backend import Backend, compiles
 from runtime.errors import ConfigError, ObservationError, RuleError
 from runtime.ledger import EVENTS, Ledger
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
 from runtime.recorder import Recorder, Rows
+
+if TYPE_CHECKING:
+    from runtime.native import NativePipeline
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +34,9 @@ class Machine:
     ledger: rows to keep, as in Recorder, or the recorder of another machine, to go on with; one
         row per inference and copy, or per step and copy.
     trace: whether `infer` leaves a Recording of each layer in `recordings`.
+    backend: "numpy", or "numba", which computes the same several times faster, and compiles for
+        half a minute when it runs for the first time after it was installed; "auto" takes it where
+        it is installed and can run the program.
     """
 
     def __init__(
@@ -38,6 +45,7 @@ class Machine:
         batch: int = 1,
         ledger: Rows | Recorder = "each",
         trace: bool = False,
+        backend: Backend = "numpy",
     ) -> None:
         if batch < 1:
             raise ConfigError(f"batch is {batch}; the least is 1.")
@@ -45,6 +53,7 @@ class Machine:
         self.program, self.batch = program, batch
         self.recordings: dict[str, Recording] = {}
         self._trace = trace
+        self._native = compiles(program, backend)
         self._kept = program.convention.state == "kept"
         self._recorder = ledger if isinstance(ledger, Recorder) else Recorder(program, ledger)
         self._prepared_for: tuple[Way, int] = ("row", 1)
@@ -63,21 +72,24 @@ class Machine:
         rows = self._checked(spikes, 3).swapaxes(0, 1)
         if not self._kept:
             self.reset()
-        heard = self._window(rows) if self.program.feed_forward else self._rows(rows)
-        return self._output(heard)
+        if self.program.feed_forward:
+            return self._output(self._window(rows, "window"))
+        return self._output(self._window(rows, "row") if self._native else self._rows(rows))
 
-    def step(self, spikes: NDArray[Any]) -> Floats:
+    def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:
         """Output (B, act) after one chip timestep with the input spikes (B, M).
 
         Layers run on from step to step until `reset`; spikes travel as late as on the chip.
+
+        out: memory (B, act) for the output, float64; with it the "numba" backend allocates nothing.
         """
         rows = self._checked(spikes, 2)[None]
         pipeline = self._prepared("step", 1)
         heard = pipeline.run(rows, self._step)
         if self._recorder.keeps:
-            self._recorder.observe(pipeline.tally, pipeline.observe())
+            pipeline.report(self._recorder)
         self._step += 1
-        return np.asarray(self._output(heard)[:, 0])
+        return np.asarray(self._output(heard)[:, 0]) if out is None else self._write(heard[0], out)
 
     @property
     def ledger(self) -> Ledger:
@@ -87,16 +99,16 @@ class Machine:
     @property
     def current(self) -> dict[str, NDArray[Any]]:
         """(B, N) of each layer now [state units]."""
-        return {name: last.current[:, -1] for name, last in self._last().items()}
+        return {name: current for name, (current, _) in self._now().items()}
 
     @property
     def membrane(self) -> dict[str, NDArray[Any]]:
         """(B, N) of each layer now [state units]."""
-        return {name: last.membrane[:, -1] for name, last in self._last().items()}
+        return {name: membrane for name, (_, membrane) in self._now().items()}
 
-    def _last(self) -> dict[str, Recording]:
+    def _now(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         running = self._pipeline if self._running else self._build("row", 1)
-        return running.recordings()
+        return running.now()
 
     def _checked(self, spikes: NDArray[Any], axes: int) -> NDArray[Any]:
         width = self.program.width
@@ -113,42 +125,57 @@ class Machine:
             )
         return spikes
 
-    def _prepared(self, way: Way, timesteps: int) -> Pipeline:
+    def _prepared(self, way: Way, timesteps: int) -> "Pipeline | NativePipeline":
         """The memory for a way of running, which has to stay the same while states are kept."""
         if (way, timesteps) != self._prepared_for:
-            if self._running and self._pipeline.schedule.kept:
+            before, goes_on = self._pipeline, self._running and self._pipeline.schedule.kept
+            if goes_on and not way == self._prepared_for[0] == "row":
                 raise ConfigError(
                     "the machine holds the state of a run with another number of timesteps, or of "
                     "step and not infer. Call reset() first."
                 )
             self._pipeline = self._build(way, timesteps)
             self._prepared_for = (way, timesteps)
+            if goes_on:
+                # only compiled ones run several rows at once
+                cast("NativePipeline", self._pipeline).resume(cast("NativePipeline", before))
         self._running = True
         return self._pipeline
 
-    def _build(self, way: Way, timesteps: int) -> Pipeline:
-        program = self.program
-        if way == "window":
-            steps = program.steps(timesteps)
-            schedule = Schedule(timesteps, program.lags, self._kept, steps)
-        else:
-            late = program.delays if way == "step" else program.lags
-            schedule = Schedule(1, late, kept=True, steps=1)
-        return Pipeline(program, schedule, self.batch)
+    def _build(self, way: Way, timesteps: int) -> "Pipeline | NativePipeline":
+        program, native = self.program, self._native
+        late = program.delays if way == "step" else program.lags
+        steps = program.steps(timesteps) if way == "window" or (native and way == "row") else 1
+        kept = self._kept or way != "window"
+        schedule = Schedule(timesteps, late, kept, steps)
+        if not native:
+            return Pipeline(program, schedule, self.batch)
+        # loads the compiler, which takes longer than everything else
+        from runtime.native import NativePipeline
 
-    def _window(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """What the readout hears (T, B, N) when each layer runs all timesteps at once."""
-        pipeline = self._prepared("window", len(rows))
+        return NativePipeline(
+            program,
+            schedule,
+            self.batch,
+            rowwise=way == "row",
+            trace=self._trace,
+            counting=self._recorder.keeps,
+        )
+
+    def _window(self, rows: NDArray[Any], way: Way) -> NDArray[Any]:
+        """What the readout hears (T, B, N) when the pipeline runs all timesteps at once."""
+        pipeline = self._prepared(way, len(rows))
         heard = pipeline.run(rows)
         if self._recorder.keeps:
-            self._recorder.observe(pipeline.tally, pipeline.observe())
+            pipeline.report(self._recorder)
         if self._trace:
             self.recordings = pipeline.recordings()
         return heard
 
     def _rows(self, rows: NDArray[Any]) -> NDArray[Any]:
         """The same when all layers run one timestep after another, which closes loops."""
-        pipeline, steps = self._prepared("row", 1), self.program.steps(len(rows))
+        pipeline = cast("Pipeline", self._prepared("row", 1))
+        steps = self.program.steps(len(rows))
         heard, seen, traced = [], [], []
         for row in rows:
             # the pipeline uses its memory again for the next row
@@ -169,6 +196,16 @@ class Machine:
         spikes = heard.astype(np.float64)
         output = self.program.readout(spikes) if self.program.readout else spikes
         return np.asarray(output.swapaxes(0, 1))
+
+    def _write(self, heard: NDArray[Any], out: Floats) -> Floats:
+        """The same of one row (B, N), into memory that is there."""
+        readout, spikes = self.program.readout, heard.astype(np.float64, copy=False)
+        if readout is None:
+            np.copyto(out, spikes)
+        else:
+            np.dot(spikes, readout.weight, out)
+            np.add(out, readout.bias, out)
+        return out
 
 
 def _check_fast(program: Program) -> None:

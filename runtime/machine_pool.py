@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.backend import Backend
 from runtime.ledger import Ledger
 from runtime.machine import Machine
 from runtime.program import Program
@@ -19,10 +20,12 @@ class MachinePool:
 
     program: what they run.
     ledger: rows to keep, as in Recorder.
+    backend: what computes, as in Machine.
     """
 
-    def __init__(self, program: Program, ledger: Rows = "each") -> None:
+    def __init__(self, program: Program, ledger: Rows = "each", backend: Backend = "numpy") -> None:
         self.program = program
+        self._backend = backend
         self._recorder = Recorder(program, ledger)
         self._machines: dict[int, Machine] = {}
 
@@ -49,5 +52,7 @@ class MachinePool:
 
     def _machine(self, batch: int) -> Machine:
         if batch not in self._machines:
-            self._machines[batch] = Machine(self.program, batch, self._recorder)
+            self._machines[batch] = Machine(
+                self.program, batch, self._recorder, backend=self._backend
+            )
         return self._machines[batch]

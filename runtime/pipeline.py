@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.kernels import Window
 from runtime.program import Layer, Program
+from runtime.recorder import Recorder
 from runtime.relay import Relay
 from runtime.synapses import Raster
 from runtime.tally import Observation, Tally
@@ -91,6 +92,17 @@ class Pipeline:
     def observe(self) -> Observation:
         """What the ledger needs of the last window."""
         return self.tally.observe(self._emitted)
+
+    def report(self, recorder: Recorder) -> None:
+        """Enter the last window in the ledger."""
+        recorder.observe(self.tally, self.observe())
+
+    def now(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+        """Current and membrane (B, N) of each layer."""
+        return {
+            name: (recording.current[:, -1], recording.membrane[:, -1])
+            for name, recording in self.recordings().items()
+        }
 
     def recordings(self) -> dict[str, Recording]:
         """What each layer did in the last window."""

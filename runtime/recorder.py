@@ -73,8 +73,11 @@ class Recorder:
         self._timesteps += rows * timesteps
         self._steps += rows * steps
         if self.rows == "total":
-            counts = counts.sum(axis=0, keepdims=True) + self._counts[: self._used].sum(axis=0)
-            self._used = 0
+            # into memory that is there: a machine may come by a thousand times a second
+            for row in counts:
+                np.add(self._counts[0], row, self._counts[0])
+            self._used = 1
+            return
         end = self._used + len(counts)
         if end > len(self._counts):
             grown = np.zeros((2 * end, *self._counts.shape[1:]), np.int64)

@@ -1,0 +1,50 @@
+"""The backends: what computes a program; all of them compute the same."""
+
+from importlib.util import find_spec
+from typing import Literal, get_args
+
+from runtime.chip import FixedPoint
+from runtime.errors import ConfigError
+from runtime.program import Program
+
+# "numpy" needs nothing else; "numba" compiles, several times faster; "auto" compiles where it can
+Backend = Literal["numpy", "numba", "auto"]
+# what registers may do when a number does not fit, of all that `runtime.fixed` has
+OVERFLOWS = ("none", "wrap", "wrap-once", "clip")
+
+
+def compiles(program: Program, backend: Backend) -> bool:
+    """Whether the program is to run compiled; the compiler itself is not loaded."""
+    if backend not in get_args(Backend):
+        raise ConfigError(f"backend {backend!r} is unknown. Choose 'numpy', 'numba' or 'auto'.")
+    if backend == "numpy":
+        return False
+    obstacle = _obstacle(program)
+    if obstacle and backend == "numba":
+        raise ConfigError(f"backend 'numba': {obstacle} Or choose backend='numpy'.")
+    return obstacle is None
+
+
+def _beyond(fixed: FixedPoint) -> bool:
+    """Whether registers do what only the interpreter and the NumPy kernels compute."""
+    registers = fixed.accumulator, fixed.current, fixed.membrane
+    strange = any(r.overflow not in OVERFLOWS or r.between is not None for r in registers)
+    return strange or fixed.push.overflow != "none"
+
+
+def _obstacle(program: Program) -> str | None:
+    """Why the program cannot run compiled, and what to do."""
+    fixed = program.chip.fixed
+    if fixed is None:
+        return (
+            f"chip {program.chip.name!r} has no integers, so its sums depend on their order, and "
+            "compiled ones would not be equal. Choose a chip with integers."
+        )
+    if _beyond(fixed):
+        return (
+            f"chip {program.chip.name!r} has a register that the compiled kernels do not know: one "
+            "that saturates, has a narrower range, or holds the push."
+        )
+    if find_spec("numba") is None:
+        return "Numba is not installed. Install it with pip install 'spikedeploy[fast]'."
+    return None

@@ -1,0 +1,479 @@
+"""The compiled kernels: a window of a whole program in one call, equal to the interpreter.
+
+Plain Python that Numba compiles to vector instructions when a machine first needs it. Nothing is
+allocated in here. Every constant is in this file, since Numba compiles anew when this file changes
+and knows of no other.
+
+A tick is tried in float64, which holds 24-bit states and their products with 12-bit decays exactly.
+Where a number does not fit its register, the same tick is done again in int64 by the specification,
+from the state before it, which is still there.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from runtime.jit import jit
+
+Array = Any  # the compiler sees the types
+Number = Any
+
+# events, in the order of runtime.ledger.EVENTS
+SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION = range(8)
+
+# columns of Constants.layers; STATE is where the layer's states begin in a row of Memory.states,
+# BIAS where its biases begin in Constants.weights
+SIZE, NEURON, STATE, FIRST_WIRE, LAST_WIRE, SUM_BITS, CAREFUL, START = range(8)
+BIAS, BIAS_FAN_OUT, IS_OUTPUT = range(8, 11)
+# columns of Constants.wires
+SOURCE, LAG, WEIGHT, FAN_OUT = range(4)
+# columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
+# LENGTHS begin in a row of the memory
+NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
+# entries of Constants.chip
+SHIFT, DECAY_BITS, REFRACTORY, SUBTRACT = range(4)
+# rows of Constants.whole and of Constants.real
+CURRENT_KEEP, MEMBRANE_KEEP, THRESHOLD, VOLTAGE_BIAS = range(4)
+# columns of Constants.rooms
+UNIT, ROOM_CURRENT, ROOM_MEMBRANE = range(3)
+# what a register does, in Constants.registers with its bits
+NONE, WRAP, WRAP_ONCE, CLIP = range(4)
+
+
+class Constants(NamedTuple):
+    """A program as arrays; those of its layers and synapses one after another.
+
+    weights: (W,) mantissas, axon-major, and then the biases.
+    fan_out: (A,) of each axon of each synapses.
+    wires, layers, sources: a row for each, columns above; source 0 is the input, k + 1 layer k.
+    chip: entries above.
+    registers: (3, 2) what accumulator, current and membrane do, and their bits.
+    whole: (4, N) rows above; keeps in 1 / 2**decay_bits.
+    real: (4, N) the same for float64; keeps as fractions.
+    rooms: (L, 3) columns above [state units].
+    """
+
+    weights: Array
+    fan_out: Array
+    wires: Array
+    layers: Array
+    sources: Array
+    chip: Array
+    registers: Array
+    whole: Array
+    real: Array
+    rooms: Array
+
+
+class Memory(NamedTuple):
+    """What a program remembers and works with, a row for each of the batch.
+
+    rasters: (B, R) of each source the rows that are still on their way, then those of the window.
+    lists: (B, R) of each of those rows the axons that spiked.
+    lengths: (B, Q) how many.
+    states: (B, K) of each layer slots of current and membrane, used in turn; slot 0 is now.
+    silent: (B, N) timesteps of refractory left.
+    sums16, sums32, sums64: (N,) what arrives in a tick.
+    """
+
+    rasters: Array
+    lists: Array
+    lengths: Array
+    states: Array
+    silent: Array
+    sums16: Array
+    sums32: Array
+    sums64: Array
+
+
+@jit
+def run(
+    weights: Array,
+    fan_out: Array,
+    wires: Array,
+    layers: Array,
+    sources: Array,
+    chip: Array,
+    registers: Array,
+    whole: Array,
+    real: Array,
+    rooms: Array,
+    rasters: Array,
+    lists: Array,
+    lengths: Array,
+    states: Array,
+    silent: Array,
+    sums16: Array,
+    sums32: Array,
+    sums64: Array,
+    counts: Array,
+    heard: Array,
+    slots: int,
+    lag: int,
+    steps: int,
+    step: int,
+    rowwise: bool,
+    counting: bool,
+    fresh: bool,
+) -> None:
+    """One window of every layer, for each of a batch.
+
+    The fields of Constants and of Memory come one by one: that takes a microsecond and two tuples
+    would take five.
+
+    counts: (B, L, E) of the window.
+    heard: (T, B, N) spikes that leave the chip.
+    slots: of each state; 2, or T + 1 to leave a trace.
+    lag: rows by which what leaves the chip trails the output layer.
+    steps: chip timesteps that the window stands for.
+    step: chip timestep of a single row, in which layers may only wait; -1 runs all of them.
+    rowwise: all layers in one timestep after another, which closes loops; else layer by layer.
+    counting: whether somebody will look at the counts.
+    fresh: whether to begin from zero.
+    """
+    constants = Constants(
+        weights, fan_out, wires, layers, sources, chip, registers, whole, real, rooms
+    )
+    memory = Memory(rasters, lists, lengths, states, silent, sums16, sums32, sums64)
+    timesteps, batch = heard.shape[0], heard.shape[1]
+    counts[:] = 0
+    for b in range(batch):
+        if fresh:
+            _forget(constants, memory, b, timesteps)
+        for row in range(timesteps):
+            _listen(constants, memory, b, 0, row, timesteps)
+    if rowwise:
+        for b in range(batch):
+            for row in range(timesteps):
+                for layer in range(len(layers)):
+                    _tick(constants, memory, counts, b, layer, row, timesteps, slots, step)
+    else:
+        # the weights of a layer stay in the cache for the whole batch
+        for layer in range(len(layers)):
+            for b in range(batch):
+                for row in range(timesteps):
+                    _tick(constants, memory, counts, b, layer, row, timesteps, slots, step)
+    for b in range(batch):
+        _leave(constants, memory, heard, b, timesteps, lag)
+        if counting:
+            _count(constants, memory, counts, b, timesteps, steps, step)
+        _remember(constants, memory, b, timesteps, slots)
+
+
+@jit
+def _forget(constants: Array, memory: Array, b: int, timesteps: int) -> None:
+    """Zero states, and no spike on its way."""
+    layers, sources = constants.layers, constants.sources
+    for layer in range(len(layers)):
+        at = layers[layer, STATE]
+        memory.states[b, at : at + 2 * layers[layer, SIZE]] = 0.0
+    memory.silent[b, :] = 0
+    for source in range(len(sources)):
+        rows = sources[source, REMEMBERS]
+        at = sources[source, RASTER]
+        memory.rasters[b, at : at + rows * sources[source, NEURONS]] = 0
+        at = sources[source, LENGTHS]
+        memory.lengths[b, at : at + rows] = 0
+
+
+@jit
+def _listen(constants: Array, memory: Array, b: int, source: int, row: int, timesteps: int) -> None:
+    """List the spikes of a source in a row of the window."""
+    sources = constants.sources
+    size, place = sources[source, NEURONS], sources[source, REMEMBERS] + row
+    at = sources[source, RASTER] + place * size
+    spikes, axons = memory.rasters[b, at : at + size], memory.lists[b, at : at + size]
+    found = 0
+    for n in range(size):
+        # written whether it spiked or not, and overwritten if not: no jumps to guess
+        axons[found] = n
+        found += spikes[n]
+    memory.lengths[b, sources[source, LENGTHS] + place] = found
+
+
+@jit
+def _tick(
+    constants: Array,
+    memory: Array,
+    counts: Array,
+    b: int,
+    layer: int,
+    row: int,
+    timesteps: int,
+    slots: int,
+    step: int,
+) -> None:
+    """One timestep of one layer."""
+    about, own = constants.layers[layer], constants.sources[layer + 1]
+    size, first = about[SIZE], about[NEURON]
+    # not row % slots, which is a division
+    slot, next_slot = (row, row + 1) if slots > 2 else (row & 1, ~row & 1)
+    at = about[STATE] + slot * 2 * size
+    before = memory.states[b, at : at + 2 * size]
+    at = about[STATE] + next_slot * 2 * size
+    after = memory.states[b, at : at + 2 * size]
+    at = own[RASTER] + (own[REMEMBERS] + row) * size
+    spikes = memory.rasters[b, at : at + size]
+    if 0 <= step < about[START]:
+        _copy(before, after)
+        spikes[:] = 0
+    else:
+        _drive(constants, memory, b, layer, row)
+        careful = about[CAREFUL] == 1
+        if not careful:
+            if about[SUM_BITS] == 16:
+                careful, busy = _leap(constants, memory.sums16, layer, before, after, spikes)
+            elif about[SUM_BITS] == 32:
+                careful, busy = _leap(constants, memory.sums32, layer, before, after, spikes)
+            else:
+                careful, busy = _leap(constants, memory.sums64, layer, before, after, spikes)
+            if not careful:
+                counts[b, layer, UPDATE] += busy
+        if careful:
+            _widen(memory, about[SUM_BITS], size)
+            silent = memory.silent[b, first : first + size]
+            busy, lost = _walk(constants, memory.sums64, layer, before, after, silent, spikes)
+            counts[b, layer, UPDATE] += busy
+            counts[b, layer, SATURATION] += lost
+    _listen(constants, memory, b, layer + 1, row, timesteps)
+
+
+@jit
+def _drive(constants: Array, memory: Array, b: int, layer: int, row: int) -> None:
+    """Sum the weights that arrive, in numbers as small as the bounds allow."""
+    bits = constants.layers[layer, SUM_BITS]
+    if bits == 16:
+        _arrive(constants, memory, memory.sums16, b, layer, row)
+    elif bits == 32:
+        _arrive(constants, memory, memory.sums32, b, layer, row)
+    else:
+        _arrive(constants, memory, memory.sums64, b, layer, row)
+
+
+@jit
+def _arrive(constants: Array, memory: Array, sums: Array, b: int, layer: int, row: int) -> None:
+    """Fill sums (N,) with those of the bias and of each axon that spiked."""
+    about, wires, sources = constants.layers[layer], constants.wires, constants.sources
+    size, at = about[SIZE], about[BIAS]
+    bias = constants.weights[at : at + size]
+    for n in range(size):
+        sums[n] = bias[n]
+    for wire in range(about[FIRST_WIRE], about[LAST_WIRE]):
+        source = wires[wire, SOURCE]
+        place = sources[source, REMEMBERS] + row - wires[wire, LAG]
+        at = sources[source, RASTER] + place * sources[source, NEURONS]
+        found = memory.lengths[b, sources[source, LENGTHS] + place]
+        _gather(
+            sums, constants.weights, wires[wire, WEIGHT], size, memory.lists[b, at : at + found]
+        )
+
+
+@jit
+def _gather(sums: Array, weights: Array, start: int, size: int, axons: Array) -> None:
+    """Add the weights of some axons, four at a time: each sum is fetched a quarter as often."""
+    whole = len(axons) // 4 * 4
+    for k in range(0, whole, 4):
+        at = start + axons[k] * size
+        one = weights[at : at + size]
+        at = start + axons[k + 1] * size
+        two = weights[at : at + size]
+        at = start + axons[k + 2] * size
+        three = weights[at : at + size]
+        at = start + axons[k + 3] * size
+        four = weights[at : at + size]
+        for n in range(size):
+            sums[n] += one[n] + two[n] + three[n] + four[n]
+    for k in range(whole, len(axons)):
+        at = start + axons[k] * size
+        one = weights[at : at + size]
+        for n in range(size):
+            sums[n] += one[n]
+
+
+@jit
+def _leap(
+    constants: Array, sums: Array, layer: int, before: Array, after: Array, spikes: Array
+) -> tuple[bool, int]:
+    """A tick in float64: whether a number was too large for it, and how many neurons were busy."""
+    size, first = len(spikes), constants.layers[layer, NEURON]
+    keep_current = constants.real[CURRENT_KEEP, first : first + size]
+    keep_membrane = constants.real[MEMBRANE_KEEP, first : first + size]
+    threshold = constants.real[THRESHOLD, first : first + size]
+    bias = constants.real[VOLTAGE_BIAS, first : first + size]
+    rooms, subtract = constants.rooms[layer], constants.chip[SUBTRACT] == 1
+    unit, room_current, room_membrane = rooms[UNIT], rooms[ROOM_CURRENT], rooms[ROOM_MEMBRANE]
+    too_large, busy = 0, 0
+    for n in range(size):
+        left = before[size + n]
+        current = np.trunc(before[n] * keep_current[n]) + sums[n] * unit
+        membrane = np.trunc(left * keep_membrane[n]) + current + bias[n]
+        too_large |= (abs(current) > room_current) | (abs(membrane) > room_membrane)
+        busy += (left != 0.0) | (current != 0.0) | (bias[n] != 0.0)
+        fired = membrane > threshold[n]
+        rest = membrane - threshold[n] if subtract else 0.0
+        after[n] = current
+        after[size + n] = rest if fired else membrane
+        spikes[n] = fired
+    return too_large != 0, busy
+
+
+@jit
+def _walk(
+    constants: Array,
+    sums: Array,
+    layer: int,
+    before: Array,
+    after: Array,
+    silent: Array,
+    spikes: Array,
+) -> tuple[int, int]:
+    """A tick in int64, as runtime.interpreter.update: busy neurons, numbers that did not fit."""
+    chip, registers = constants.chip, constants.registers
+    size, first, bits = len(spikes), constants.layers[layer, NEURON], chip[DECAY_BITS]
+    keep_current = constants.whole[CURRENT_KEEP, first : first + size]
+    keep_membrane = constants.whole[MEMBRANE_KEEP, first : first + size]
+    thresholds = constants.whole[THRESHOLD, first : first + size]
+    biases = constants.whole[VOLTAGE_BIAS, first : first + size]
+    busy, lost = 0, 0
+    for n in range(size):
+        bias, threshold = biases[n], thresholds[n]
+        was_current, was_membrane = np.int64(before[n]), np.int64(before[size + n])
+        wide = sums[n] << chip[SHIFT]
+        drive = _fit(wide, registers[0])
+        lost += drive != wide
+        wide = _decayed(was_current, keep_current[n], bits) + drive
+        current = _fit(wide, registers[1])
+        lost += current != wide
+        wide = _decayed(was_membrane, keep_membrane[n], bits) + current + bias
+        membrane = _fit(wide, registers[2])
+        lost += membrane != wide
+        busy += (was_membrane != 0) | (current != 0) | (bias != 0)
+        held = silent[n] > 0
+        fired = membrane > threshold and not held
+        if held:
+            membrane = 0
+        elif fired:
+            membrane = membrane - threshold if chip[SUBTRACT] == 1 else 0
+        silent[n] = chip[REFRACTORY] - 1 if fired else max(silent[n] - 1, 0)
+        after[n], after[size + n] = current, membrane
+        spikes[n] = fired
+    return busy, lost
+
+
+@jit
+def _decayed(x: Number, keep: Number, bits: Number) -> Number:
+    """What runtime.fixed.decay leaves."""
+    left = abs(x) * keep >> bits
+    return left if x >= 0 else -left
+
+
+@jit
+def _fit(x: Number, register: Array) -> Number:
+    """What runtime.fixed.Register.fit holds."""
+    overflow, half = register[0], np.int64(1) << (register[1] - 1)
+    if overflow == WRAP:
+        return (x + half) % (2 * half) - half
+    if overflow == WRAP_ONCE:
+        if x > half:
+            return x - 2 * half
+        return x + 2 * half if x <= -half else x
+    if overflow == CLIP:
+        return min(max(x, 1 - half), half - 1)
+    return x
+
+
+@jit
+def _widen(memory: Array, bits: int, size: int) -> None:
+    """Bring the sums to int64."""
+    if bits == 16:
+        for n in range(size):
+            memory.sums64[n] = memory.sums16[n]
+    elif bits == 32:
+        for n in range(size):
+            memory.sums64[n] = memory.sums32[n]
+
+
+@jit
+def _copy(source: Array, target: Array) -> None:
+    """Copy without the memory that assigning to a slice would take."""
+    for n in range(len(target)):
+        target[n] = source[n]
+
+
+@jit
+def _leave(constants: Array, memory: Array, heard: Array, b: int, timesteps: int, lag: int) -> None:
+    """Copy what leaves the chip."""
+    layers, sources = constants.layers, constants.sources
+    for layer in range(len(layers)):
+        if layers[layer, IS_OUTPUT]:
+            own = sources[layer + 1]
+            size = own[NEURONS]
+            for row in range(timesteps):
+                at = own[RASTER] + (own[REMEMBERS] + row - lag) * size
+                _copy(memory.rasters[b, at : at + size], heard[row, b])
+
+
+@jit
+def _count(
+    constants: Array,
+    memory: Array,
+    counts: Array,
+    b: int,
+    timesteps: int,
+    steps: int,
+    step: int,
+) -> None:
+    """The events of the window, as runtime.ledger.count."""
+    layers, wires, sources = constants.layers, constants.wires, constants.sources
+    for layer in range(len(layers)):
+        about, events = layers[layer], counts[b, layer]
+        for wire in range(about[FIRST_WIRE], about[LAST_WIRE]):
+            spikes, sops = _sent(constants, memory, b, wires[wire], timesteps)
+            events[SPIKE_IN] += spikes
+            events[SOP] += sops
+        own = sources[layer + 1]
+        at = own[LENGTHS] + own[REMEMBERS]
+        events[SPIKE_OUT] = memory.lengths[b, at : at + timesteps].sum()
+        always_on = 0 if 0 <= step < about[START] else timesteps
+        events[BIAS_SOP] = always_on * about[BIAS_FAN_OUT]
+        events[IDLE] = about[SIZE] * steps - events[UPDATE]
+        events[MESSAGE] = events[SPIKE_IN] + always_on * (about[BIAS_FAN_OUT] > 0)
+        if about[IS_OUTPUT]:
+            events[MESSAGE] += events[SPIKE_OUT]
+
+
+@jit
+def _sent(constants: Array, memory: Array, b: int, wire: Array, timesteps: int) -> tuple[int, int]:
+    """Spikes and synaptic operations of the rows that a source emitted in the window."""
+    source = constants.sources[wire[SOURCE]]
+    spikes, sops = 0, 0
+    for row in range(timesteps):
+        place = source[REMEMBERS] + row
+        at = source[RASTER] + place * source[NEURONS]
+        found = memory.lengths[b, source[LENGTHS] + place]
+        spikes += found
+        for axon in memory.lists[b, at : at + found]:
+            sops += constants.fan_out[wire[FAN_OUT] + axon]
+    return spikes, sops
+
+
+@jit
+def _remember(constants: Array, memory: Array, b: int, timesteps: int, slots: int) -> None:
+    """Bring the last states to slot 0, and the last rows of sources before those of a window."""
+    layers, sources = constants.layers, constants.sources
+    last = timesteps if slots > 2 else timesteps & 1
+    for layer in range(len(layers)):
+        if last:
+            size, first = 2 * layers[layer, SIZE], layers[layer, STATE]
+            at = first + last * size
+            _copy(memory.states[b, at : at + size], memory.states[b, first : first + size])
+    for source in range(len(sources)):
+        size, rows = sources[source, NEURONS], sources[source, REMEMBERS]
+        # forwards, since the rows may overlap
+        start, shift = sources[source, RASTER], timesteps * size
+        for at in range(start, start + rows * size):
+            memory.rasters[b, at] = memory.rasters[b, at + shift]
+            memory.lists[b, at] = memory.lists[b, at + shift]
+        start = sources[source, LENGTHS]
+        for at in range(start, start + rows):
+            memory.lengths[b, at] = memory.lengths[b, at + timesteps]
