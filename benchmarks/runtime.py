@@ -14,15 +14,7 @@ bytes that an inference of the compiled kernels touches, and how long that takes
 which this machine copies memory that fits its caches, or does not.
 """
 
-# ruff: noqa: E402 - the number of threads has to be set before numpy and torch are imported
-import os
-import sys
-
-# this file has the name of the package that it measures, and its folder comes first in the path
-HERE = os.path.dirname(os.path.abspath(__file__))
-sys.path[:] = [os.path.dirname(HERE), *(p for p in sys.path if os.path.abspath(p) != HERE)]
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
 import json
