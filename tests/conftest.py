@@ -1,6 +1,24 @@
 """One thread for each process of the suite: more only wait for each other on small matrices."""
 
 import os
+import sys
+
+import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run a command line; its exit code, stdout and stderr."""
+    from spikedeploy import cli
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["spikedeploy", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        out, err = capsys.readouterr()
+        return stop.value.code or 0, out, err
+
+    return call

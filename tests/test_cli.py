@@ -29,20 +29,6 @@ def stroll(monkeypatch, tmp_path):
     return tmp_path
 
 
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run a command line; its exit code, stdout and stderr."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["spikedeploy", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return stop.value.code or 0, out, err
-
-    return call
-
-
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_command_explains_itself(verb, command):
     code, out, _ = command(verb, "--help")

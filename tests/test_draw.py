@@ -1,7 +1,6 @@
 """Drawing tracks: what clicks and keys make of a sketch, its files, and its window."""
 
 import json
-import sys
 
 import numpy as np
 import pygame
@@ -10,7 +9,6 @@ import pytest
 from envs.errors import EnvError
 from envs.track import load
 from runtime.errors import ConfigError
-from spikedeploy import cli
 from spikedeploy.play import window
 from spikedeploy.play.drawing import Drawing
 from spikedeploy.play.drawing_picture import HEIGHT, View, view_of
@@ -352,20 +350,6 @@ def test_a_folder_that_nothing_can_be_written_to_is_said_in_the_window(tmp_path)
     app = Drawing(tmp_path / "file/a.json")
     app.handle(press("RETURN"))
     assert "nothing was saved" in app.message[1]
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run a command line; its exit code, stdout and stderr."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["spikedeploy", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return stop.value.code or 0, out, err
-
-    return call
 
 
 def test_the_command_says_what_it_kept(command, monkeypatch, tmp_path):

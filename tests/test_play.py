@@ -1,7 +1,6 @@
 """Windows: what keys do, what is drawn, and how they close. No display is needed."""
 
 import json
-import sys
 
 import numpy as np
 import pygame
@@ -11,7 +10,6 @@ import envs
 from envs.errors import EnvError
 from envs.rollout import Rollout, rollout
 from runtime.errors import ConfigError
-from spikedeploy import cli
 from spikedeploy.play import window
 from spikedeploy.play.drivers import Commanded, Hand, Watched
 from spikedeploy.play.driving import Driving, session
@@ -286,20 +284,6 @@ def test_worlds_that_are_no_karts_show_what_their_camera_sees(monkeypatch, tmp_p
         app.tick()
     pixels = pygame.surfarray.array3d(app.draw())
     assert (pixels[300:600, 300:500] == 50).all()
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run a command line; its exit code, stdout and stderr."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["spikedeploy", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return stop.value.code or 0, out, err
-
-    return call
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Replays: ghosts, their time, the spikes beside them, and films of them."""
 
 import json
-import sys
 from dataclasses import replace
 
 import av
@@ -19,7 +18,6 @@ from runtime.artifact import load, save
 from runtime.controllers import SpikingController
 from runtime.errors import ConfigError
 from runtime.origin import Origin
-from spikedeploy import cli
 from spikedeploy.play import window
 from spikedeploy.play.brain import gates_passed, seen_by
 from spikedeploy.play.crowd import Crowd
@@ -503,20 +501,6 @@ def test_a_film_is_no_longer_than_asked_for(run, tmp_path):
 def test_a_film_needs_a_name_that_says_what_it_is(run, tmp_path):
     with pytest.raises(ConfigError, match=r"choose a name that ends in \.mp4 or \.gif"):
         film(replay(run), tmp_path / "film.avi", seconds=1.0)
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run a command line; its exit code, stdout and stderr."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["spikedeploy", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return stop.value.code or 0, out, err
-
-    return call
 
 
 def test_the_command_films_without_a_window(command, run, tmp_path):
