@@ -14,7 +14,11 @@ track.py            walls, gates and a start; tracks/*.json are the shipped ones
 track_rules.py      which tracks can be driven
 corridor.py         random ones
 lidar.py            distances to walls along rays
-kart.py             what karts have in common: world, episode, options
+kart.py             what karts have in common: the episode
+kart_options.py     what their options stand for
+kart_world.py       their physics
+kart_situation.py   where one is and how it moves
+kart_ends.py        when one has given up
 kart_grid.py        pushed in four directions
 kart_gazebo.py      drives or turns
 kart_steer.py       throttle, brake and steering
@@ -25,6 +29,7 @@ kart_scene.py       a track on a surface
 kart_picture.py     pictures of karts
 ghosts.py           the drives of a whole training, in small files
 ghost_recorder.py   keeps them
+archive.py          arrays in files
 rollout.py          one episode of a controller, recorded
 
 A new environment is one file and one line in ENVS.

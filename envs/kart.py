@@ -9,60 +9,28 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
-import pymunk
 from numpy.typing import NDArray
 
 from envs import track as tracks
 from envs.corridor import cells_in, corridor
 from envs.errors import EnvError
-from envs.kart_observation import CLASSIC_RAYS, Observer
-from envs.kart_reward import ClassicReward, Deed, PathReward, Reward
+from envs.kart_ends import ClassicEnds, ClassicStall, Stall
+from envs.kart_observation import Observer
+from envs.kart_options import lidar_options, one_of, reward_of
+from envs.kart_reward import ClassicReward, Deed
+from envs.kart_situation import Situation
+from envs.kart_world import KartWorld
 from envs.lidar import Lidar, LidarOptions
 from envs.track import Track
-from envs.track_rules import RADIUS
 
 FloatArray = NDArray[np.float64]
 
 CONTROL_DT = 1.0 / 60.0  # [s]
-MASS = 1.0
-STALL = 120  # [steps] without getting on, after which a kart has given up
-GETTING_ON = 20.0  # [px] by which the remaining path must have become shorter
-KART, WALL, GATE = 1, 2, 3  # collision types
-
-
-class Situation(NamedTuple):
-    """Where a kart is and how it moves.
-
-    x, y, heading  [px], [rad]
-    velocity       (2,) [px/s]
-    turn           [rad/s], clockwise
-    next_gate      index of the gate that comes next; the number of gates when all are passed
-    """
-
-    x: float
-    y: float
-    heading: float
-    velocity: tuple[float, float]
-    turn: float
-    next_gate: int
-
-
-@dataclass(frozen=True)
-class ClassicEnds:
-    """When kart-simulator gives an episode up.
-
-    still       steps below 25 px/s in a row, 0 for never
-    deserting   steps of negative progress in a row, 0 for never
-    """
-
-    still: int
-    deserting: int
 
 
 class KartEnv(gymnasium.Env[FloatArray, Any]):
@@ -82,6 +50,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     in circles are failures of the driver, not of the clock), or after max_steps (truncated).
     """
 
+    _at: Situation
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012
     CONTROL_DT: ClassVar[float] = CONTROL_DT
     ACTIONS: ClassVar[tuple[str, ...]]
@@ -105,16 +74,16 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         start: Literal["random", "fixed"] = "random",
         render_mode: str | None = None,
     ) -> None:
-        _one_of("preset", preset, ("default", "classic"))
-        _one_of("start", start, ("random", "fixed"))
-        _one_of("render_mode", render_mode, (None, "rgb_array"))
+        one_of("preset", preset, ("default", "classic"))
+        one_of("start", start, ("random", "fixed"))
+        one_of("render_mode", render_mode, (None, "rgb_array"))
         if not isinstance(max_steps, int) or max_steps < 1:
             raise EnvError(f"max_steps must be a whole number from 1, found {max_steps!r}")
         classic = preset == "classic"
         self.max_steps, self.render_mode = max_steps, render_mode
         self._classic, self._start_fixed = classic, start == "fixed"
-        self.lidar = Lidar(self._lidar_options(lidar))
-        self._reward = self._reward_of(preset if reward is None else reward)
+        self.lidar = Lidar(lidar_options(lidar, self.RANGE, classic))
+        self._reward = reward_of(preset if reward is None else reward, self.CLASSIC)
         self._cells = cells_in(track) if isinstance(track, str) else None
         self._course = self._load(track)
         self._build(self._course)
@@ -125,6 +94,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (self._observer.size,), np.float64)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(self.ACTIONS))
         self._begin()
+        self._take_stock()
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -162,8 +132,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
             self._build(self._course.swayed(self.np_random))
         self._begin()
         self._place_at_start()
-        self._at = self._situation()
-        self._remaining = self._best = self._path_left(self._at)
+        self._take_stock()
         self._look()
         return self._observation(), self._info({}, finish=False, crash=False, stalled=False)
 
@@ -171,13 +140,12 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         """Drive for 1/60 s."""
         before = self._at
         self._steps += 1
-        self._touched_wall = False
         self._act(action)
-        self._space.step(CONTROL_DT)
+        self._world.step(CONTROL_DT)
         self._move()
         passed = self._pass_gates()
         finish = self._next == len(self.track.gates)
-        crash = self._touched_wall and not finish
+        crash = self._world.touched_wall and not finish
         now = self._at = self._situation()
         self._distance += math.hypot(now.x - before.x, now.y - before.y)
         deed = self._deed(before, now, passed, finish, crash)
@@ -235,32 +203,6 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _steering(self) -> int:
         """Whether the kart was steered: 1 clockwise, -1 the other way, 0 not."""
 
-    def _one_of_actions(self, action: Any) -> str:  # noqa: ANN401
-        """The name of an action, or the reason why there is none."""
-        index = np.asarray(action)
-        if index.shape or index.dtype.kind not in "iu" or not 0 <= index < len(self.ACTIONS):
-            raise EnvError(
-                f"action {action!r} is none of the {len(self.ACTIONS)} of this kart: 0 to "
-                f"{len(self.ACTIONS) - 1}, {', '.join(self.ACTIONS)}"
-            )
-        return self.ACTIONS[int(index)]
-
-    def _lidar_options(self, given: LidarOptions | Mapping[str, Any] | None) -> LidarOptions:
-        """The options that were given, over those of the preset."""
-        if isinstance(given, LidarOptions):
-            return given
-        defaults: dict[str, Any] = {"range": self.RANGE}
-        if self._classic:
-            # the seed's rays begin straight behind the kart, and none points ahead
-            defaults |= {"count": CLASSIC_RAYS, "facing": -math.pi}
-        return LidarOptions.of(given or {}, **defaults)
-
-    def _reward_of(self, reward: str | Mapping[str, float]) -> Reward:
-        if isinstance(reward, Mapping):
-            return PathReward(reward)
-        _one_of("reward", reward, ("default", "classic"))
-        return self.CLASSIC if reward == "classic" else PathReward()
-
     def _load(self, track: str | Path | Track) -> Track:
         if isinstance(track, Track):
             return track
@@ -269,53 +211,26 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         return tracks.load(track)
 
     def _build(self, track: Track) -> None:
-        """Put walls and gates into a new space, and the kart into it."""
+        """Make the world of a track, and show its walls to the LIDAR."""
         self.track = track
         self.lidar.show(track.walls)
-        self._kart = pymunk.Body(MASS, pymunk.moment_for_circle(MASS, 0.0, RADIUS))
-        self._space = pymunk.Space()
-        self._space.on_collision(KART, WALL, begin=self._touch_wall)
-        self._space.on_collision(KART, GATE, begin=self._enter_gate, separate=self._leave_gate)
-        for a, b in track.walls:
-            self._add_line(a, b, WALL)
-        self._gates = {
-            self._add_line(a, b, GATE): number for number, (a, b) in enumerate(track.gates)
-        }
-        self._shape = pymunk.Circle(self._kart, RADIUS)
-        self._shape.collision_type = KART
-        self._space.add(self._kart, self._shape)
-
-    def _add_line(self, a: FloatArray, b: FloatArray, kind: int) -> pymunk.Segment:
-        """Add a line that is felt but stops nobody."""
-        line = pymunk.Segment(self._space.static_body, tuple(a), tuple(b), 0.0)
-        line.sensor, line.collision_type = True, kind
-        self._space.add(line)
-        return line
-
-    def _touch_wall(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:  # noqa: ANN401
-        self._touched_wall = True
-
-    def _enter_gate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:  # noqa: ANN401
-        self._touching |= {self._gates[s] for s in arbiter.shapes if s in self._gates}
-
-    def _leave_gate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:  # noqa: ANN401
-        self._touching -= {self._gates[s] for s in arbiter.shapes if s in self._gates}
+        self._world = KartWorld(track)
+        self._kart = self._world.kart
 
     def _begin(self) -> None:
         """Forget the last episode."""
-        # out and in again: the space would go on believing in touches of the last episode
-        self._space.remove(self._kart, self._shape)
-        self._space.add(self._kart, self._shape)
-        self._kart.velocity, self._kart.angular_velocity, self._kart.angle = (0.0, 0.0), 0.0, 0.0
-        self._touching: set[int] = set()
-        self._touched_wall = False
+        self._world.forget()
         self._steps: int = 0
-        self._since_gate = self._stalled_for = self._still_for = self._deserting_for = 0
+        self._since_gate: int = 0
         self._turn: float = 0.0
         self._distance: float = 0.0
         self._next: int = 0
-        self._remaining = self._best = math.inf
+
+    def _take_stock(self) -> None:
+        """Take note of where the episode begins, and of how far it is from there."""
         self._at = self._situation()
+        self._remaining = self._path_left(self._at)
+        self._ends = ClassicStall(self.CLASSIC_ENDS) if self._classic else Stall(self._remaining)
 
     def _place_at_start(self) -> None:
         low, high = self.track.heading
@@ -324,9 +239,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         if not self._start_fixed:
             dx, dy = self.np_random.uniform(-self.track.spread, self.track.spread, 2)
             x, y, heading = x + dx, y + dy, self.np_random.uniform(low, high)
-        self._kart.position = float(x), float(y)
-        self._kart.angle = float(heading) if self.TURNS else 0.0
-        self._space.reindex_shapes_for_body(self._kart)
+        self._world.place(float(x), float(y), float(heading) if self.TURNS else 0.0)
 
     def _situation(self) -> Situation:
         x, y = self._kart.position
@@ -340,7 +253,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _pass_gates(self) -> int:
         """Count the gates that were passed: those touched by the rim, in their order."""
         first = self._next
-        while self._next in self._touching:
+        while self._next in self._world.touching:
             self._next += 1
         return self._next - first
 
@@ -354,24 +267,10 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         gained, self._remaining = self._remaining - remaining, remaining
         since = self._since_gate
         self._since_gate = 0 if passed else since + 1
-        failed = crash or (not finish and self._gives_up(remaining, approach))
+        failed = crash or (not finish and self._ends.gives_up(remaining, approach, self.speed))
         towards = math.atan2(y - before.y, x - before.x) - before.heading
         steering = self._steering() if math.sin(towards) > 0 else -self._steering()
         return Deed(gained, approach, passed, since, finish, failed, self.speed, steering)
-
-    def _gives_up(self, remaining: float, approach: float) -> bool:
-        """Whether the kart does not get on any more."""
-        if self._classic:
-            ends = self.CLASSIC_ENDS
-            self._still_for = self._still_for + 1 if self.speed < 25.0 else 0
-            self._deserting_for = self._deserting_for + 1 if approach < 0 else 0
-            still = 0 < ends.still <= self._still_for
-            return still or 0 < ends.deserting <= self._deserting_for
-        if remaining < self._best - GETTING_ON:
-            self._best, self._stalled_for = remaining, 0
-        else:
-            self._stalled_for += 1
-        return self._stalled_for >= STALL
 
     def _look(self) -> None:
         """Measure with the LIDAR; `scan` (R,) [px] holds what it says."""
@@ -399,8 +298,3 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
             "distance": self._distance,
             "reward_terms": terms,
         }
-
-
-def _one_of(name: str, found: object, allowed: Sequence[object]) -> None:
-    if found not in allowed:
-        raise EnvError(f"{name} {found!r} is unknown; known: {', '.join(map(repr, allowed))}")

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-from envs.kart import ClassicEnds, KartEnv, Situation
+from envs.kart import KartEnv
+from envs.kart_ends import ClassicEnds
+from envs.kart_options import action_name
 from envs.kart_reward import ClassicReward
+from envs.kart_situation import Situation
 
 SPEED = 440.0  # [px/s] forward
 TURN = 5.68  # [rad/s] on the spot
@@ -31,7 +34,7 @@ class KartGazeboEnv(KartEnv):
         return 2.0 * math.hypot(*at.velocity) / SPEED - 1.0, at.turn / TURN
 
     def _act(self, action: Any) -> None:  # noqa: ANN401
-        self._command = self._one_of_actions(action)
+        self._command = action_name(action, self.ACTIONS)
 
     def _move(self) -> None:
         """Set what the next step will move by."""

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-from envs.kart import ClassicEnds, KartEnv, Situation
+from envs.kart import KartEnv
+from envs.kart_ends import ClassicEnds
+from envs.kart_options import action_name
 from envs.kart_reward import ClassicReward
+from envs.kart_situation import Situation
 
 PUSH = 30.0  # [px/s] that a push adds to the velocity
 TOP = 400.0  # [px/s] from which on no push acts, not even one that brakes
@@ -39,7 +42,7 @@ class KartGridEnv(KartEnv):
         return vx / TOP, vy / TOP
 
     def _act(self, action: Any) -> None:  # noqa: ANN401
-        name = self._one_of_actions(action)
+        name = action_name(action, self.ACTIONS)
         vx, vy = self._kart.velocity
         if name != "none" and math.hypot(vx, vy) < TOP:
             dx, dy = DIRECTIONS[name]

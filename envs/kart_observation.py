@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from envs.errors import EnvError
 
 if TYPE_CHECKING:
-    from envs.kart import KartEnv, Situation
+    from envs.kart import KartEnv
+    from envs.kart_situation import Situation
 
 FloatArray = NDArray[np.float64]
 

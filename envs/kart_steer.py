@@ -9,8 +9,11 @@ import gymnasium
 import numpy as np
 
 from envs.errors import EnvError
-from envs.kart import CONTROL_DT, ClassicEnds, KartEnv, Situation, _one_of
+from envs.kart import CONTROL_DT, KartEnv
+from envs.kart_ends import ClassicEnds
+from envs.kart_options import action_name, one_of
 from envs.kart_reward import ClassicReward
+from envs.kart_situation import Situation
 
 TOP = 599.0  # [px/s] from which on the throttle does nothing
 GAIN = 7.488  # [px/s] per step of full throttle
@@ -51,7 +54,7 @@ class KartSteerEnv(KartEnv):
         actions: Literal["discrete", "continuous"] = "discrete",
         **options: Any,  # noqa: ANN401
     ) -> None:
-        _one_of("actions", actions, ("discrete", "continuous"))
+        one_of("actions", actions, ("discrete", "continuous"))
         self._continuous = actions == "continuous"
         super().__init__(**options)
         if self._continuous:
@@ -68,7 +71,7 @@ class KartSteerEnv(KartEnv):
     def _effect(self, action: Any) -> tuple[float, float]:  # noqa: ANN401
         """Throttle and steering, each in [-1, 1]."""
         if not self._continuous:
-            return self.EFFECTS[self._one_of_actions(action)]
+            return self.EFFECTS[action_name(action, self.ACTIONS)]
         values = np.asarray(action, dtype=np.float64)
         if values.shape != (2,) or not np.isfinite(values).all():
             raise EnvError(f"action {action!r}: two finite numbers are needed, throttle, steering")

@@ -1,8 +1,11 @@
 """The compiled kernels: a window of a whole program in one call, equal to the interpreter.
 
 Plain Python that Numba compiles to vector instructions when a machine first needs it. Nothing is
-allocated in here. Every constant is in this file, since Numba compiles anew when this file changes
-and knows of no other.
+allocated in here.
+
+All of it is in one file on purpose, long as that is. Numba keeps what it compiled beside the file
+of the outermost function and compiles anew when that file changes; it knows of no other. A kernel
+or a constant that moved to a second file would go on running as it was when it is changed there.
 
 A tick is tried in float64, which holds 24-bit states and their products with 12-bit decays exactly.
 Where a number does not fit its register, the same tick is done again in int64 by the specification,
