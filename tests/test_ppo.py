@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -5,11 +7,12 @@ import torch
 import envs
 from envs.ghosts import Ghosts
 from runtime.errors import ConfigError
+from spikedeploy import zoo
 from tests.choosing import Choosing
 from tests.pointing import Pointing
-from trainers.config import resolve
+from trainers.config import PopsanConfig, resolve
 from trainers.metrics import read
-from trainers.policies import build
+from trainers.policies import build, from_config
 from trainers.ppo import Ppo
 from trainers.ppo_config import PpoConfig
 from trainers.ppo_learner import PpoLearner
@@ -155,3 +158,17 @@ def test_a_resumed_run_keeps_no_ghosts_of_what_it_drives_again(tmp_path):
 def test_a_world_without_poses_leaves_no_ghosts(tmp_path, world):
     run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
     assert not (run / "ghosts").exists()
+
+
+@pytest.mark.parametrize(("recipe", "name"), [("smoke", "sac"), ("smoke-distill", "distill")])
+def test_who_learns_numbers_refuses_a_world_of_choices(recipe, name, tmp_path):
+    settings = ["env.name=kart-grid"]
+    if name == "distill":
+        settings.append(f"teacher={Path(zoo.__file__).parent / 'kart-grid/ann.onnx'}")
+    with pytest.raises(ConfigError, match=f"{name} learns actions that are numbers, and .*Grid"):
+        train(recipe, overrides=settings, runs=tmp_path, quiet=True)
+
+
+def test_a_popsan_refuses_to_choose():
+    with pytest.raises(ConfigError, match="a popsan puts out numbers"):
+        from_config(PopsanConfig(), 3, 4, head="discrete")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import envs
+from runtime.errors import ConfigError
 from trainers.config import EnvConfig
 from trainers.policy import Head
 
@@ -85,6 +86,14 @@ class EnvBatch:
         """Number of actions."""
         space = self._envs[0].action_space
         return int(space.n if self.head == "discrete" else space.shape[0])
+
+    def demand_numbers(self, algorithm: str) -> None:
+        """Refuse environments that take one of several actions, for who can only learn numbers."""
+        if self.head == "discrete":
+            raise ConfigError(
+                f"{algorithm} learns actions that are numbers, and {self.env_id} takes one of "
+                f"{self.actions}: train it with a recipe of ppo"
+            )
 
     def uniform(self) -> NDArray[np.float64]:
         """Return actions (B, act) drawn uniformly."""

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from runtime.errors import ConfigError
-from trainers.config import PopsanConfig
 from trainers.distill_config import DistillConfig
 from trainers.distill_learner import DistillLearner
 from trainers.gather import fresh, walk
@@ -24,7 +23,7 @@ from trainers.normalizer import Moments
 from trainers.policies import from_config
 from trainers.run_folder import RunFolder
 from trainers.teachers import of_policy, score, teacher
-from trainers.validation import Validator
+from trainers.validation import Validator, sparsities
 
 COLUMNS = (
     "updates",
@@ -56,9 +55,7 @@ class Distill:
     @staticmethod
     def columns(config: DistillConfig) -> tuple[str, ...]:
         """Return the names of the metrics, the first of which is the step."""
-        spiking = isinstance(config.policy, PopsanConfig)
-        layers = range(1, len(config.policy.hidden) + 2) if spiking else ()
-        return (*COLUMNS, *(f"sparsity_lif{k}" for k in layers))
+        return (*COLUMNS, *sparsities(config.policy))
 
     def __init__(self, config: DistillConfig, run: RunFolder) -> None:
         self._config, self._run = config, run
@@ -67,6 +64,7 @@ class Distill:
         self._teacher = teacher(config.teacher, config.env.name)
         self._validate = Validator(config.env, config.validation)
         envs = fresh(config, 0)
+        envs.demand_numbers("distill")
         sizes = envs.observation.shape[1], envs.actions
         if sizes != (self._teacher.observations, self._teacher.actions):
             raise ConfigError(

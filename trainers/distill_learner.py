@@ -1,6 +1,7 @@
 """One gradient update of a student towards its teacher."""
 
 import math
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor
@@ -8,7 +9,8 @@ from torch import Tensor
 from trainers import adam
 from trainers.distill_config import DistillConfig
 from trainers.policy import Policy
-from trainers.popsan import PopsanPolicy, mean_over_time, mean_rate
+from trainers.popsan import PopsanPolicy
+from trainers.rates import excess, mean_over_time, mean_rate
 
 
 class DistillLearner:
@@ -40,19 +42,18 @@ class DistillLearner:
         enabled = self._config.precision == "bfloat16"
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
             if not isinstance(self.student, PopsanPolicy):
-                return self.student(observation), torch.zeros(())
+                latent = self.student.latent(observation)
+                return self.student.decide(latent.mean), self._penalty((), latent.rates)
             spikes = self.student.spikes(observation)
             action = torch.tanh(self.student.decode(mean_over_time(spikes[-1])))
-        return action, self._penalty(*(mean_rate(raster) for raster in spikes))
+        encoder, *layers = (mean_rate(raster) for raster in spikes)
+        return action, self._penalty([encoder], layers)
 
-    def _penalty(self, encoder: Tensor, *layers: Tensor) -> Tensor:
+    def _penalty(self, encoders: Iterable[Tensor], layers: Iterable[Tensor]) -> Tensor:
         """Return what mean firing rates above their targets cost."""
         config = self._config
-        # sum over layers of penalty * max(0, rate - target)
-        penalty = config.input_penalty * (encoder - config.input_target).relu()
-        for layer in layers:
-            penalty = penalty + config.rate_penalty * (layer - config.rate_target).relu()
-        return penalty
+        inputs = config.input_penalty * excess(encoders, config.input_target)
+        return inputs + config.rate_penalty * excess(layers, config.rate_target)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what a checkpoint needs beside the student."""

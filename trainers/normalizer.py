@@ -1,5 +1,6 @@
 """Observation normalisation: the part that travels with a policy, and the statistics behind it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,18 @@ class Moments:
     def empty(cls, size: int) -> "Moments":
         """Return the moments of nothing."""
         return cls(np.zeros(size), np.zeros(size))
+
+    @classmethod
+    def restored(cls, named: Mapping[str, Tensor], count: int) -> "Moments":
+        """Return the moments of a checkpoint: what `tensors` gave, and the number seen."""
+        return cls(named["moments.mean"].numpy(), named["moments.square"].numpy(), count)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the arrays by name, for a checkpoint."""
+        return {
+            "moments.mean": torch.from_numpy(self.mean),
+            "moments.square": torch.from_numpy(self.square),
+        }
 
     @property
     def std(self) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from runtime.errors import ConfigError
 from trainers.config import PolicyConfig, known
 from trainers.features import Features, features
 from trainers.mlp import MlpPolicy
@@ -52,5 +53,10 @@ def from_config(
     if "features" in spec:
         spec["features"] = features(spec["features"], observations, columns).spec()
     if head == "discrete":
-        spec["head"] = head  # PopSAN has no such head, and says so
+        if config.kind == "popsan":
+            raise ConfigError(
+                "a popsan puts out numbers, and this environment takes one of several actions: "
+                "choose policy.kind spiking-mlp or mlp"
+            )
+        spec["head"] = head
     return build(spec)

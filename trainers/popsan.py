@@ -11,6 +11,7 @@ from trainers.encoder import PopulationEncoder
 from trainers.neurons import cuba_lif, surrogate
 from trainers.normalizer import Normalizer
 from trainers.policy import Latent, Policy
+from trainers.rates import mean_over_time, mean_rate
 
 
 class PopsanPolicy(Policy):
@@ -100,14 +101,3 @@ class PopsanPolicy(Policy):
             "surrogate_width": self.surrogate_width,
             "clip": self.normalizer.clip,
         }
-
-
-def mean_over_time(spikes: Tensor) -> Tensor:
-    """Return firing rates (B, N) of spikes (T, B, N)."""
-    precise = torch.float32 if spikes.dtype == torch.bfloat16 else spikes.dtype
-    return spikes.mean(0, dtype=precise)
-
-
-def mean_rate(spikes: Tensor) -> Tensor:
-    """Return the mean firing rate of a layer, a scalar."""
-    return spikes.mean(dtype=torch.float32)

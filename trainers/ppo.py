@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from trainers.collect import EnvBatch, Steps
-from trainers.config import PopsanConfig, SpikingMlpConfig
 from trainers.episode_log import EpisodeLog
 from trainers.experience import Moment
 from trainers.ghost_log import GhostLog, leaves_ghosts
@@ -18,7 +18,7 @@ from trainers.policies import from_config
 from trainers.ppo_config import PpoConfig
 from trainers.ppo_learner import PpoLearner
 from trainers.run_folder import RunFolder
-from trainers.validation import Validator
+from trainers.validation import Validator, sparsities
 
 COLUMNS = (
     "env_steps",
@@ -52,9 +52,7 @@ class Ppo:
     @staticmethod
     def columns(config: PpoConfig) -> tuple[str, ...]:
         """Return the names of the metrics, the first of which is the step."""
-        layers = {SpikingMlpConfig: 0, PopsanConfig: 1}.get(type(config.policy))
-        count = 0 if layers is None else len(config.policy.hidden) + layers
-        return (*COLUMNS, *(f"sparsity_lif{k}" for k in range(1, count + 1)))
+        return (*COLUMNS, *sparsities(config.policy))
 
     def __init__(self, config: PpoConfig, run: RunFolder) -> None:
         self._config, self._run = config, run
@@ -119,7 +117,7 @@ class Ppo:
             observation = torch.from_numpy(self._envs.observation).float()
             perceived, drawn, log_probability = self.learner.explore(observation)
             steps = self._envs.step(self.learner.head.action(drawn).numpy())
-            moments.append(_moment(steps, perceived, drawn, log_probability))
+            moments.append(_moment(observation, steps, perceived, drawn, log_probability))
             log.add(steps, self.env_steps)
             if self._ghosts:
                 self._ghosts.add(steps, self.env_steps)
@@ -171,8 +169,7 @@ class Ppo:
         """Write everything that going on needs."""
         tensors = {
             **self.learner.tensors(),
-            "moments.mean": torch.from_numpy(self._moments.mean),
-            "moments.square": torch.from_numpy(self._moments.square),
+            **self._moments.tensors(),
             "torch_rng": torch.get_rng_state(),
         }
         state = {
@@ -188,9 +185,7 @@ class Ppo:
         """Take over the last checkpoint; episodes that were under way begin anew."""
         state, tensors = self._run.load("last")
         self.learner.load(tensors)
-        self._moments = Moments(
-            tensors["moments.mean"].numpy(), tensors["moments.square"].numpy(), state["observed"]
-        )
+        self._moments = Moments.restored(tensors, state["observed"])
         self.env_steps, self.iterations = state["env_steps"], state["iterations"]
         self.episodes, log.finishes = state["episodes"], state["finishes"]
         self.best = -np.inf if state["best"] is None else state["best"]
@@ -202,11 +197,11 @@ class Ppo:
 
 
 def _moment(
-    steps: Steps, perceived: torch.Tensor, drawn: torch.Tensor, log_probability: torch.Tensor
+    observation: Tensor, steps: Steps, perceived: Tensor, drawn: Tensor, log_probability: Tensor
 ) -> Moment:
     return Moment(
         perceived=perceived,
-        observation=torch.from_numpy(steps.observation).float(),
+        observation=observation,
         following=torch.from_numpy(steps.following).float(),
         drawn=drawn,
         log_probability=log_probability,

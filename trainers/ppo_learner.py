@@ -12,6 +12,7 @@ from trainers.experience import Batch, Moment, advantages, stacked
 from trainers.heads import exploration
 from trainers.policy import Policy
 from trainers.ppo_config import PpoConfig
+from trainers.rates import excess
 
 SMALL = 0.01  # initial scale of the last layer: all actions alike (Andrychowicz et al. 2021)
 
@@ -111,7 +112,10 @@ class PpoLearner:
         # L = -E[min(ratio A, clip(ratio) A)] - c H
         gain = torch.min(ratio * part.advantage, limited * part.advantage).mean()
         entropy = self.head.entropy(latent.mean).mean()
-        loss = self._overactive(latent.rates) - gain - self._entropy * entropy
+        loss = -gain - self._entropy * entropy
+        if self._config.rate_penalty:
+            busy = excess(latent.rates, self._config.rate_target)
+            loss = loss + self._config.rate_penalty * busy
         _descend(self._actor_adam, self.actor, loss, self._config.gradient_norm)
         with torch.no_grad():
             return {
@@ -121,13 +125,6 @@ class PpoLearner:
                 "kl": float((ratio - 1.0 - change).mean()),
                 "clipped": float((ratio != limited).float().mean()),
             }
-
-    def _overactive(self, rates: tuple[Tensor, ...]) -> Tensor:
-        """Return the penalty on layers that fire more than they should."""
-        if not rates or not self._config.rate_penalty:
-            return torch.zeros(())
-        excess = (torch.stack(rates) - self._config.rate_target).clamp(min=0)
-        return self._config.rate_penalty * excess.mean()
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what a checkpoint needs besides the policy."""

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from trainers.buffers import ReplayBuffer
 from trainers.collect import EnvBatch
-from trainers.config import PopsanConfig, SacConfig
+from trainers.config import SacConfig
 from trainers.journal import Journal
 from trainers.normalizer import Moments
 from trainers.policies import from_config
 from trainers.run_folder import RunFolder
 from trainers.sac_learner import SacLearner
-from trainers.validation import Validator
+from trainers.validation import Validator, sparsities
 
 COLUMNS = (
     "env_steps",
@@ -50,15 +50,14 @@ class Sac:
     @staticmethod
     def columns(config: SacConfig) -> tuple[str, ...]:
         """Return the names of the metrics, the first of which is the step."""
-        spiking = isinstance(config.policy, PopsanConfig)
-        layers = range(1, len(config.policy.hidden) + 2) if spiking else ()
-        return (*COLUMNS, *(f"sparsity_lif{k}" for k in layers))
+        return (*COLUMNS, *sparsities(config.policy))
 
     def __init__(self, config: SacConfig, run: RunFolder) -> None:
         self._config, self._run = config, run
         torch.manual_seed(config.seed)
         self._rng = np.random.default_rng(config.seed)
         self._envs = EnvBatch(config.env, self._rng)
+        self._envs.demand_numbers("sac")
         self._validate = Validator(config.env, config.validation)
         sizes = self._envs.observation.shape[1], self._envs.actions
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
@@ -165,8 +164,7 @@ class Sac:
         """Write everything that going on needs; at the end the replay is no longer needed."""
         tensors = {
             **self.learner.tensors(),
-            "moments.mean": torch.from_numpy(self._moments.mean),
-            "moments.square": torch.from_numpy(self._moments.square),
+            **self._moments.tensors(),
             "torch_rng": torch.get_rng_state(),
         }
         finished = self.env_steps >= self._config.steps
@@ -187,9 +185,7 @@ class Sac:
         """Take over the last checkpoint; episodes that were under way begin anew."""
         state, tensors = self._run.load("last")
         self.learner.load(tensors)
-        self._moments = Moments(
-            tensors["moments.mean"].numpy(), tensors["moments.square"].numpy(), state["observed"]
-        )
+        self._moments = Moments.restored(tensors, state["observed"])
         self.env_steps, self.updates = state["env_steps"], state["updates"]
         self.episodes = state["episodes"]
         self.best = -np.inf if state["best"] is None else state["best"]

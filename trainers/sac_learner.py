@@ -12,6 +12,7 @@ from trainers.config import SacConfig
 from trainers.critic import TwinCritic, follow
 from trainers.normalizer import Moments
 from trainers.policy import Latent, Policy
+from trainers.rates import excess
 
 AVERAGED = 10  # share of the history, one in so many, that the averaged policy spans at first
 
@@ -90,8 +91,9 @@ class SacLearner:
         """Return what saturated actions and busy neurons cost."""
         # a large mean saturates tanh, and the gait becomes bang-bang
         penalty = self._config.mean_penalty * latent.mean.square().sum(-1).mean()
-        for rate in latent.rates if self._config.rate_penalty else ():
-            penalty = penalty + self._config.rate_penalty * (rate - self._config.rate_target).relu()
+        if self._config.rate_penalty:
+            busy = excess(latent.rates, self._config.rate_target)
+            penalty = penalty + self._config.rate_penalty * busy
         return penalty
 
     def _autocast(self) -> torch.autocast:

@@ -46,6 +46,11 @@ class MlpConfig(Section):
     hidden: tuple[Positive, ...] = (512, 512)
     features: Literal["all", "phase", "bilinear"] = "all"
 
+    @property
+    def spiking_layers(self) -> int:
+        """How many layers spike, the encoder not counted."""
+        return 0
+
 
 class PopsanConfig(Section):
     """A population-coded spiking actor (Tang et al. 2020), with the hexapod's decays."""
@@ -59,6 +64,11 @@ class PopsanConfig(Section):
     threshold: Rate = 0.5
     surrogate: Literal["atan", "rectangular"] = "atan"
     surrogate_width: Rate | None = None  # None: 2.0 for atan (alpha), 0.5 for rectangular
+
+    @property
+    def spiking_layers(self) -> int:
+        """How many layers spike, the encoder not counted; the last one speaks for the actions."""
+        return len(self.hidden) + 1
 
 
 class SpikingMlpConfig(Section):
@@ -77,6 +87,11 @@ class SpikingMlpConfig(Section):
     threshold: Rate = 0.7
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "fast-sigmoid"
     surrogate_width: Rate | None = None  # None: 25 for fast-sigmoid, others as in PopsanConfig
+
+    @property
+    def spiking_layers(self) -> int:
+        """How many layers spike, the encoder not counted."""
+        return len(self.hidden)
 
 
 PolicyConfig = Annotated[MlpConfig | PopsanConfig | SpikingMlpConfig, Field(discriminator="kind")]

@@ -11,8 +11,8 @@ from trainers.encoder import PopulationEncoder
 from trainers.neurons import lif, surrogate
 from trainers.normalizer import Normalizer
 from trainers.policy import Head, Latent, Policy
-from trainers.popsan import mean_over_time, mean_rate
 from trainers.rate import RateEncoder
+from trainers.rates import mean_over_time, mean_rate
 
 Coding = Literal["regular", "bernoulli", "population"]
 

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 import envs
-from trainers.config import EnvConfig, ValidationConfig
+from trainers.config import EnvConfig, PolicyConfig, ValidationConfig
 from trainers.policy import Policy
 
 MEANS = {"speed": "eval_speed"}
@@ -83,6 +83,11 @@ def _metrics(episodes: list[_Episode]) -> dict[str, float]:
         if name in ends[0]:
             result[column] = float(np.mean([info[name] for info in ends]))
     return result
+
+
+def sparsities(policy: PolicyConfig) -> tuple[str, ...]:
+    """Return the names of the metrics that a policy's spiking layers have."""
+    return tuple(f"sparsity_lif{k}" for k in range(1, policy.spiking_layers + 1))
 
 
 def _sparsity(rates: list[list[float]]) -> dict[str, float]:
