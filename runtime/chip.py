@@ -109,8 +109,7 @@ class Chip:
 
     name: as in the table CHIPS.
     summary: one line.
-    fixed: its integer arithmetic, if it is that of Loihi.
-    events: its integer arithmetic, if it is that of Xylo. With neither it computes in float64.
+    arithmetic: what its numbers are and how they are added up; None computes in float64.
     resets: what a spike may do to the membrane, as in Convention.
     delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
         convention.
@@ -121,13 +120,22 @@ class Chip:
 
     name: str
     summary: str
-    fixed: FixedPoint | None
+    arithmetic: FixedPoint | EventPoint | None
     resets: tuple[str, ...]
     delay: int
     delay_max: int
     energy_tables: tuple[str, ...]
     sources: Mapping[str, str] = field(compare=False)
-    events: EventPoint | None = None
+
+    @property
+    def fixed(self) -> FixedPoint | None:
+        """Its arithmetic, if it is that of Loihi."""
+        return self.arithmetic if isinstance(self.arithmetic, FixedPoint) else None
+
+    @property
+    def events(self) -> EventPoint | None:
+        """Its arithmetic, if it is that of Xylo."""
+        return self.arithmetic if isinstance(self.arithmetic, EventPoint) else None
 
 
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
@@ -143,17 +151,16 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
 
 def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
     own = {f.name for f in fields(Chip)}
-    integers = datasheet.fixed or datasheet.events
-    arithmetic = {f.name for f in fields(integers)} if integers else set()
+    numbers = datasheet.arithmetic
+    inside = {f.name for f in fields(numbers)} if numbers else set()
     for key in overrides:
-        if key not in own | arithmetic:
+        if key not in own | inside:
             raise ChipError(
-                f"chip {datasheet.name!r} has no option {key!r}{_like(key, own | arithmetic)}."
+                f"chip {datasheet.name!r} has no option {key!r}{_like(key, own | inside)}."
             )
-    inner = {key: value for key, value in overrides.items() if key in arithmetic}
+    inner = {key: value for key, value in overrides.items() if key in inside}
     outer = {key: value for key, value in overrides.items() if key in own}
-    kind = "fixed" if datasheet.fixed else "events"
-    return replace(datasheet, **{kind: integers and replace(integers, **inner), **outer})
+    return replace(datasheet, **{"arithmetic": numbers and replace(numbers, **inner), **outer})
 
 
 def _like(name: str, known: Any) -> str:  # noqa: ANN401

@@ -63,7 +63,7 @@ def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer
         scale=1.0,
         start=0,
     )
-    return LoihiLayer(layer, replace(chip, fixed=fixed))
+    return LoihiLayer(layer, replace(chip, arithmetic=fixed))
 
 
 def _weights(spec: Fields, fixed: FixedPoint, fan_in: int) -> _Weights:

@@ -5,12 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from runtime.chip import CHIPS, FixedPoint, chip
+from runtime.chip import CHIPS, chip
 from runtime.compile import compile
 from runtime.controllers import SpikingController
 from runtime.energy import TABLES
 from runtime.errors import ChipError, RuleError
-from runtime.event_point import EventPoint
 from runtime.machine import Machine
 from tests.networks import popsan
 
@@ -27,11 +26,11 @@ def test_a_chip_bears_the_name_of_the_table_and_a_summary(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_number_of_a_datasheet_has_a_source(name):
     datasheet = chip(name)
-    described = {"name", "summary", "energy_tables", "sources", "events"}
+    described = {"name", "summary", "energy_tables", "sources"}
     needed = {field.name for field in dataclasses.fields(datasheet)} - described
-    for integers, kind in ((datasheet.fixed, FixedPoint), (datasheet.events, EventPoint)):
-        if integers:
-            needed = needed - {"fixed"} | {field.name for field in dataclasses.fields(kind)}
+    if datasheet.arithmetic:
+        inside = {field.name for field in dataclasses.fields(datasheet.arithmetic)}
+        needed = needed - {"arithmetic"} | inside
     assert needed == set(datasheet.sources)
     assert all(datasheet.sources.values())
 

@@ -40,7 +40,7 @@ def known(program):
     plain = replace(
         fixed, push=Register(24, "none"), membrane=Register(fixed.membrane.bits, overflow)
     )
-    return replace(program, chip=replace(program.chip, fixed=plain))
+    return replace(program, chip=replace(program.chip, arithmetic=plain))
 
 
 compilable_programs = random_programs().map(known)
@@ -305,7 +305,7 @@ def test_the_kernels_know_every_field_of_the_arithmetic():
 def test_registers_that_the_kernels_do_not_know_are_refused_and_auto_takes_numpy(register):
     program = compile(popsan(), chip("loihi1"))
     odd = replace(
-        program, chip=replace(program.chip, fixed=replace(program.chip.fixed, **register))
+        program, chip=replace(program.chip, arithmetic=replace(program.chip.fixed, **register))
     )
     with pytest.raises(ConfigError, match=r"'loihi1' has a register that the compiled kernels"):
         Machine(odd, backend="numba")

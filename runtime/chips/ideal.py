@@ -5,13 +5,13 @@ from runtime.chip import Chip
 IDEAL = Chip(
     name="ideal",
     summary="float64 through the compiled path: no rounding, no limits",
-    fixed=None,
+    arithmetic=None,
     resets=("zero", "subtract"),
     delay=0,
     delay_max=1,
     energy_tables=(),
     sources={
-        "fixed": "by definition",
+        "arithmetic": "by definition",
         "resets": "by definition: both that a convention can name",
         "delay": "by definition: the convention decides",
         "delay_max": "by definition: recurrent connections take one timestep",

@@ -40,7 +40,7 @@ _LAVA = FixedPoint(
 LOIHI1 = Chip(
     name="loihi1",
     summary="Loihi 1: 8-bit weights, 12-bit decays, 24-bit states, in lava's reading",
-    fixed=_LAVA,
+    arithmetic=_LAVA,
     resets=("zero",),
     delay=1,
     delay_max=62,
@@ -74,7 +74,7 @@ LOIHI1_BRIAN2 = replace(
     LOIHI1,
     name="loihi1-brian2",
     summary="Loihi 1 in brian2_loihi's reading: nothing overflows, spikes arrive at once",
-    fixed=replace(
+    arithmetic=replace(
         _LAVA,
         step_rounding="zero",
         exponents="weight",
@@ -109,7 +109,7 @@ LOIHI1_NENGO = replace(
     LOIHI1,
     name="loihi1-nengo",
     summary="Loihi 1 in nengo-loihi's reading: two's complement, spikes arrive at once",
-    fixed=replace(
+    arithmetic=replace(
         _LAVA,
         step_rounding="zero",
         exponents="exact",
