@@ -10,6 +10,7 @@ from runtime.errors import ConfigError, ObservationError, RuleError
 from runtime.ledger import EVENTS, Ledger
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
+from runtime.raster import not_spikes
 from runtime.recorder import Recorder, Rows
 
 if TYPE_CHECKING:
@@ -118,11 +119,11 @@ class Machine:
                 f"the spikes have shape {spikes.shape}; this machine takes ({wanted}). Give the "
                 "raster of this network, or make a machine with another batch."
             )
-        if not spikes.size or spikes.dtype.kind not in "bu" or _largest(spikes) > 1:
-            raise ObservationError(
-                f"the raster holds {spikes.dtype} values; it must hold at least one timestep, and "
-                "0 or 1 in bool or unsigned integers. Convert it with spikes.astype(bool)."
-            )
+        if not spikes.size or spikes.dtype.kind not in "bu":
+            raise not_spikes(spikes)
+        # compiled kernels look themselves
+        if not self._native and spikes.dtype.kind == "u" and _largest(spikes) > 1:
+            raise not_spikes(spikes)
         return spikes
 
     def _prepared(self, way: Way, timesteps: int) -> "Pipeline | NativePipeline":

@@ -11,6 +11,7 @@ from runtime.native_memory import NativeMemory
 from runtime.native_program import constants
 from runtime.pipeline import Recording, Schedule
 from runtime.program import Program
+from runtime.raster import not_spikes
 from runtime.recorder import Recorder
 
 
@@ -56,8 +57,11 @@ class NativePipeline:
 
         step: chip timestep of a single row; layers that start later only wait.
         """
-        self._input[...] = rows.swapaxes(0, 1)
-        run(*self._arguments, -1 if step is None else step, *self._ways, self._fresh)
+        # a view, for numbers of one type are copied ten times faster than those of two
+        values = rows.view(np.uint8) if rows.dtype.itemsize == 1 else np.minimum(rows, 2)
+        self._input[...] = values.swapaxes(0, 1)
+        if not run(*self._arguments, -1 if step is None else step, *self._ways, self._fresh):
+            raise not_spikes(rows)
         self._fresh = False
         return self._heard
 

@@ -25,9 +25,10 @@ Number = Any
 SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION = range(8)
 
 # columns of Constants.layers; STATE is where the layer's states begin in a row of Memory.states,
-# BIAS where its biases begin in Constants.weights
+# BIAS where its biases begin in Constants.weights; one that FORGETS keeps nothing of a current, and
+# of one that is PROVEN no number can be too large
 SIZE, NEURON, STATE, FIRST_WIRE, LAST_WIRE, SUM_BITS, CAREFUL, START = range(8)
-BIAS, BIAS_FAN_OUT, IS_OUTPUT = range(8, 11)
+BIAS, BIAS_FAN_OUT, IS_OUTPUT, FORGETS, PROVEN = range(8, 13)
 # columns of Constants.wires
 SOURCE, LAG, WEIGHT, FAN_OUT = range(4)
 # columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
@@ -89,6 +90,20 @@ class Memory(NamedTuple):
     sums64: Array
 
 
+class Neurons(NamedTuple):
+    """What a tick of a layer in float64 needs of Constants.real and Constants.rooms."""
+
+    keep_current: Array
+    keep_membrane: Array
+    threshold: Array
+    bias: Array
+    unit: Number
+    room_current: Number
+    room_membrane: Number
+    subtract: Number
+    watched: Number
+
+
 @jit
 def run(
     weights: Array,
@@ -118,8 +133,8 @@ def run(
     rowwise: bool,
     counting: bool,
     fresh: bool,
-) -> None:
-    """One window of every layer, for each of a batch.
+) -> bool:
+    """One window of every layer, for each of a batch; whether the input held nothing but 0 and 1.
 
     The fields of Constants and of Memory come one by one: that takes a microsecond and two tuples
     would take five.
@@ -139,28 +154,41 @@ def run(
     )
     memory = Memory(rasters, lists, lengths, states, silent, sums16, sums32, sums64)
     timesteps, batch = heard.shape[0], heard.shape[1]
+    if not _spikes_only(constants, memory, batch, timesteps):
+        return False
     counts[:] = 0
     for b in range(batch):
         if fresh:
             _forget(constants, memory, b, timesteps)
         for row in range(timesteps):
-            _listen(constants, memory, b, 0, row, timesteps)
+            _listen(constants, memory, b, 0, row)
     if rowwise:
         for b in range(batch):
             for row in range(timesteps):
                 for layer in range(len(layers)):
-                    _tick(constants, memory, counts, b, layer, row, timesteps, slots, step)
+                    _ticks(constants, memory, counts, b, layer, row, row + 1, slots, step, counting)
     else:
         # the weights of a layer stay in the cache for the whole batch
         for layer in range(len(layers)):
             for b in range(batch):
-                for row in range(timesteps):
-                    _tick(constants, memory, counts, b, layer, row, timesteps, slots, step)
+                _ticks(constants, memory, counts, b, layer, 0, timesteps, slots, step, counting)
     for b in range(batch):
         _leave(constants, memory, heard, b, timesteps, lag)
         if counting:
             _count(constants, memory, counts, b, timesteps, steps, step)
         _remember(constants, memory, b, timesteps, slots)
+    return True
+
+
+@jit
+def _spikes_only(constants: Array, memory: Array, batch: int, timesteps: int) -> bool:
+    """Whether all values of the input are 0 or 1."""
+    source, all_ = constants.sources[0], 0
+    first = source[RASTER] + source[REMEMBERS] * source[NEURONS]
+    for b in range(batch):
+        for value in memory.rasters[b, first : first + timesteps * source[NEURONS]]:
+            all_ |= value
+    return all_ <= 1
 
 
 @jit
@@ -180,7 +208,7 @@ def _forget(constants: Array, memory: Array, b: int, timesteps: int) -> None:
 
 
 @jit
-def _listen(constants: Array, memory: Array, b: int, source: int, row: int, timesteps: int) -> None:
+def _listen(constants: Array, memory: Array, b: int, source: int, row: int) -> None:
     """List the spikes of a source in a row of the window."""
     sources = constants.sources
     size, place = sources[source, NEURONS], sources[source, REMEMBERS] + row
@@ -195,70 +223,110 @@ def _listen(constants: Array, memory: Array, b: int, source: int, row: int, time
 
 
 @jit
-def _tick(
+def _ticks(
     constants: Array,
     memory: Array,
     counts: Array,
     b: int,
     layer: int,
-    row: int,
-    timesteps: int,
+    first: int,
+    last: int,
     slots: int,
     step: int,
+    counting: bool,
 ) -> None:
-    """One timestep of one layer."""
+    """Some timesteps of one layer, with sums in numbers as small as the bounds allow."""
+    about = constants.layers[layer]
+    if 0 <= step < about[START]:
+        _wait(constants, memory, b, layer, first, last, slots)
+    elif about[SUM_BITS] == 16:
+        _run(constants, memory, memory.sums16, counts, b, layer, first, last, slots, counting)
+    elif about[SUM_BITS] == 32:
+        _run(constants, memory, memory.sums32, counts, b, layer, first, last, slots, counting)
+    else:
+        _run(constants, memory, memory.sums64, counts, b, layer, first, last, slots, counting)
+    for row in range(first, last):
+        _listen(constants, memory, b, layer + 1, row)
+
+
+@jit
+def _wait(
+    constants: Array, memory: Array, b: int, layer: int, first: int, last: int, slots: int
+) -> None:
+    """Timesteps in which a layer has not started."""
     about, own = constants.layers[layer], constants.sources[layer + 1]
-    size, first = about[SIZE], about[NEURON]
+    size, states = about[SIZE], memory.states[b]
+    for row in range(first, last):
+        before, after = _slots(about, row, slots)
+        _copy(states[before : before + 2 * size], states[after : after + 2 * size])
+        at = own[RASTER] + (own[REMEMBERS] + row) * size
+        memory.rasters[b, at : at + size] = 0
+
+
+@jit
+def _slots(about: Array, row: int, slots: int) -> tuple[int, int]:
+    """Where the states before and after a row of the window begin."""
     # not row % slots, which is a division
     slot, next_slot = (row, row + 1) if slots > 2 else (row & 1, ~row & 1)
-    at = about[STATE] + slot * 2 * size
-    before = memory.states[b, at : at + 2 * size]
-    at = about[STATE] + next_slot * 2 * size
-    after = memory.states[b, at : at + 2 * size]
-    at = own[RASTER] + (own[REMEMBERS] + row) * size
-    spikes = memory.rasters[b, at : at + size]
-    if 0 <= step < about[START]:
-        _copy(before, after)
-        spikes[:] = 0
-    else:
-        _drive(constants, memory, b, layer, row)
+    return about[STATE] + slot * 2 * about[SIZE], about[STATE] + next_slot * 2 * about[SIZE]
+
+
+@jit
+def _run(
+    constants: Array,
+    memory: Array,
+    sums: Array,
+    counts: Array,
+    b: int,
+    layer: int,
+    first: int,
+    last: int,
+    slots: int,
+    counting: bool,
+) -> None:
+    """Timesteps in which a layer runs."""
+    about, own, chip = constants.layers[layer], constants.sources[layer + 1], constants.chip
+    size, neuron, rooms = about[SIZE], about[NEURON], constants.rooms[layer]
+    neurons = Neurons(
+        constants.real[CURRENT_KEEP, neuron : neuron + size],
+        constants.real[MEMBRANE_KEEP, neuron : neuron + size],
+        constants.real[THRESHOLD, neuron : neuron + size],
+        constants.real[VOLTAGE_BIAS, neuron : neuron + size],
+        rooms[UNIT],
+        rooms[ROOM_CURRENT],
+        rooms[ROOM_MEMBRANE],
+        chip[SUBTRACT] == 1,
+        about[PROVEN] == 0,
+    )
+    bias = constants.weights[about[BIAS] : about[BIAS] + size]
+    silent = memory.silent[b, neuron : neuron + size]
+    states, rasters = memory.states[b], memory.rasters[b]
+    for row in range(first, last):
+        at, to = _slots(about, row, slots)
+        before, after = states[at : at + 2 * size], states[to : to + 2 * size]
+        at = own[RASTER] + (own[REMEMBERS] + row) * size
+        spikes = rasters[at : at + size]
+        _arrive(constants, memory, sums, bias, b, layer, row)
         careful = about[CAREFUL] == 1
-        if not careful:
-            if about[SUM_BITS] == 16:
-                careful, busy = _leap(constants, memory.sums16, layer, before, after, spikes)
-            elif about[SUM_BITS] == 32:
-                careful, busy = _leap(constants, memory.sums32, layer, before, after, spikes)
-            else:
-                careful, busy = _leap(constants, memory.sums64, layer, before, after, spikes)
-            if not careful:
-                counts[b, layer, UPDATE] += busy
+        if not careful and about[FORGETS]:
+            careful = _leak(neurons, sums, before, after, spikes)
+        elif not careful:
+            careful = _leap(neurons, sums, before, after, spikes)
         if careful:
-            _widen(memory, about[SUM_BITS], size)
-            silent = memory.silent[b, first : first + size]
-            busy, lost = _walk(constants, memory.sums64, layer, before, after, silent, spikes)
-            counts[b, layer, UPDATE] += busy
+            _widen(memory.sums64, sums, size)
+            lost = _walk(constants, memory.sums64, layer, before, after, silent, spikes)
             counts[b, layer, SATURATION] += lost
-    _listen(constants, memory, b, layer + 1, row, timesteps)
+        if counting:
+            counts[b, layer, UPDATE] += _busy(neurons.bias, before, after)
 
 
 @jit
-def _drive(constants: Array, memory: Array, b: int, layer: int, row: int) -> None:
-    """Sum the weights that arrive, in numbers as small as the bounds allow."""
-    bits = constants.layers[layer, SUM_BITS]
-    if bits == 16:
-        _arrive(constants, memory, memory.sums16, b, layer, row)
-    elif bits == 32:
-        _arrive(constants, memory, memory.sums32, b, layer, row)
-    else:
-        _arrive(constants, memory, memory.sums64, b, layer, row)
-
-
-@jit
-def _arrive(constants: Array, memory: Array, sums: Array, b: int, layer: int, row: int) -> None:
+def _arrive(
+    constants: Array, memory: Array, sums: Array, bias: Array, b: int, layer: int, row: int
+) -> None:
     """Fill sums (N,) with those of the bias and of each axon that spiked."""
     about, wires, sources = constants.layers[layer], constants.wires, constants.sources
-    size, at = about[SIZE], about[BIAS]
-    bias = constants.weights[at : at + size]
+    size = about[SIZE]
     for n in range(size):
         sums[n] = bias[n]
     for wire in range(about[FIRST_WIRE], about[LAST_WIRE]):
@@ -294,30 +362,51 @@ def _gather(sums: Array, weights: Array, start: int, size: int, axons: Array) ->
 
 
 @jit
-def _leap(
-    constants: Array, sums: Array, layer: int, before: Array, after: Array, spikes: Array
-) -> tuple[bool, int]:
-    """A tick in float64: whether a number was too large for it, and how many neurons were busy."""
-    size, first = len(spikes), constants.layers[layer, NEURON]
-    keep_current = constants.real[CURRENT_KEEP, first : first + size]
-    keep_membrane = constants.real[MEMBRANE_KEEP, first : first + size]
-    threshold = constants.real[THRESHOLD, first : first + size]
-    bias = constants.real[VOLTAGE_BIAS, first : first + size]
-    rooms, subtract = constants.rooms[layer], constants.chip[SUBTRACT] == 1
-    unit, room_current, room_membrane = rooms[UNIT], rooms[ROOM_CURRENT], rooms[ROOM_MEMBRANE]
-    too_large, busy = 0, 0
+def _leap(neurons: Array, sums: Array, before: Array, after: Array, spikes: Array) -> bool:
+    """A tick in float64; whether a number was too large for it."""
+    keep_current, keep_membrane, threshold, bias, unit, room, room_membrane, subtract, watched = (
+        neurons
+    )
+    size, too_large = len(spikes), 0
     for n in range(size):
-        left = before[size + n]
         current = np.trunc(before[n] * keep_current[n]) + sums[n] * unit
-        membrane = np.trunc(left * keep_membrane[n]) + current + bias[n]
-        too_large |= (abs(current) > room_current) | (abs(membrane) > room_membrane)
-        busy += (left != 0.0) | (current != 0.0) | (bias[n] != 0.0)
+        membrane = np.trunc(before[size + n] * keep_membrane[n]) + current + bias[n]
+        if watched:
+            too_large |= (abs(current) > room) | (abs(membrane) > room_membrane)
         fired = membrane > threshold[n]
         rest = membrane - threshold[n] if subtract else 0.0
         after[n] = current
         after[size + n] = rest if fired else membrane
         spikes[n] = fired
-    return too_large != 0, busy
+    return too_large != 0
+
+
+@jit
+def _leak(neurons: Array, sums: Array, before: Array, after: Array, spikes: Array) -> bool:
+    """The same where nothing stays of a current."""
+    _, keep_membrane, threshold, bias = neurons[:4]
+    unit, room, room_membrane, subtract, watched = neurons[4:]
+    size, too_large = len(spikes), 0
+    for n in range(size):
+        current = sums[n] * unit
+        membrane = np.trunc(before[size + n] * keep_membrane[n]) + current + bias[n]
+        if watched:
+            too_large |= (abs(current) > room) | (abs(membrane) > room_membrane)
+        fired = membrane > threshold[n]
+        rest = membrane - threshold[n] if subtract else 0.0
+        after[n] = current
+        after[size + n] = rest if fired else membrane
+        spikes[n] = fired
+    return too_large != 0
+
+
+@jit
+def _busy(bias: Array, before: Array, after: Array) -> int:
+    """Neurons with a membrane, a current or a bias to add up."""
+    size, busy = len(bias), 0
+    for n in range(size):
+        busy += (before[size + n] != 0.0) | (after[n] != 0.0) | (bias[n] != 0.0)
+    return busy
 
 
 @jit
@@ -329,15 +418,15 @@ def _walk(
     after: Array,
     silent: Array,
     spikes: Array,
-) -> tuple[int, int]:
-    """A tick in int64, as runtime.interpreter.update: busy neurons, numbers that did not fit."""
+) -> int:
+    """A tick in int64, as runtime.interpreter.update; how many numbers did not fit."""
     chip, registers = constants.chip, constants.registers
     size, first, bits = len(spikes), constants.layers[layer, NEURON], chip[DECAY_BITS]
     keep_current = constants.whole[CURRENT_KEEP, first : first + size]
     keep_membrane = constants.whole[MEMBRANE_KEEP, first : first + size]
     thresholds = constants.whole[THRESHOLD, first : first + size]
     biases = constants.whole[VOLTAGE_BIAS, first : first + size]
-    busy, lost = 0, 0
+    lost = 0
     for n in range(size):
         bias, threshold = biases[n], thresholds[n]
         was_current, was_membrane = np.int64(before[n]), np.int64(before[size + n])
@@ -350,7 +439,6 @@ def _walk(
         wide = _decayed(was_membrane, keep_membrane[n], bits) + current + bias
         membrane = _fit(wide, registers[2])
         lost += membrane != wide
-        busy += (was_membrane != 0) | (current != 0) | (bias != 0)
         held = silent[n] > 0
         fired = membrane > threshold and not held
         if held:
@@ -360,7 +448,7 @@ def _walk(
         silent[n] = chip[REFRACTORY] - 1 if fired else max(silent[n] - 1, 0)
         after[n], after[size + n] = current, membrane
         spikes[n] = fired
-    return busy, lost
+    return lost
 
 
 @jit
@@ -386,14 +474,10 @@ def _fit(x: Number, register: Array) -> Number:
 
 
 @jit
-def _widen(memory: Array, bits: int, size: int) -> None:
+def _widen(wide: Array, sums: Array, size: int) -> None:
     """Bring the sums to int64."""
-    if bits == 16:
-        for n in range(size):
-            memory.sums64[n] = memory.sums16[n]
-    elif bits == 32:
-        for n in range(size):
-            memory.sums64[n] = memory.sums32[n]
+    for n in range(size):
+        wide[n] = sums[n]
 
 
 @jit

@@ -85,7 +85,9 @@ def _layers(program: Program, fixed: FixedPoint) -> Integers:
         bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
         end = wires + len(layer.synapses)
         output = layer.name == program.output
-        about = (layer.start, biases + neurons, layer.bias_fan_out, output)
+        forgets = not layer.current_keep.any()
+        proven = max(limits.current, limits.above, limits.below) <= min(_rooms(fixed)[1:])
+        about = (layer.start, biases + neurons, layer.bias_fan_out, output, forgets, proven)
         rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
         neurons, wires = neurons + layer.size, end
     return np.array(rows, np.int64)

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.errors import ObservationError
+
 
 class Raster:
     """Spikes (T, B, M), and what readers want to know of them, found once.
@@ -56,3 +58,11 @@ class Raster:
         if self._active is None:
             self._active = np.logical_or.reduce(self.bits, 0)
         return self._active
+
+
+def not_spikes(values: NDArray[Any]) -> ObservationError:
+    """The error for values that are no spikes."""
+    return ObservationError(
+        f"the raster holds {values.dtype} values; it must hold at least one timestep, and 0 or 1 "
+        "in bool or unsigned integers. Convert it with spikes.astype(bool)."
+    )

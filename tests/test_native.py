@@ -257,7 +257,7 @@ def test_a_step_into_memory_of_the_caller_allocates_nothing(rows):
 def test_machine_code_is_kept_on_disk():
     assert all(
         type(getattr(native_kernels, name)._cache).__name__ == "FunctionCache"
-        for name in ("run", "_tick", "_leap")
+        for name in ("run", "_ticks", "_leap")
     )
 
 
