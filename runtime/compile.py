@@ -1,5 +1,8 @@
 """The compiler: an artifact becomes the program of a chip."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import nir
 import numpy as np
 from numpy.typing import NDArray
@@ -9,22 +12,37 @@ from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
 from runtime.errors import RuleError
+from runtime.float_point import FloatPoint
+from runtime.float_quantize import quantise_floats
 from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantize import Rounding, quantise
+from runtime.step_point import StepPoint
+from runtime.step_quantize import check_axons, quantise_steps
 from runtime.wiring import Wire, Wiring, wiring
+
+# [timesteps] beyond any network's longest path
+ENDLESS = 1 << 30
 
 
 def compile(
-    artifact: Artifact, chip: Chip, rounding: Rounding = "nearest", stagger: bool | None = None
+    artifact: Artifact,
+    chip: Chip,
+    rounding: Rounding | None = None,
+    stagger: bool | None = None,
+    limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
 
-    rounding: of weights, biases, thresholds and decays, as in quantise.
+    rounding: of weights, biases, thresholds and decays, as in quantise; None is the chip's own.
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay.
+    limits: False emulates the arithmetic also where the chip has no room for the network, and where
+        it has not quite what the network asks for.
     """
     _check_reset(artifact.convention, chip)
+    if not limits:
+        chip = replace(chip, delay_max=ENDLESS)
     if chip.events is not None:
         raise RuleError(
             f"{chip.name}: networks cannot be compiled for it yet, only traces of it replayed. "
@@ -36,30 +54,59 @@ def compile(
     starts = _starts(wires, chip.delay if stagger else 0)
     delay = max(chip.delay, 0 if stagger else artifact.convention.delay)
     layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
-    if chip.fixed is not None:
-        layers = [quantise(layer, chip.fixed, rounding) for layer in layers]
     return Program(
         chip=chip,
         convention=artifact.convention,
         input=wires.input,
         width=wires.width,
-        layers=tuple(layers),
+        layers=tuple(_quantised(layers, chip, rounding, limits)),
         output=wires.output,
         readout=_readout(wires.readout, artifact.convention.delay),
     )
 
 
+def _quantised(
+    layers: Sequence[Layer], chip: Chip, rounding: Rounding | None, limits: bool
+) -> Sequence[Layer]:
+    """The float layers as the chip's numbers."""
+    if chip.fixed is not None:
+        return [quantise(layer, chip.fixed, rounding or "nearest") for layer in layers]
+    if chip.steps is not None:
+        quantised = [quantise_steps(a, chip, chip.steps, rounding, limits) for a in layers]
+        if limits:
+            check_axons(quantised, chip, chip.steps)
+        return quantised
+    if isinstance(chip.arithmetic, FloatPoint):
+        return [quantise_floats(a, chip.arithmetic, rounding or "nearest") for a in layers]
+    return layers
+
+
 def _check_reset(convention: Convention, chip: Chip) -> None:
     if convention.reset not in chip.resets:
         raise RuleError(
-            f"reset {convention.reset!r}: a spike on {chip.name} can only do "
+            f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
             f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
         )
-    if convention.spikes != "above" or convention.floor != "none":
+    if chip.steps is not None:
+        _check_steps(convention, chip.name, chip.steps)
+    elif convention.spikes != "above" or convention.floor != "none":
         raise RuleError(
             f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
             "sends one spike where its membrane is above the threshold, and its membrane has no "
             "floor. Run in float."
+        )
+
+
+def _check_steps(convention: Convention, name: str, point: StepPoint) -> None:
+    if convention.spikes == "many" and point.spikes_max == 1:
+        raise RuleError(
+            f"rule reset: spikes 'many': a neuron on {name} sends at most one in a timestep. Run "
+            "in float, or choose spikes 'above'."
+        )
+    if convention.floor not in point.floors:
+        raise RuleError(
+            f"rule reset: floor {convention.floor!r}: membranes on {name} can have "
+            f"{', '.join(map(repr, point.floors))}. Choose one of them, or run in float."
         )
 
 

@@ -1,7 +1,7 @@
 """The interpreter: the arithmetic of the chips as its specification, in chip time.
 
-Short and slow on purpose. Integers are int64 (float64 on `ideal`). Everything fast is tested to be
-equal to this in every current, membrane and spike.
+Short and slow on purpose. Integers are int64 (floats on `ideal` and `spinnaker2`). Everything fast
+is tested to be equal to this in every current, membrane and spike.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,8 @@ from runtime.chip import FixedPoint
 from runtime.event_point import EventPoint
 from runtime.fixed import Register, decay, shift_decay
 from runtime.program import Layer, Program
+from runtime.step_point import StepPoint
+from runtime.step_update import stepped
 
 Numbers = NDArray[Any]
 Bits = NDArray[np.bool_]
@@ -36,7 +38,7 @@ class State:
     def zero(cls, layer: Layer, batch: int) -> "State":
         """The state of a layer that was just reset."""
         shape = (batch, layer.size)
-        dtype = np.float64 if layer.threshold.dtype.kind == "f" else np.int64
+        dtype = layer.threshold.dtype if layer.threshold.dtype.kind == "f" else np.dtype(np.int64)
         currents = np.zeros((batch, *layer.current_keep.shape), dtype)
         return cls(currents, np.zeros(shape, dtype), np.zeros(shape, np.int64))
 
@@ -114,6 +116,8 @@ class Interpreter:
         """Advance a layer by one timestep, in the arithmetic of the chip."""
         if self.program.chip.events is not None:
             return update_by_events(self.program, self.program.chip.events, layer, heard, state)
+        if self.program.chip.steps is not None:
+            return update_by_steps(self.program, self.program.chip.steps, layer, heard, state)
         return update(self.program, layer, _weights(layer, heard), state)
 
     def _heard(
@@ -187,6 +191,16 @@ def update_by_events(
     busy = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
     state.current, state.membrane = current, membrane
     return Tick(spikes, busy, lost + low + turned + high)
+
+
+def update_by_steps(
+    program: Program, point: StepPoint, layer: Layer, heard: list[Numbers], state: State
+) -> Tick:
+    """Advance a layer without synaptic currents by one timestep."""
+    after = stepped(point, program.convention, layer, heard, state.membrane)
+    busy = (state.membrane != 0) | after.arrived
+    state.membrane = after.membrane
+    return Tick(after.spikes, busy, after.lost)
 
 
 def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Numbers]:

@@ -210,10 +210,10 @@ class Machine:
 
 def _check_fast(program: Program) -> None:
     """Refuse what only the interpreter computes."""
-    if program.chip.events is not None:
+    if program.chip.arithmetic is not None and program.chip.fixed is None:
         raise RuleError(
-            f"{program.chip.name} adds up event by event, which is not fast. Run the program with "
-            "runtime.interpreter.trace."
+            f"{program.chip.name} adds up event by event or in float32, which is not fast. Run the "
+            "program with runtime.interpreter.trace."
         )
     for layer in program.layers:
         if any(synapses.shift for synapses in layer.synapses):

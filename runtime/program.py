@@ -49,7 +49,7 @@ class Layer:
     threshold: (N,) membrane above which a neuron spikes [state units].
     current_keep: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
     membrane_keep: (N,) likewise of the membrane. Where decays are shifts, both hold the shift, that
-        of K currents as (K, N).
+        of K currents as (K, N); where the leak is linear, this is what it takes [state units].
     scale: float units of current and membrane per state unit.
     start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.

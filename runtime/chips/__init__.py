@@ -7,4 +7,10 @@ CHIPS: dict[str, str] = {
     "loihi1-nengo": "runtime.chips.loihi1:LOIHI1_NENGO",
     "loihi2": "runtime.chips.loihi2:LOIHI2",
     "xylo-a2": "runtime.chips.xylo_a2:XYLO_A2",
+    "spinnaker2": "runtime.chips.spinnaker2:SPINNAKER2",
+    "speck2f": "runtime.chips.speck2f:SPECK2F",
+    "truenorth": "runtime.chips.truenorth:TRUENORTH",
+    "odin": "runtime.chips.odin:ODIN",
+    "spiker": "runtime.chips.spiker:SPIKER",
+    "int": "runtime.chips.int:INT",
 }

@@ -68,6 +68,7 @@ LOIHI1 = Chip(
         "delay": f"{LAVA}: a spike arrives one timestep after it was emitted",
         "delay_max": f"{DAVIES}, p. 92: 6 bits",
     },
+    evidence=f"equal to traces of {LAVA.partition(',')[0]}, `spikedeploy verify`",
 )
 
 LOIHI1_BRIAN2 = replace(
@@ -103,6 +104,7 @@ LOIHI1_BRIAN2 = replace(
         "refractory": f"{BRIAN2}: 1 to 64, as on the chip",
         "delay": f"{BRIAN2}: a spike acts in the timestep in which it was emitted",
     },
+    evidence=f"equal to traces of {BRIAN2.partition(',')[0]}, `spikedeploy verify`",
 )
 
 LOIHI1_NENGO = replace(
@@ -129,4 +131,5 @@ LOIHI1_NENGO = replace(
         "refractory": f"{NENGO}: 1 to 64",
         "delay": f"{NENGO}: what a compartment is given acts in the same timestep",
     },
+    evidence=f"equal to traces of {NENGO.partition(',')[0]}, `spikedeploy verify`",
 )

@@ -28,4 +28,5 @@ LOIHI2 = replace(
         "delay": BOARD,
         "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {GUESS}",
     },
+    evidence="spikes of one neuron on a board, 1000 timesteps, `spikedeploy verify`",
 )

@@ -40,4 +40,5 @@ XYLO_A2 = Chip(
         "delay": f"{XYLOSIM}: spikes of hidden neurons arrive one timestep later, input at once",
         "delay_max": XYLOSIM,
     },
+    evidence="equal to traces of xylosim 0.1.3, `spikedeploy verify`",
 )
