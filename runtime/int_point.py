@@ -55,11 +55,10 @@ class IntPoint(FixedPoint):
             raise ChipError(f"mantissa_shift is {self.mantissa_shift}; choose 0 to {WIDEST_DECAY}.")
         for name in ("accumulator", "current", "push", "membrane"):
             register = getattr(self, name)
-            if register.bits > WIDEST_STATE or register.overflow == "none":
-                raise ChipError(
-                    f"{name} has {register.bits} bits and overflow {register.overflow!r}; choose "
-                    f"at most {WIDEST_STATE} bits, and what an overflow does."
-                )
+            if register.bits > WIDEST_STATE:
+                raise ChipError(f"{name} has {register.bits} bits; choose at most {WIDEST_STATE}.")
+            if register.overflow == "none" and name in ("current", "membrane"):
+                raise ChipError(f"{name} must end somewhere. Choose what an overflow does.")
         if self.threshold_max < 1:
             raise ChipError(
                 f"threshold_bits is {self.threshold_bits}, membrane has {self.membrane.bits} bits "

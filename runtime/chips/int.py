@@ -1,10 +1,11 @@
 """No chip that exists: a family with free bit widths, to find out what one would need.
 
     chip("int", weight_bits=4, decay_bits=6, membrane=Register(12, "saturate"))
-    --chip int:weight_bits=4,decay_bits=6,membrane=12-saturate
+    --chip int:weight_bits=4,decay_bits=6,membrane=12-wrap
 
-Neurons are those of Loihi 1 without what is peculiar to it: registers saturate, decays are stored
-without offsets, weights use all their bits, and a spike may reset to zero or subtract.
+Neurons are those of Loihi 1 without what is peculiar to it: registers end at the largest magnitude,
+decays are stored without offsets, weights use all their bits, and a spike may reset to zero or
+subtract.
 """
 
 from runtime.chip import Chip
@@ -29,10 +30,10 @@ INT = Chip(
         decay_bits=12,
         current_decay_offset=0,
         membrane_decay_offset=0,
-        accumulator=Register(24, "saturate"),
-        current=Register(24, "saturate"),
-        push=Register(24, "saturate"),
-        membrane=Register(24, "saturate"),
+        accumulator=Register(24, "clip"),
+        current=Register(24, "clip"),
+        push=Register(24, "none"),
+        membrane=Register(24, "clip"),
         refractory=1,
         threshold_bits=17,
     ),
@@ -57,7 +58,7 @@ INT = Chip(
         "membrane_decay_offset": FREE,
         "accumulator": f"{FREE}, 2 to 36 bits",
         "current": f"{FREE}, 2 to 36 bits",
-        "push": f"{FREE}, 2 to 36 bits",
+        "push": f"{FREE}; {DEFINED} it is no register: the membrane takes it in at once",
         "membrane": f"{FREE}, 2 to 36 bits",
         "refractory": FREE,
         "resets": f"{DEFINED}: both that a convention can name",
