@@ -22,6 +22,14 @@ Integers = NDArray[np.int64]
 
 # the shift of a membrane that does not leak
 NO_LEAK = -1
+# what to do where neurons leak otherwise than the chip's
+REMEDIES = {
+    "none": "{chip} has no leak. Train with IF neurons.",
+    "linear": "{chip} takes the same amount away in each timestep. Train with IF neurons, or "
+    "compile with limits off, which takes away what is lost half-way to the threshold.",
+    "shift": "every neuron on {chip} leaks by a shift; none without was found. Train with LIF "
+    "neurons, or compile with limits off.",
+}
 
 
 def quantise_steps(
@@ -93,17 +101,11 @@ def _check_current(layer: Layer, chip: Chip) -> None:
 
 
 def _check_leak(layer: Layer, chip: Chip, point: StepPoint, limits: bool) -> None:
-    exponential = layer.membrane_keep != 1
-    if not exponential.any() or point.leak == "shift" or (point.leak == "linear" and not limits):
+    strange = (layer.membrane_keep == 1) == (point.leak == "shift")
+    if not strange.any() or (point.leak != "none" and not limits):
         return
-    found = f"{layer.membrane_keep[exponential].min():.3g}"
-    if point.leak == "none":
-        remedy = f"{chip.name} has no leak. Train with IF neurons."
-    else:
-        remedy = (
-            f"{chip.name} takes the same amount away in each timestep. Train with IF neurons, or "
-            "compile with limits off, which takes away what is lost half-way to the threshold."
-        )
+    found = f"{layer.membrane_keep[strange].min():.3g}"
+    remedy = REMEDIES[point.leak].format(chip=chip.name)
     raise RuleError(f"rule leak: layer {layer.name!r} keeps {found} of its membrane; {remedy}")
 
 

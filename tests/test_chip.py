@@ -1,17 +1,22 @@
 """Every chip of the table keeps the same contract; a new one is tested by being there."""
 
+import contextlib
 import dataclasses
 
+import nir
 import numpy as np
 import pytest
 
+from runtime.artifact import Artifact
 from runtime.chip import CHIPS, chip
 from runtime.compile import compile
 from runtime.controllers import SpikingController
+from runtime.convention import Convention
 from runtime.energy import TABLES
 from runtime.errors import ChipError, RuleError
+from runtime.interpreter import trace
 from runtime.machine import Machine
-from tests.networks import popsan
+from tests.networks import chain, cuba, lif, popsan
 
 NAMES = sorted(CHIPS)
 COMPILED = [n for n in NAMES if chip(n).arithmetic is None or chip(n).fixed]
@@ -66,6 +71,32 @@ def test_a_chip_that_nothing_is_compiled_for_says_so(name, reset):
     convention = dataclasses.replace(artifact.convention, reset=reset)
     with pytest.raises(RuleError, match=name):
         compile(dataclasses.replace(artifact, convention=convention), chip(name))
+
+
+def suitable(name):
+    """Networks of which every chip runs one, with the chip's first reset."""
+    rng = np.random.default_rng(0)
+    # one size of weights, and signs of axons
+    weight = rng.integers(0, 2, (5, 8)) * np.where(np.arange(8) % 3 == 2, -1.0, 1.0)
+    for neurons in (cuba(5), lif(5, tau=0.004, r=4.0), nir.IF(np.full(5, 1e3), np.full(5, 2.0))):
+        network = chain(nir.Linear(weight), neurons, width=8, act=5)
+        yield Artifact(network, None, Convention(1e-3, chip(name).resets[0]))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if not chip(name).events])
+def test_every_chip_compiles_and_emulates_a_small_network_that_suits_it(name):
+    raster = (np.random.default_rng(1).random((2, 20, 8)) < 0.5).astype(np.uint8)
+    ran = []
+    for artifact in suitable(name):
+        with contextlib.suppress(RuleError):
+            ran.append(trace(compile(artifact, chip(name)), raster)["n2"])
+    assert ran
+    assert all(found.spikes.any() and found.membrane.any() for found in ran)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_chip_says_what_it_was_compared_with(name):
+    assert chip(name).evidence
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -70,7 +70,7 @@ def test_spiker_takes_fraction_bits_and_drops_what_is_left():
     ("beta", "shift"), [(0.0, 0), (0.4, 0), (0.5, 1), (0.75, 2), (0.9, 3), (0.9375, 4), (1.0, -1)]
 )
 def test_spikers_shift_is_the_whole_part_of_the_logarithm(beta, shift):
-    layer = quantised(floats([[1.0]], beta=beta), "spiker")
+    layer = quantised(floats([[1.0]], beta=beta), "spiker", limits=beta < 1)
     assert layer.membrane_keep.tolist() == [shift]
 
 
@@ -102,7 +102,7 @@ def test_what_is_wanted_goes_before_the_chips_own_rounding():
 def test_a_weight_is_off_by_less_than_one_and_by_half_where_the_nearest_is_taken(name, seed, size):
     weight = size * np.random.default_rng(seed).normal(size=(6, 5))
     point = chip(name).steps
-    layer = quantised(floats(weight, threshold=size), name)
+    layer = quantised(floats(weight, threshold=size), name, limits=False)
     low, high = point.weight_range
     found = layer.synapses[0].weight
     assert low <= found.min() <= found.max() <= high
@@ -126,6 +126,11 @@ def test_a_leak_that_is_exponential_is_refused_by_the_rule_leak():
             quantised(floats([[1.0]], beta=0.9), name)
     with pytest.raises(RuleError, match=r"^rule leak: .*speck2f has no leak"):
         quantised(floats([[1.0]], beta=0.9), "speck2f", limits=False)
+
+
+def test_spiker_has_no_neurons_without_a_leak():
+    with pytest.raises(RuleError, match=r"^rule leak: layer 'if1' keeps 1 .* leaks by a shift"):
+        quantised(floats([[1.0]]), "spiker")
 
 
 def test_without_limits_a_linear_leak_takes_what_is_lost_half_way_to_the_threshold():

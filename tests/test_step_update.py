@@ -2,17 +2,21 @@
 
 from dataclasses import replace
 
+import nir
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from runtime.artifact import Artifact
 from runtime.chip import chip
+from runtime.compile import compile
 from runtime.convention import Convention
 from runtime.errors import ChipError
 from runtime.fixed import Register
 from runtime.interpreter import trace
 from runtime.program import Layer, Program, Synapses
+from tests.networks import chain
 
 
 def one_layer(name, weights, *, leak=0, threshold, bias=0, reset="zero", floor="none", **options):
@@ -73,6 +77,37 @@ def test_speck2f_membranes_end_at_sixteen_bits():
     program = one_layer("speck2f", [[-128]] * 2, threshold=40, membrane=8)
     # -256 does not fit 8 bits
     assert ran(program, [[1, 1], [0, 0]]) == ([-128, -128], [0, 0], [1, 0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["none", "threshold"]))
+def test_speck2f_equals_sinabs_rule_on_the_numbers_that_its_tools_would_make(seed, floor):
+    # sinabs: V += W s + b;  V / threshold spikes, without fraction;  V no lower than min_v_mem
+    rng = np.random.default_rng(seed)
+    weight, bias = rng.normal(size=(6, 5)), rng.normal(size=5) / 4
+    threshold = 1.0
+    # discretize_conv_spike: the smallest of three scales, each with 128 below 0 and 127 above
+    scale = min(
+        *(127 / max(x.max(), 1e-9) for x in (weight, bias)),
+        *(128 / max(-x.min(), 1e-9) for x in (weight, bias)),
+        32767 / threshold,
+    )
+    neurons = nir.IF(np.full(5, 1000.0), np.full(5, threshold))
+    network = chain(nir.Affine(weight.T, bias), neurons, width=6, act=5)
+    convention = Convention(1e-3, "subtract", spikes="many", floor=floor)
+    raster = rng.integers(0, 2, (1, 20, 6)).astype(np.uint8)
+    program = compile(Artifact(network, None, convention), chip("speck2f"))
+    found = trace(program, raster)["n2"]
+    w, b = np.rint(weight * scale), np.rint(bias * scale)
+    top = np.rint(threshold * scale)
+    v = np.zeros(5)
+    for row, spikes, membrane in zip(raster[0], found.spikes[0], found.membrane[0], strict=True):
+        v = v + row @ w + b
+        n = (v > 0) * np.trunc(v / top)
+        v = v - n * top
+        v = v if floor == "none" else np.maximum(v, -top)
+        np.testing.assert_array_equal(spikes, n)
+        np.testing.assert_array_equal(membrane, v)
 
 
 def test_truenorth_by_hand():
