@@ -44,7 +44,8 @@ class StepPoint:
     floors: what a convention may want as floor instead, as in Convention.
     adds: whether the membrane takes in all spikes of a "step" as one sum, or each "event" by
         itself, saturating every time.
-    checks: when the threshold is looked at.
+    checks: when the threshold is looked at: at the end of the "step", or after each "event", of
+        which a leak that comes first is one.
     fires: whether a neuron fires where its membrane is "above" the threshold, or at it too
         ("reached").
     threshold_bits: of a threshold, unsigned.

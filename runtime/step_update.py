@@ -5,7 +5,7 @@
     fires where V >= threshold or V > threshold: V = 0, or V = V - threshold
 
 Whether the leak comes first or after the spikes, and whether the threshold is looked at after the
-sum or after every event, is the chip's.
+sum or after every event, a leak that comes first included, is the chip's.
 """
 
 from dataclasses import dataclass
@@ -49,6 +49,9 @@ def stepped(
     state = Stepping(membrane, zero, zero, zero.astype(np.bool_))
     if point.leak_order == "first":
         _leak(point, layer, state)
+        if point.checks == "event":
+            # the leak is an event, too
+            _fire(point, convention, layer, state)
     if point.adds == "step":
         _add(point, convention, layer, _sum(layer, heard), state)
     else:

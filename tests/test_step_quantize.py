@@ -59,7 +59,8 @@ def test_speck2f_shrinks_weights_beside_a_large_bias_or_threshold():
 
 
 def test_spiker_takes_fraction_bits_and_drops_what_is_left():
-    layer = quantised(floats([[0.7, -0.7, 0.011]], threshold=1.01, beta=0.9), "spiker")
+    layer = floats([[0.7, -0.7, 0.011]], threshold=1.01, beta=0.9)
+    layer = quantised(layer, "spiker", weight_bits=8)
     # 127 / 0.7 = 181: seven fraction bits, 89.6, 1.408 and 129.28
     assert whole(layer) == [[89, -89, 1]]
     assert layer.threshold.tolist() == [129] * 3

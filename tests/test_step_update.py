@@ -156,10 +156,10 @@ def test_odin_spikes_again_in_the_same_timestep_and_counts_what_is_over_eight_bi
     assert (membrane, spikes, lost) == ([3 * 7], [1], [1])
 
 
-def test_odin_looks_only_after_events():
-    # a threshold of 0 is reached by every event, and by none where there is none
+def test_odin_looks_after_every_event_and_the_time_reference_is_one():
+    # a threshold of 0 is reached by whatever happens: state_core_next_i >= param_thr
     program = one_layer("odin", [[0], [0]], threshold=0)
-    assert ran(program, [[0, 0], [1, 0], [1, 1]])[1] == [0, 1, 2]
+    assert ran(program, [[0, 0], [1, 0], [1, 1]])[1] == [1, 2, 3]
 
 
 def test_spiker_by_hand():
@@ -222,6 +222,8 @@ def plainly(program, raster):
             elif (layer.bias + layer.voltage_bias).any():
                 groups = [*groups, [bias]]
             v[n] = leaked(v[n]) if point.leak_order == "first" else v[n]
+            if point.leak_order == "first" and point.checks == "event" and over(v[n]):
+                counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
             for group in groups:
                 v[n] = min(max(v[n] + sum(group), low), high)
                 if point.checks == "event" and over(v[n]):
@@ -253,7 +255,7 @@ def test_the_interpreter_equals_a_plain_loop(name, reset, seed, bits):
         name,
         rng.integers(max(low, -top), top + 1, (7, 4)),
         leak=rng.integers(-1 if point.leak == "shift" else 0, 5, 4),
-        threshold=rng.integers(1, 25, 4),
+        threshold=rng.integers(0 if reset == "zero" else 1, 25, 4),
         bias=rng.integers(-3, 4, 4) * rng.integers(0, 2),
         reset=reset,
         **options,

@@ -49,7 +49,7 @@ ODIN = Chip(
         "floor": f"{VERILOG}: unsigned",
         "floors": f"{VERILOG}: always 0",
         "adds": f"{VERILOG}; {ORDER}",
-        "checks": f"{VERILOG}: after every synaptic event",
+        "checks": f"{VERILOG}: after every synaptic event, and after the time reference",
         "fires": f"{VERILOG}: at or above the threshold",
         "threshold_bits": VERILOG,
         "spikes_max": "by definition: a count of the emulator",

@@ -9,13 +9,13 @@ from runtime.fixed import Register
 from runtime.step_point import StepPoint
 
 VHDL = "Spiker's VHDL and generator, commit e61e5b06 (source read)"
-FREE = "a parameter of the generator; the value here is assumed"
+DATAPATH = "a parameter; the default of neuron_datapath.vhd"
 
 SPIKER = Chip(
     name="spiker",
-    summary="Spiker+ on an FPGA: leak by a shift, sums that saturate, strict threshold",
+    summary="Spiker+ on an FPGA: leaks by shifts, sums that saturate, strict threshold",
     arithmetic=StepPoint(
-        weight_bits=8,
+        weight_bits=5,
         signs="weight",
         axon_types=0,
         bias_bits=0,
@@ -38,14 +38,14 @@ SPIKER = Chip(
     delay_max=1,
     energy_tables=(),  # published for whole tasks only
     sources={
-        "weight_bits": f"{VHDL}: {FREE}; 5 to 8 are used",
+        "weight_bits": f"{VHDL}: {DATAPATH}; 5 to 8 are used",
         "signs": f"{VHDL}: two's complement",
         "axon_types": f"{VHDL}: every synapse has a weight",
         "bias_bits": "none was found; emulated as an axon that spikes in every timestep",
         "leak": f"{VHDL}: v - (v >>> shift), an arithmetic shift, which rounds down",
-        "leak_bits": f"{VHDL}: {FREE}",
+        "leak_bits": "by definition: the largest shift that a membrane of 16 bits can tell",
         "leak_order": f"{VHDL}: fire and reset, leak, excite, inhibit",
-        "membrane": f"{VHDL}: saturates; width: {FREE}",
+        "membrane": f"{VHDL}: saturates; width: {DATAPATH}",
         "floor": f"{VHDL}: none but the register's",
         "floors": f"{VHDL}: none but the register's",
         "adds": f"{VHDL}: one active input after another; that this is by index is assumed",

@@ -62,5 +62,5 @@ TRUENORTH = Chip(
         "delay": "a spike is delivered in a later tick; one tick is assumed",
         "delay_max": ASSUMED,
     },
-    evidence="a trace worked out by hand; compared with no simulator and no board",
+    evidence="a trace worked out by hand; widths assumed; compared with no simulator or board",
 )
