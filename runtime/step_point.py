@@ -7,7 +7,7 @@ from runtime.errors import ChipError
 from runtime.fixed import Register
 
 Signs = Literal["weight", "axon"]
-Leak = Literal["none", "linear", "shift"]
+Leak = Literal["none", "linear", "crossing", "shift"]
 LeakOrder = Literal["first", "last"]
 Moment = Literal["step", "event"]
 Fires = Literal["above", "reached"]
@@ -35,8 +35,9 @@ class StepPoint:
         every synapse has a weight of its own.
     bias_bits: with the sign, of what a neuron adds in each timestep; 0 where a bias has to be the
         weight of an axon that spikes in every timestep.
-    leak: what a membrane loses in each timestep: nothing ("none"), the same amount toward 0
-        ("linear"), or itself shifted right, rounded down ("shift").
+    leak: what a membrane loses in each timestep: nothing ("none"), the same amount toward 0 at
+        which it stops ("linear") or which it may step over ("crossing"), or itself shifted right,
+        rounded down ("shift").
     leak_bits: of that amount, or of that shift.
     leak_order: whether a timestep begins with the leak ("first"), or spikes come before it.
     membrane: the state.
@@ -113,7 +114,7 @@ class StepPoint:
     @property
     def leak_max(self) -> int:
         """Largest amount or shift."""
-        return (1 << self.leak_bits) - 1
+        return min((1 << self.leak_bits) - 1, self.membrane.limit)
 
 
 def _signed(bits: int) -> tuple[int, int]:

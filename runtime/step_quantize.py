@@ -22,11 +22,15 @@ Integers = NDArray[np.int64]
 
 # the shift of a membrane that does not leak
 NO_LEAK = -1
+LINEAR = (
+    "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "
+    "limits off, which takes away what is lost half-way to the threshold."
+)
 # what to do where neurons leak otherwise than the chip's
 REMEDIES = {
     "none": "{chip} has no leak. Train with IF neurons.",
-    "linear": "{chip} takes the same amount away in each timestep. Train with IF neurons, or "
-    "compile with limits off, which takes away what is lost half-way to the threshold.",
+    "linear": LINEAR,
+    "crossing": LINEAR,
     "shift": "every neuron on {chip} leaks by a shift; none without was found. Train with LIF "
     "neurons, or compile with limits off.",
 }

@@ -1,6 +1,6 @@
 """One timestep of integrate-and-fire neurons in the arithmetic of a chip: its specification.
 
-    V = V - leak(V)             leak(V) = 0, min(|V|, leak) toward 0, or V >> leak, rounded down
+    V = V - leak(V)             leak(V) = 0, sign(V) min(|V|, leak), sign(V) leak, or V >> leak
     V = V + sum W s + bias      as one sum, or event by event, each as the register holds it
     fires where V >= threshold or V > threshold: V = 0, or V = V - threshold
 
@@ -68,6 +68,9 @@ def _leak(point: StepPoint, layer: Layer, state: Stepping) -> None:
     if point.leak == "linear":
         # V = V - sign(V) min(|V|, leak)
         state.membrane = v - np.sign(v) * np.minimum(np.abs(v), leak)
+    elif point.leak == "crossing":
+        # V = V - sign(V) leak
+        state.membrane = v - np.sign(v) * leak
     elif point.leak == "shift":
         # V = V - (V >> leak)      a negative shift is none at all
         state.membrane = v - np.where(leak < 0, 0, v >> np.maximum(leak, 0))

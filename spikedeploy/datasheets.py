@@ -55,7 +55,12 @@ def _arithmetic(
 
 
 def _steps(point: StepPoint) -> tuple[str, str, str]:
-    leak = {"none": "IF", "linear": "IF, linear leak", "shift": "LIF, leak by a shift"}[point.leak]
+    leak = {
+        "none": "IF",
+        "linear": "IF, linear leak",
+        "crossing": "IF, linear leak",
+        "shift": "LIF, leak by a shift",
+    }[point.leak]
     each = ", event by event" if point.adds == "event" else ""
     signs = "and the axon's sign" if point.signs == "axon" else "with the sign"
     types = f", {point.axon_types} a neuron" if point.axon_types else ""

@@ -1,5 +1,6 @@
 """Integrate-and-fire neurons of each chip, by hand and beside a second, plain-Python reading."""
 
+import json
 from dataclasses import replace
 
 import nir
@@ -17,6 +18,13 @@ from runtime.fixed import Register
 from runtime.interpreter import trace
 from runtime.program import Layer, Program, Synapses
 from tests.networks import chain
+from tests.programs import GOLDEN
+
+# networks of random numbers that SANA-FE 2.2.9 ran, by what they have
+SANAFE = {
+    f"{n['reset']}, leak {max(n['leak'])}, bias {max(n['bias'])}": n
+    for n in json.loads((GOLDEN / "neurons" / "sanafe_truenorth.json").read_text())["networks"]
+}
 
 
 def one_layer(name, weights, *, leak=0, threshold, bias=0, reset="zero", floor="none", **options):
@@ -115,16 +123,37 @@ def test_truenorth_by_hand():
     #
     # t   spikes   sum   then leak    fires
     # 0   1 0      5     3
-    # 1   0 1      -1    0            the leak of 2 stops at 0
-    # 2   0 1      -4    -2
-    # 3   1 0      3     1
-    # 4   1 0      6     4
-    # 5   1 0      9     7 >= 5       reset
+    # 1   0 1      -1    1            the leak steps over 0
+    # 2   0 1      -3    -1
+    # 3   1 0      4     2
+    # 4   1 0      7     5 >= 5       reset to 0, or less 5
+    # 5   1 0      5     3
     program = one_layer("truenorth", [[5], [-4]], threshold=5, leak=2)
     raster = [[1, 0], [0, 1], [0, 1], [1, 0], [1, 0], [1, 0]]
-    assert ran(program, raster)[:2] == ([3, 0, -2, 1, 4, 0], [0, 0, 0, 0, 0, 1])
-    subtracting = one_layer("truenorth", [[5], [-4]], threshold=5, leak=2, reset="subtract")
-    assert ran(subtracting, raster)[:2] == ([3, 0, -2, 1, 4, 2], [0, 0, 0, 0, 0, 1])
+    assert ran(program, raster)[:2] == ([3, 1, -1, 2, 0, 3], [0, 0, 0, 0, 1, 0])
+    subtracting = one_layer("truenorth", [[5], [-4]], threshold=3, leak=2, reset="subtract")
+    # 3 - 3;  -4 + 2;  -6 + 2;  1 - 2;  4 - 2;  7 - 2 - 3
+    assert ran(subtracting, raster)[:2] == ([0, -2, -4, -1, 2, 2], [1, 0, 0, 0, 0, 1])
+
+
+@pytest.mark.parametrize("network", SANAFE, ids=str)
+def test_truenorth_equals_sanafe_where_the_leak_comes_first(network):
+    """Membranes and spikes of six neurons; SANA-FE delivers a spike one timestep later."""
+    recorded = SANAFE[network]
+    numbers = {name: np.array(recorded[name]) for name in ("threshold", "bias", "leak")}
+    program = one_layer(
+        "truenorth",
+        recorded["weights"],
+        **numbers,
+        reset=recorded["reset"],
+        leak_order="first" if numbers["leak"].any() else "last",
+    )
+    raster = np.roll(np.array([recorded["input"]], np.uint8), 1, axis=1)
+    raster[:, 0] = 0
+    found = trace(program, raster)["layer"]
+    assert found.membrane[0].tolist() == recorded["membrane"]
+    assert found.spikes[0].tolist() == recorded["spikes"]
+    assert found.spikes.any()
 
 
 def test_truenorth_uses_its_leak_as_a_bias_and_spikes_once_a_tick():
@@ -211,6 +240,8 @@ def plainly(program, raster):
             def leaked(x, leak=leak):
                 if point.leak == "shift":
                     return x - (x // 2**leak if leak >= 0 else 0)
+                if point.leak == "crossing":
+                    return x - leak if x > 0 else x + leak if x < 0 else x
                 return max(x - leak, 0) if x > 0 else min(x + leak, 0)
 
             def over(x, threshold=threshold):
