@@ -42,6 +42,18 @@ def spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
     return options
 
 
+def listed(text: str) -> list[str]:
+    """The chips in a text like "loihi1,int:weight_bits=4,membrane=12,odin", options included."""
+    names: list[str] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        # an option without a chip before it belongs to the chip before the comma
+        if names and "=" in part and ":" not in part:
+            names[-1] += f",{part}"
+        else:
+            names.append(part)
+    return names
+
+
 def like(name: str, known: Iterable[str]) -> str:
     """A hint at what may have been meant."""
     close = difflib.get_close_matches(name, list(known), n=2)

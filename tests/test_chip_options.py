@@ -3,6 +3,7 @@
 import pytest
 
 from runtime.chip import CHIPS, chip
+from runtime.chip_options import listed
 from runtime.errors import ChipError
 from runtime.fixed import Register
 
@@ -34,6 +35,22 @@ def test_a_register_is_its_bits_and_overflows_as_before():
     assert chip("loihi1", membrane=20).fixed.membrane == Register(20, "clip")
     assert chip("loihi1:current=20").fixed.current == Register(20, "wrap-once")
     assert chip("loihi1:current=20-wrap-once").fixed.current == Register(20, "wrap-once")
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("loihi1", ["loihi1"]),
+        (" loihi1, odin,", ["loihi1", "odin"]),
+        (
+            "loihi1:sign_mode=mixed,weight_bits=4,int:membrane=12,odin",
+            ["loihi1:sign_mode=mixed,weight_bits=4", "int:membrane=12", "odin"],
+        ),
+        ("", []),
+    ],
+)
+def test_a_comma_parts_options_and_chips(text, names):
+    assert listed(text) == names
 
 
 def test_lists_and_nothing_have_a_spelling():

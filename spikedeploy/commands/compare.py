@@ -32,13 +32,14 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
+    from runtime.chip_options import listed
     from spikedeploy import report
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
-    entries = line_up(env, files or (), _names(chips))
+    entries = line_up(env, files or (), listed(chips))
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(comparison)
     if output:
@@ -49,7 +50,3 @@ def compare(
         print_comparison(document)
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
