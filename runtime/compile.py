@@ -1,6 +1,5 @@
 """The compiler: an artifact becomes the program of a chip."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import nir
@@ -12,12 +11,10 @@ from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
 from runtime.errors import RuleError
-from runtime.float_point import FloatPoint
-from runtime.float_quantize import quantise_floats
 from runtime.program import Layer, Program, Readout, Synapses
-from runtime.quantize import Rounding, quantise
-from runtime.step_point import StepPoint
-from runtime.step_quantize import check_axons, quantise_steps
+from runtime.quantised import quantised
+from runtime.rounding import Rounding
+from runtime.step_rules import check_convention
 from runtime.wiring import Wire, Wiring, wiring
 
 # [timesteps] beyond any network's longest path
@@ -59,26 +56,10 @@ def compile(
         convention=artifact.convention,
         input=wires.input,
         width=wires.width,
-        layers=tuple(_quantised(layers, chip, rounding, limits)),
+        layers=tuple(quantised(layers, chip, rounding, limits)),
         output=wires.output,
         readout=_readout(wires.readout, artifact.convention.delay),
     )
-
-
-def _quantised(
-    layers: Sequence[Layer], chip: Chip, rounding: Rounding | None, limits: bool
-) -> Sequence[Layer]:
-    """The float layers as the chip's numbers."""
-    if chip.fixed is not None:
-        return [quantise(layer, chip.fixed, rounding or "nearest") for layer in layers]
-    if chip.steps is not None:
-        quantised = [quantise_steps(a, chip, chip.steps, rounding, limits) for a in layers]
-        if limits:
-            check_axons(quantised, chip, chip.steps)
-        return quantised
-    if isinstance(chip.arithmetic, FloatPoint):
-        return [quantise_floats(a, chip.arithmetic, rounding or "nearest") for a in layers]
-    return layers
 
 
 def _check_reset(convention: Convention, chip: Chip) -> None:
@@ -88,25 +69,12 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
             f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
         )
     if chip.steps is not None:
-        _check_steps(convention, chip.name, chip.steps)
+        check_convention(convention, chip.name, chip.steps)
     elif convention.spikes != "above" or convention.floor != "none":
         raise RuleError(
             f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
             "sends one spike where its membrane is above the threshold, and its membrane has no "
             "floor. Run in float."
-        )
-
-
-def _check_steps(convention: Convention, name: str, point: StepPoint) -> None:
-    if convention.spikes == "many" and point.spikes_max == 1:
-        raise RuleError(
-            f"rule reset: spikes 'many': a neuron on {name} sends at most one in a timestep. Run "
-            "in float, or choose spikes 'above'."
-        )
-    if convention.floor not in point.floors:
-        raise RuleError(
-            f"rule reset: floor {convention.floor!r}: membranes on {name} can have "
-            f"{', '.join(map(repr, point.floors))}. Choose one of them, or run in float."
         )
 
 

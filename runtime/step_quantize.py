@@ -1,12 +1,10 @@
-"""Quantisation for chips without a synaptic current, and the rules that a network must keep there.
+"""Quantisation for chips without a synaptic current.
 
 All numbers of a layer are multiplied by one scale: as large as weights, biases and the threshold
 allow.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +14,13 @@ from runtime.errors import RuleError
 from runtime.program import Layer
 from runtime.rounding import Rounding, rounded
 from runtime.step_point import StepPoint
+from runtime.step_rules import check_neurons
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # the shift of a membrane that does not leak
 NO_LEAK = -1
-LINEAR = (
-    "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "
-    "limits off, which takes away what is lost half-way to the threshold."
-)
-# what to do where neurons leak otherwise than the chip's
-REMEDIES = {
-    "none": "{chip} has no leak. Train with IF neurons.",
-    "linear": LINEAR,
-    "crossing": LINEAR,
-    "shift": "every neuron on {chip} leaks by a shift; none without was found. Train with LIF "
-    "neurons, or compile with limits off.",
-}
 
 
 def quantise_steps(
@@ -44,8 +31,7 @@ def quantise_steps(
     rounding: None is the chip's own.
     limits: False emulates a leak that the chip has not by the nearest that it has.
     """
-    _check_current(layer, chip)
-    _check_leak(layer, chip, point, limits)
+    check_neurons(layer, chip, point, limits)
     rounding = rounding or point.rounding
     bias = layer.bias + layer.voltage_bias
     scale = _scale(layer, bias, point)
@@ -67,77 +53,6 @@ def quantise_steps(
     )
     _check_alive(layer, quantised, chip)
     return quantised
-
-
-def check_axons(layers: Sequence[Layer], chip: Chip, point: StepPoint) -> None:
-    """Refuse weights that the chip's axons cannot carry, however many bits they have."""
-    if point.signs == "axon":
-        _check_signs(layers, chip)
-    if point.axon_types:
-        for layer in layers:
-            _check_types(layer, chip, point.axon_types)
-
-
-def axon_types(weight: NDArray[Any]) -> int:
-    """Types of axons that the weights (M, N) need, each axon put into the first that it fits.
-
-    Axons fit together where every neuron that both reach gives them the same weight. First-fit may
-    find more types than the best choice would.
-    """
-    types: list[NDArray[Any]] = []
-    for row in weight:
-        for held in types:
-            if not ((row != 0) & (held != 0) & (row != held)).any():
-                np.copyto(held, row, where=held == 0)
-                break
-        else:
-            types.append(row.copy())
-    return len(types)
-
-
-def _check_current(layer: Layer, chip: Chip) -> None:
-    if layer.current_keep.any():
-        raise RuleError(
-            f"rule current: layer {layer.name!r} has a synaptic current that keeps "
-            f"{layer.current_keep.max():.3g} of itself; {chip.name} adds spikes to the membrane. "
-            "Train with LIF or IF neurons."
-        )
-
-
-def _check_leak(layer: Layer, chip: Chip, point: StepPoint, limits: bool) -> None:
-    strange = (layer.membrane_keep == 1) == (point.leak == "shift")
-    if not strange.any() or (point.leak != "none" and not limits):
-        return
-    found = f"{layer.membrane_keep[strange].min():.3g}"
-    remedy = REMEDIES[point.leak].format(chip=chip.name)
-    raise RuleError(f"rule leak: layer {layer.name!r} keeps {found} of its membrane; {remedy}")
-
-
-def _check_signs(layers: Sequence[Layer], chip: Chip) -> None:
-    """A neuron excites or inhibits all that hear it, in whichever layer."""
-    signs: dict[str, tuple[Any, Any]] = {}
-    for layer in layers:
-        for synapses in layer.synapses:
-            up, down = (synapses.weight > 0).any(axis=1), (synapses.weight < 0).any(axis=1)
-            before = signs.get(synapses.source, (False, False))
-            signs[synapses.source] = up, down = before[0] | up, before[1] | down
-            if (both := np.flatnonzero(up & down)).size:
-                raise RuleError(
-                    f"rule sign: layer {layer.name!r}: {both.size} of {up.size} axons from "
-                    f"{synapses.source!r} have weights of both signs, the first is axon {both[0]}; "
-                    f"on {chip.name} an axon has one. Train with signed axons, or compile with "
-                    "limits off."
-                )
-
-
-def _check_types(layer: Layer, chip: Chip, most: int) -> None:
-    found = axon_types(np.concatenate([s.weight for s in layer.synapses]))
-    if found > most:
-        raise RuleError(
-            f"rule axon-types: layer {layer.name!r}: its weights need {found} types of axons, put "
-            f"into the first that fits; {chip.name} has {most}, and each neuron one weight for "
-            "each. Train with fewer different weights, or compile with limits off."
-        )
 
 
 def _scale(layer: Layer, bias: Floats, point: StepPoint) -> float:

@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from runtime.chip import chip
-from runtime.errors import RuleError
+from runtime.errors import ConfigError, RuleError
 from runtime.program import Layer, Synapses
-from runtime.step_quantize import axon_types, check_axons, quantise_steps
+from runtime.step_quantize import quantise_steps
+from runtime.step_rules import axon_types, check_axons
 
 
 def floats(weight, bias=0.0, threshold=1.0, voltage_bias=0.0, alpha=0.0, beta=1.0, name="if1"):
@@ -194,6 +195,11 @@ def test_without_limits_a_threshold_that_is_lost_is_the_smallest():
     assert quantised(floats([[1.0]], threshold=1e-4), "odin", limits=False).threshold.tolist() == [
         1
     ]
+
+
+def test_an_unknown_rounding_is_refused():
+    with pytest.raises(ConfigError, match="rounding 'up' is unknown"):
+        quantised(floats([[1.0]]), "speck2f", "up")
 
 
 def test_a_layer_without_weights_is_no_reason_to_refuse():
