@@ -4,6 +4,7 @@ Short and slow on purpose. Integers are int64 (float64 on `ideal`). Everything f
 equal to this in every current, membrane and spike.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,8 +92,13 @@ class Interpreter:
             for name, size in program.sizes.items()
         }
 
-    def run(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-        """One inference; states go on from the one before."""
+    def run(
+        self, raster: NDArray[np.uint8], waiting: Collection[str] = ()
+    ) -> dict[str, LayerTrace]:
+        """One inference; states go on from the one before.
+
+        waiting: names of layers that stand still meanwhile.
+        """
         program, timesteps = self.program, raster.shape[1]
         emitted = {name: _lengthened(tail, timesteps) for name, tail in self._tails.items()}
         emitted[program.input][:, self._memory :] = raster
@@ -104,7 +110,10 @@ class Interpreter:
                 if not layer.start <= step < layer.start + timesteps:
                     continue
                 state = self.states[layer.name]
-                tick = self._tick(layer, self._heard(layer, step, emitted), state)
+                if layer.name in waiting:
+                    tick = _still(state)
+                else:
+                    tick = self._tick(layer, self._heard(layer, step, emitted), state)
                 emitted[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self._tails = {name: rows[:, timesteps:] for name, rows in emitted.items()}
@@ -126,6 +135,12 @@ class Interpreter:
             start = 0 if of == self.program.input else self.program.layer(of).start
             heard.append(emitted[of][:, self._memory + step - synapses.delay - start])
         return heard
+
+
+def _still(state: State) -> Tick:
+    """What a layer does that has not started yet."""
+    none = np.zeros(state.membrane.shape, np.int64)
+    return Tick(none, none.astype(np.bool_), none)
 
 
 def _weights(layer: Layer, heard: list[Numbers]) -> Numbers:
