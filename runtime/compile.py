@@ -1,5 +1,7 @@
 """The compiler: an artifact becomes the program of a chip."""
 
+from collections.abc import Sequence
+
 import nir
 import numpy as np
 from numpy.typing import NDArray
@@ -8,29 +10,42 @@ from runtime.artifact import Artifact
 from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
-from runtime.errors import RuleError
+from runtime.errors import ConfigError, RuleError
+from runtime.event_point import EventPoint
 from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantize import Rounding, quantise
+from runtime.quantize_xylo import Granularity, quantise_xylo
 from runtime.wiring import Wire, Wiring, wiring
+from runtime.xylo_layers import as_held, check_output
 
 
 def compile(
-    artifact: Artifact, chip: Chip, rounding: Rounding = "nearest", stagger: bool | None = None
+    artifact: Artifact,
+    chip: Chip,
+    rounding: Rounding = "nearest",
+    stagger: bool | None = None,
+    granularity: Granularity = "layer",
+    weight_shift: int = 0,
 ) -> Program:
     """The artifact as a program of the chip.
 
     rounding: of weights, biases, thresholds and decays, as in quantise.
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
-        unless the convention itself has a delay.
+        unless the convention itself has a delay, and on Xylo where Xylo can.
+    granularity: on Xylo, whether a population or each neuron has a scale, as in quantise_xylo.
+    weight_shift: on Xylo, as in quantise_xylo.
     """
     _check_reset(artifact.convention, chip)
-    if chip.events is not None:
-        raise RuleError(
-            f"{chip.name}: networks cannot be compiled for it yet, only traces of it replayed. "
-            "Choose another chip."
-        )
     wires = wiring(artifact.graph)
+    if chip.events is not None:
+        program = _for_xylo(artifact, chip, chip.events, wires, stagger)
+        return quantise_xylo(program, chip.events, granularity, rounding, weight_shift)
+    if granularity != "layer" or weight_shift:
+        raise ConfigError(
+            f"granularity {granularity!r} and weight_shift {weight_shift}: {chip.name} has one "
+            "scale for each layer, and no shift. Leave them out, or choose a Xylo."
+        )
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
@@ -38,6 +53,24 @@ def compile(
     layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
     if chip.fixed is not None:
         layers = [quantise(layer, chip.fixed, rounding) for layer in layers]
+    return _program(artifact, chip, wires, layers)
+
+
+def _for_xylo(
+    artifact: Artifact, chip: Chip, point: EventPoint, wires: Wiring, stagger: bool | None
+) -> Program:
+    """The program in floats, with Xylo's populations, shifts for decays and delays."""
+    starts = _starts(wires, 0)
+    layers = [_layer(artifact, wires, name, starts, 0) for name in wires.layers]
+    held, remarks = as_held(wires, layers, point, artifact.convention, stagger)
+    program = _program(artifact, chip, wires, held, remarks)
+    check_output(program, point)
+    return program
+
+
+def _program(
+    artifact: Artifact, chip: Chip, wires: Wiring, layers: list[Layer], remarks: Sequence[str] = ()
+) -> Program:
     return Program(
         chip=chip,
         convention=artifact.convention,
@@ -46,6 +79,7 @@ def compile(
         layers=tuple(layers),
         output=wires.output,
         readout=_readout(wires.readout, artifact.convention.delay),
+        remarks=tuple(remarks),
     )
 
 
@@ -55,7 +89,8 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
             f"reset {convention.reset!r}: a spike on {chip.name} can only do "
             f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
         )
-    if convention.spikes != "above" or convention.floor != "none":
+    many = chip.events is not None  # how many spikes is then the chip's own business
+    if (convention.spikes != "above" and not many) or convention.floor != "none":
         raise RuleError(
             f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
             "sends one spike where its membrane is above the threshold, and its membrane has no "

@@ -193,11 +193,13 @@ def update_by_events(
     current, lost = _arrived(program, point, layer, heard, state.current)
     # I = I - dec(I)      V = V + (sum I - dec(V) + bias)      each sum as its register holds it
     current = current - shift_decay(current, layer.current_keep)
-    leak = shift_decay(state.membrane, layer.membrane_keep)
-    change, low = _fit(point.state, current.sum(axis=1) - leak)
+    # the lowest membrane with a dash of 0 leaks what does not fit: it stays where it is (xylosim)
+    leak = point.leak.fit(-shift_decay(state.membrane, layer.membrane_keep))
+    change, low = _fit(point.state, current.sum(axis=1) + leak)
     change, turned = _fit(point.state, change + layer.voltage_bias)
     membrane, high = _fit(point.state, state.membrane + change)
-    most = point.output_spikes_max if layer.name == program.output else point.spikes_max
+    is_output = layer.name == program.output and program.output_apart
+    most = point.output_spikes_max if is_output else point.spikes_max
     spikes, membrane = _spikes(layer, membrane, most)
     busy = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
     state.current, state.membrane = current, membrane
