@@ -237,12 +237,18 @@ def _arrived(
     """The currents (B, K, N) after the events, axon by axon, and how many additions saturated."""
     current, lost = current.copy(), np.zeros((len(current), layer.size), np.int64)
     for synapses, counts in zip(layer.synapses, heard, strict=True):
-        weight = synapses.weight.astype(np.int64)
-        events = counts.clip(max=point.events_max) if synapses.source == program.input else counts
+        weight, fed = synapses.weight.astype(np.int64), synapses.current
+        events = counts.astype(np.int64)
+        if synapses.source == program.input:
+            events = events.clip(max=point.events_max)
+        if (np.abs(current[:, fed]) + events @ np.abs(weight)).max() <= point.state.limit:
+            # none of the sums can saturate on the way, and so their order does not matter
+            current[:, fed] += events @ weight
+            continue
         for copy, axon in np.argwhere(events):
             for _ in range(events[copy, axon]):
-                raised = current[copy, synapses.current] + weight[axon]
-                current[copy, synapses.current], over = _fit(point.state, raised)
+                raised = current[copy, fed] + weight[axon]
+                current[copy, fed], over = _fit(point.state, raised)
                 lost[copy] += over
     return current, lost
 

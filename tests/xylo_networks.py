@@ -16,10 +16,12 @@ from tests.networks import lif
 def neurons(rng, size, kind):
     """CuBa-LIF or LIF neurons, each with time constants of its own at dt = 1 ms."""
     tau_mem = 1e-3 * 2 ** rng.uniform(0, 6, size)
-    threshold, leak = rng.uniform(0.5, 3, size), rng.normal(size=size) * (kind == "leaking")
+    leak = rng.normal(size=size) * (kind == "leaking")
     if kind == "lif":
         return lif(size, 8e-3, 8.0, threshold=1.2)
     tau_syn = 1e-3 * 2 ** rng.uniform(0, 5, size)
+    # what a few spikes add up to
+    threshold = rng.uniform(0.5, 3, size) * tau_syn / 1e-3
     gains = {"r": tau_mem / 1e-3, "w_in": tau_syn / 1e-3}
     return nir.CubaLIF(
         tau_syn=tau_syn, tau_mem=tau_mem, v_leak=leak, v_threshold=threshold, **gains
