@@ -146,6 +146,11 @@ class Chip:
         """Its arithmetic, if it is that of neurons without a synaptic current."""
         return self.arithmetic if isinstance(self.arithmetic, StepPoint) else None
 
+    @property
+    def input_spikes_max(self) -> int:
+        """Spikes of an input channel in a timestep."""
+        return self.events.events_max if self.events else 1
+
 
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
     """The chip called `name`, with some fields of it or of its arithmetic replaced.

@@ -1,5 +1,6 @@
 """The compiler: an artifact becomes the program of a chip."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import nir
@@ -10,12 +11,15 @@ from runtime.artifact import Artifact
 from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
-from runtime.errors import RuleError
+from runtime.errors import ConfigError, RuleError
+from runtime.event_point import EventPoint
 from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantised import quantised
+from runtime.quantize_xylo import Granularity, quantise_xylo
 from runtime.rounding import Rounding
 from runtime.step_rules import check_convention
 from runtime.wiring import Wire, Wiring, wiring
+from runtime.xylo_layers import as_held, check_output
 
 # [timesteps] beyond any network's longest path
 ENDLESS = 1 << 30
@@ -26,6 +30,8 @@ def compile(
     chip: Chip,
     rounding: Rounding | None = None,
     stagger: bool | None = None,
+    granularity: Granularity = "layer",
+    weight_shift: int = 0,
     limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
@@ -33,32 +39,60 @@ def compile(
     rounding: of weights, biases, thresholds and decays, as in quantise; None is the chip's own.
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
-        unless the convention itself has a delay.
+        unless the convention itself has a delay, and on Xylo where Xylo can.
+    granularity: on Xylo, whether a population or each neuron has a scale, as in quantise_xylo.
+    weight_shift: on Xylo, as in quantise_xylo.
     limits: False emulates the arithmetic also where the chip has no room for the network, and where
         it has not quite what the network asks for.
     """
     _check_reset(artifact.convention, chip)
     if not limits:
         chip = replace(chip, delay_max=ENDLESS)
-    if chip.events is not None:
-        raise RuleError(
-            f"{chip.name}: networks cannot be compiled for it yet, only traces of it replayed. "
-            "Choose another chip."
-        )
     wires = wiring(artifact.graph)
+    if chip.events is not None:
+        program = _for_xylo(artifact, chip, chip.events, wires, stagger)
+        return quantise_xylo(program, chip.events, granularity, rounding or "nearest", weight_shift)
+    if granularity != "layer" or weight_shift:
+        raise ConfigError(
+            f"granularity {granularity!r} and weight_shift {weight_shift}: {chip.name} has one "
+            "scale for each layer, and no shift. Leave them out, or choose a Xylo."
+        )
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
     delay = max(chip.delay, 0 if stagger else artifact.convention.delay)
     layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
+    return _program(artifact, chip, wires, quantised(layers, chip, rounding, limits))
+
+
+def _for_xylo(
+    artifact: Artifact, chip: Chip, point: EventPoint, wires: Wiring, stagger: bool | None
+) -> Program:
+    """The program in floats, with Xylo's populations, shifts for decays and delays."""
+    starts = _starts(wires, 0)
+    layers = [_layer(artifact, wires, name, starts, 0) for name in wires.layers]
+    held, remarks = as_held(wires, layers, point, artifact.convention, stagger)
+    program = _program(artifact, chip, wires, held, remarks)
+    check_output(program, point)
+    return program
+
+
+def _program(
+    artifact: Artifact,
+    chip: Chip,
+    wires: Wiring,
+    layers: Sequence[Layer],
+    remarks: Sequence[str] = (),
+) -> Program:
     return Program(
         chip=chip,
         convention=artifact.convention,
         input=wires.input,
         width=wires.width,
-        layers=tuple(quantised(layers, chip, rounding, limits)),
+        layers=tuple(layers),
         output=wires.output,
         readout=_readout(wires.readout, artifact.convention.delay),
+        remarks=tuple(remarks),
     )
 
 
@@ -70,7 +104,9 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
         )
     if chip.steps is not None:
         check_convention(convention, chip.name, chip.steps)
-    elif convention.spikes != "above" or convention.floor != "none":
+        return
+    many = chip.events is not None  # how many spikes is then the chip's own business
+    if (convention.spikes != "above" and not many) or convention.floor != "none":
         raise RuleError(
             f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
             "sends one spike where its membrane is above the threshold, and its membrane has no "

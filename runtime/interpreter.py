@@ -4,6 +4,7 @@ Short and slow on purpose. Integers are int64 (floats on `ideal` and `spinnaker2
 is tested to be equal to this in every current, membrane and spike.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,8 +94,13 @@ class Interpreter:
             for name, size in program.sizes.items()
         }
 
-    def run(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-        """One inference; states go on from the one before."""
+    def run(
+        self, raster: NDArray[np.uint8], waiting: Collection[str] = ()
+    ) -> dict[str, LayerTrace]:
+        """One inference; states go on from the one before.
+
+        waiting: names of layers that stand still meanwhile.
+        """
         program, timesteps = self.program, raster.shape[1]
         emitted = {name: _lengthened(tail, timesteps) for name, tail in self._tails.items()}
         emitted[program.input][:, self._memory :] = raster
@@ -106,7 +112,10 @@ class Interpreter:
                 if not layer.start <= step < layer.start + timesteps:
                     continue
                 state = self.states[layer.name]
-                tick = self._tick(layer, self._heard(layer, step, emitted), state)
+                if layer.name in waiting:
+                    tick = _still(state)
+                else:
+                    tick = self._tick(layer, self._heard(layer, step, emitted), state)
                 emitted[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self._tails = {name: rows[:, timesteps:] for name, rows in emitted.items()}
@@ -130,6 +139,12 @@ class Interpreter:
             start = 0 if of == self.program.input else self.program.layer(of).start
             heard.append(emitted[of][:, self._memory + step - synapses.delay - start])
         return heard
+
+
+def _still(state: State) -> Tick:
+    """What a layer does that has not started yet."""
+    none = np.zeros(state.membrane.shape, np.int64)
+    return Tick(none, none.astype(np.bool_), none)
 
 
 def _weights(layer: Layer, heard: list[Numbers]) -> Numbers:
@@ -182,11 +197,13 @@ def update_by_events(
     current, lost = _arrived(program, point, layer, heard, state.current)
     # I = I - dec(I)      V = V + (sum I - dec(V) + bias)      each sum as its register holds it
     current = current - shift_decay(current, layer.current_keep)
-    leak = shift_decay(state.membrane, layer.membrane_keep)
-    change, low = _fit(point.state, current.sum(axis=1) - leak)
+    # the lowest membrane with a dash of 0 leaks what does not fit: it stays where it is (xylosim)
+    leak = point.leak.fit(-shift_decay(state.membrane, layer.membrane_keep))
+    change, low = _fit(point.state, current.sum(axis=1) + leak)
     change, turned = _fit(point.state, change + layer.voltage_bias)
     membrane, high = _fit(point.state, state.membrane + change)
-    most = point.output_spikes_max if layer.name == program.output else point.spikes_max
+    is_output = layer.name == program.output and program.output_apart
+    most = point.output_spikes_max if is_output else point.spikes_max
     spikes, membrane = _spikes(layer, membrane, most)
     busy = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
     state.current, state.membrane = current, membrane
@@ -234,12 +251,18 @@ def _arrived(
     """The currents (B, K, N) after the events, axon by axon, and how many additions saturated."""
     current, lost = current.copy(), np.zeros((len(current), layer.size), np.int64)
     for synapses, counts in zip(layer.synapses, heard, strict=True):
-        weight = synapses.weight.astype(np.int64)
-        events = counts.clip(max=point.events_max) if synapses.source == program.input else counts
+        weight, fed = synapses.weight.astype(np.int64), synapses.current
+        events = counts.astype(np.int64)
+        if synapses.source == program.input:
+            events = events.clip(max=point.events_max)
+        if (np.abs(current[:, fed]) + events @ np.abs(weight)).max() <= point.state.limit:
+            # none of the sums can saturate on the way, and so their order does not matter
+            current[:, fed] += events @ weight
+            continue
         for copy, axon in np.argwhere(events):
             for _ in range(events[copy, axon]):
-                raised = current[copy, synapses.current] + weight[axon]
-                current[copy, synapses.current], over = _fit(point.state, raised)
+                raised = current[copy, fed] + weight[axon]
+                current[copy, fed], over = _fit(point.state, raised)
                 lost[copy] += over
     return current, lost
 

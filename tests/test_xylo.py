@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime.chip import chip
-from runtime.errors import RuleError, TraceError
+from runtime.errors import TraceError
 from runtime.fixed import Register, shift_decay
 from runtime.interpreter import trace
 from runtime.machine import Machine
@@ -152,10 +152,17 @@ def test_the_first_difference_names_the_second_current(file):
     assert verify(file(record)).difference == expected
 
 
-def test_the_machine_refuses_a_chip_that_only_the_interpreter_knows():
-    recorded = read_trace(GOLDEN / "xylo_A_ff.json")
-    with pytest.raises(RuleError, match="xylo-a2 adds up event by event"):
-        Machine(recorded.program)
+def test_every_spike_of_a_timestep_is_counted_in_the_ledger(file):
+    # 3 events of 10 on one of two channels: 15 of current, 3 spikes of 5; one step later 1 more
+    record = network([10, 0], [[3, 0], [0, 2], [0, 0]], threshold=5)
+    machine = Machine(read_trace(file(record)).program)
+    machine.infer(np.array([record["input_counts"]], np.uint8))
+    ledger = machine.ledger
+    assert ledger.by_layer("spike_in") == {"hidden": 5 + 5, "output": 5}
+    # channel 1 and the recurrent synapse have weight 0, and so no fan-out
+    assert ledger.by_layer("sop") == {"hidden": 3, "output": 5}
+    assert ledger.by_layer("spike_out") == {"hidden": 3 + 1 + 1, "output": 0}
+    assert ledger.by_layer("message") == {"hidden": 10, "output": 5}
 
 
 def test_options_of_its_arithmetic_can_be_set():

@@ -10,32 +10,37 @@ from runtime.fixed import Register
 XYLOSIM = "xylosim 0.1.3, core v2 (run, traces equal)"
 ROCKPOOL = "rockpool's table of Xylo's cores"
 
+XYLO_V2 = EventPoint(
+    weight_bits=8,
+    shift_max=15,
+    dash_max=15,
+    currents=2,
+    state=Register(16, "saturate"),
+    leak=Register(16, "wrap"),
+    events_max=15,
+    spikes_max=31,
+    output_spikes_max=1,
+)
+
 XYLO_A2 = Chip(
     name="xylo-a2",
     summary="Xylo-Audio 2: 8-bit weights, 16-bit states that saturate, several spikes a timestep",
-    arithmetic=EventPoint(
-        weight_bits=8,
-        shift_max=15,
-        dash_max=15,
-        currents=2,
-        state=Register(16, "saturate"),
-        events_max=15,
-        spikes_max=31,
-        output_spikes_max=1,
-    ),
+    arithmetic=XYLO_V2,
     resets=("subtract",),
     delay=1,
     delay_max=1,
-    energy_tables=(),  # published for whole tasks only
+    energy_tables=(),  # published for whole tasks only (docs/xylo.md)
     sources={
         "weight_bits": f"{ROCKPOOL}: 8 bits with the sign",
         "shift_max": "by definition: a further shift of any weight saturates 16 bits as well",
         "dash_max": f"{ROCKPOOL}: 4 bits",
         "currents": f"{ROCKPOOL}: two synapses for hidden neurons, one for outputs",
         "state": f"{XYLOSIM}: saturates at every event",
+        "leak": f"{XYLOSIM}: a membrane of -32768 with a dash of 0 adds -32768, its own negative",
         "events_max": f"{XYLOSIM}; 4 bits",
         "spikes_max": f"{XYLOSIM}; 5 bits",
         "output_spikes_max": XYLOSIM,
+        "read": f"{ROCKPOOL}: outputs are a population of their own",
         "resets": f"{XYLOSIM}: the threshold is taken off once a spike",
         "delay": f"{XYLOSIM}: spikes of hidden neurons arrive one timestep later, input at once",
         "delay_max": XYLOSIM,

@@ -1,0 +1,22 @@
+"""Xylo-IMU (SynSense SYNS63300): computes as Xylo-Audio 2, with one current for each neuron.
+
+The arithmetic of Xylo-Audio 2 is taken for it, and no trace of this chip was to be had.
+"""
+
+from dataclasses import replace
+
+from runtime.chips.xylo_a2 import ROCKPOOL, XYLO_A2, XYLO_V2
+from runtime.chips.xylo_a3 import TAKEN
+
+XYLO_IMU = replace(
+    XYLO_A2,
+    name="xylo-imu",
+    summary="Xylo-IMU: computes as Xylo-Audio 2; one synaptic current for each neuron",
+    arithmetic=replace(XYLO_V2, currents=1),
+    sources={
+        **{field: f"{source}; {TAKEN}" for field, source in XYLO_A2.sources.items()},
+        "currents": f"{ROCKPOOL}: one synapse for hidden neurons",
+        "shift_max": XYLO_A2.sources["shift_max"],
+        "read": f"{ROCKPOOL}: 496 hidden neurons, and 16 outputs of their own",
+    },
+)
