@@ -10,6 +10,7 @@ from runtime.chips import CHIPS
 from runtime.errors import ChipError
 from runtime.event_point import EventPoint
 from runtime.fixed import Register
+from runtime.limits import Limits
 
 __all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
 
@@ -116,6 +117,7 @@ class Chip:
     delay_max: [timesteps] longest delay that a synapse can add up to.
     energy_tables: names of the tables in runtime.energy that price its events.
     sources: field name to where its value comes from and how sure it is.
+    limits: what fits on it, with sources of their own; None where nothing limits it.
     """
 
     name: str
@@ -126,6 +128,7 @@ class Chip:
     delay_max: int
     energy_tables: tuple[str, ...]
     sources: Mapping[str, str] = field(compare=False)
+    limits: Limits | None = None
 
     @property
     def fixed(self) -> FixedPoint | None:

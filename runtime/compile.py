@@ -11,11 +11,16 @@ from runtime.discrete import Discrete, discretise
 from runtime.errors import RuleError
 from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantize import Rounding, quantise
+from runtime.rules import refuse
 from runtime.wiring import Wire, Wiring, wiring
 
 
 def compile(
-    artifact: Artifact, chip: Chip, rounding: Rounding = "nearest", stagger: bool | None = None
+    artifact: Artifact,
+    chip: Chip,
+    rounding: Rounding = "nearest",
+    stagger: bool | None = None,
+    limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
 
@@ -23,6 +28,7 @@ def compile(
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay.
+    limits: refuse what breaks a design rule of the chip; False emulates the arithmetic alone.
     """
     _check_reset(artifact.convention, chip)
     if chip.events is not None:
@@ -31,6 +37,8 @@ def compile(
             "Choose another chip."
         )
     wires = wiring(artifact.graph)
+    if limits:
+        refuse(artifact, chip)
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)

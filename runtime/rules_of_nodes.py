@@ -1,0 +1,148 @@
+"""Design rules on what a single node is: its kind, its neurons' parameters, its weights."""
+
+from collections.abc import Iterator
+
+import nir
+import numpy as np
+
+from runtime.design import Design
+from runtime.discrete import SPIKING
+from runtime.float_delay import delay_timesteps
+from runtime.ruling import Ruling, Status, allowed, at_most
+from runtime.shapes import DENSE
+
+# a decay or mantissa that is a limit itself may come out a last bit beyond it
+HAIR = 1e-9
+
+
+def primitive(design: Design) -> Iterator[Ruling]:
+    """Each node is of a kind that the chip has; what the host computes may be any."""
+    for name, node in sorted(design.graph.nodes.items()):
+        kind = type(node).__name__
+        if name in design.network.host:
+            yield Ruling("primitive", name, "pass", kind, note="computed by the host")
+        else:
+            remedy = "Replace the node, or run the network in float."
+            yield allowed("primitive", name, kind, design.limits.primitives, remedy)
+
+
+def reset(design: Design) -> Iterator[Ruling]:
+    """A spike does to the membrane what the convention says, from 0."""
+    for name, node in sorted(design.graph.nodes.items()):
+        if not isinstance(node, SPIKING):
+            continue
+        if node.v_reset.any():
+            found = f"v_reset {float(node.v_reset.flat[np.abs(node.v_reset).argmax()]):g}"
+            remedy = "Shift the membrane so that it resets to 0, or run the network in float."
+            yield Ruling("reset", name, "fail", found, "v_reset 0", "", remedy)
+        else:
+            remedy = "Train with that reset, or run the network in float."
+            found = f"reset {design.artifact.convention.reset!r}"
+            possible = tuple(f"reset {each!r}" for each in design.chip.resets)
+            yield allowed("reset", name, found, possible, remedy)
+
+
+def delay(design: Design) -> Iterator[Ruling]:
+    """Delays fit into the chip's."""
+    remedy = "Shorten the delay."
+    for name, node in sorted(design.graph.nodes.items()):
+        if isinstance(node, nir.Delay):
+            steps = int(delay_timesteps(name, node, design.artifact.convention).max())
+            yield at_most("delay", name, steps, design.chip.delay_max, "timesteps", remedy)
+
+
+def recurrence(design: Design) -> Iterator[Ruling]:
+    """Loops only where neurons can hear themselves."""
+    for population in design.network.populations:
+        if not population.recurrent:
+            continue
+        if design.limits.recurrence is None:
+            yield Ruling("recurrence", population.name, "unknown", "a loop")
+        else:
+            possible = ("a loop",) if design.limits.recurrence else ()
+            remedy = "Take the loop out, or run the network in float."
+            yield allowed("recurrence", population.name, "a loop", possible, remedy)
+
+
+def decay_range(design: Design) -> Iterator[Ruling]:
+    """What a current and a membrane lose in a timestep is within what the registers hold."""
+    for name, neuron in sorted(design.neurons.items()):
+        states = [("membrane", 1 - neuron.membrane_decay, design.limits.membrane_loss)]
+        if neuron.current_decay is not None:
+            states.insert(0, ("current", 1 - neuron.current_decay, design.limits.current_loss))
+        rulings = [_loss(name, *state) for state in states]
+        # the first failure, or what is unknown, or the last
+        yield min(rulings, key=lambda ruling: ("fail", "unknown", "pass").index(ruling.status))
+
+
+def _loss(name: str, state: str, loss: np.ndarray, span: tuple[float, float] | None) -> Ruling:
+    found = f"a {state} that loses {_span(float(loss.min()), float(loss.max()))}"
+    if span is None:
+        return Ruling("decay-range", name, "unknown", found, unit="of 1 in a timestep")
+    inside = loss.min() >= span[0] - HAIR and loss.max() <= span[1] + HAIR
+    remedy = "Choose another time constant."
+    limit = f"losses of {_span(*span)}"
+    status: Status = "pass" if inside else "fail"
+    return Ruling("decay-range", name, status, found, limit, "of 1 in a timestep", remedy)
+
+
+def _span(least: float, most: float) -> str:
+    return f"{least:.4g}" if least == most else f"{least:.4g} to {most:.4g}"
+
+
+def threshold_range(design: Design) -> Iterator[Ruling]:
+    """Thresholds are whole numbers within their register when the largest weight fills its own."""
+    most, widest = design.limits.threshold_max, design.limits.weight_max
+    for population in filter(design.spikes, design.network.populations):
+        threshold = design.graph.nodes[population.name].v_threshold
+        largest = design.largest(population)
+        if widest is None or most is None or not largest:
+            yield Ruling("threshold-range", population.name, "unknown")
+            continue
+        found = float(threshold.min()) * widest / largest
+        dead = found < 0 or 0 < found < 0.5
+        yield Ruling(
+            rule="threshold-range",
+            node=population.name,
+            status="fail" if dead else "pass",
+            found=found,
+            limit=f"thresholds of 0.5 to {most}",
+            unit="units of the smallest weight",
+            remedy="Raise the threshold, or clip the weights.",
+            note="thresholds above the range scale the weights down" if found > most else "",
+        )
+
+
+def weight_bits(design: Design) -> Iterator[Ruling]:
+    """The largest weight is not 0 beside the largest threshold."""
+    most, widest = design.limits.threshold_max, design.limits.weight_max
+    for population in filter(design.spikes, design.network.populations):
+        threshold = float(design.graph.nodes[population.name].v_threshold.max())
+        largest = design.largest(population)
+        if widest is None or most is None or not largest:
+            yield Ruling("weight-bits", population.name, "unknown")
+            continue
+        found = min(float(widest), largest * most / threshold if threshold > 0 else widest)
+        yield Ruling(
+            rule="weight-bits",
+            node=population.name,
+            status="pass" if found >= 0.5 else "fail",
+            found=found,
+            limit=f"weights of 0.5 to {widest}",
+            unit="mantissa of the largest weight",
+            remedy="Scale the weights up, or the threshold down.",
+        )
+
+
+def weight_values(design: Design) -> Iterator[Ruling]:
+    """Different weights of a neuron, where a chip has a table of few."""
+    remedy = "Quantise to so few weights, or double sources so that each has one more."
+    for name, node in sorted(design.graph.nodes.items()):
+        if not isinstance(node, DENSE) or name in design.network.host:
+            continue
+        if design.limits.weight_values is None:
+            yield Ruling("weight-values", name, "unknown")
+        else:
+            found = max(len(np.unique(row[row != 0])) for row in node.weight)
+            limit = design.limits.weight_values
+            yield at_most("weight-values", name, found, limit, "weights of a neuron", remedy)
