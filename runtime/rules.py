@@ -38,6 +38,8 @@ NETWORK_RULES: dict[str, Rule] = {
     "convention": rules_of_networks.convention,
 }
 RULES = (*NODE_RULES, *NETWORK_RULES)
+# what the arithmetic itself cannot do, so that no size of the chip would help
+ARITHMETIC = ("primitive", "reset", "weight-bits", "threshold-range", "decay-range", "convention")
 
 
 def judged(plan: Design) -> list[Ruling]:
@@ -58,7 +60,7 @@ def refuse(artifact: Artifact, chip: Chip) -> None:
         return
     broken = [ruling for ruling in judged(design(artifact, chip, chip.limits)) if ruling.failed]
     if broken:
-        raise RuleError(
-            f"{broken[0].describe(chip.name)} Or emulate the arithmetic alone with --limits off "
-            "(limits=False)."
-        )
+        way_out = " Or emulate the arithmetic alone with --limits off (limits=False)."
+        first = broken[0]
+        line = first.describe(chip.name)
+        raise RuleError(line if first.rule in ARITHMETIC else f"{line}{way_out}")

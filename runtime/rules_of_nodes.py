@@ -4,12 +4,15 @@ from collections.abc import Iterator
 
 import nir
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.design import Design
 from runtime.discrete import SPIKING
 from runtime.float_delay import delay_timesteps
 from runtime.ruling import Ruling, Status, allowed, at_most
 from runtime.shapes import DENSE
+
+Floats = NDArray[np.float64]
 
 # a decay or mantissa that is a limit itself may come out a last bit beyond it
 HAIR = 1e-9
@@ -67,26 +70,29 @@ def recurrence(design: Design) -> Iterator[Ruling]:
 def decay_range(design: Design) -> Iterator[Ruling]:
     """What a current and a membrane lose in a timestep is within what the registers hold."""
     for name, neuron in sorted(design.neurons.items()):
-        states = [("membrane", 1 - neuron.membrane_decay, design.limits.membrane_loss)]
+        losses = {"membrane": (1 - neuron.membrane_decay, design.limits.membrane_loss)}
         if neuron.current_decay is not None:
-            states.insert(0, ("current", 1 - neuron.current_decay, design.limits.current_loss))
-        rulings = [_loss(name, *state) for state in states]
-        # the first failure, or what is unknown, or the last
-        yield min(rulings, key=lambda ruling: ("fail", "unknown", "pass").index(ruling.status))
+            losses["current"] = (1 - neuron.current_decay, design.limits.current_loss)
+        yield Ruling(
+            rule="decay-range",
+            node=name,
+            status=_within([(loss, span) for loss, span in losses.values()]),
+            found="a loss of " + ", ".join(f"{s} {_span(x)}" for s, (x, _) in losses.items()),
+            limit=", ".join(f"{s} {_span(np.array(y))}" for s, (_, y) in losses.items() if y)
+            or None,
+            unit="of 1 in a timestep",
+            remedy="Choose another time constant.",
+        )
 
 
-def _loss(name: str, state: str, loss: np.ndarray, span: tuple[float, float] | None) -> Ruling:
-    found = f"a {state} that loses {_span(float(loss.min()), float(loss.max()))}"
-    if span is None:
-        return Ruling("decay-range", name, "unknown", found, unit="of 1 in a timestep")
-    inside = loss.min() >= span[0] - HAIR and loss.max() <= span[1] + HAIR
-    remedy = "Choose another time constant."
-    limit = f"losses of {_span(*span)}"
-    status: Status = "pass" if inside else "fail"
-    return Ruling("decay-range", name, status, found, limit, "of 1 in a timestep", remedy)
+def _within(losses: list[tuple[Floats, tuple[float, float] | None]]) -> Status:
+    if any(span and (x.min() < span[0] - HAIR or x.max() > span[1] + HAIR) for x, span in losses):
+        return "fail"
+    return "unknown" if any(span is None for _, span in losses) else "pass"
 
 
-def _span(least: float, most: float) -> str:
+def _span(values: Floats) -> str:
+    least, most = float(values.min()), float(values.max())
     return f"{least:.4g}" if least == most else f"{least:.4g} to {most:.4g}"
 
 
