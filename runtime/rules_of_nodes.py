@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 
 # a decay or mantissa that is a limit itself may come out a last bit beyond it
 HAIR = 1e-9
+# of the smallest mantissa: what is no more becomes 0 when it is rounded
+HALF = 0.5
 
 
 def primitive(design: Design) -> Iterator[Ruling]:
@@ -68,7 +70,7 @@ def recurrence(design: Design) -> Iterator[Ruling]:
 
 
 def decay_range(design: Design) -> Iterator[Ruling]:
-    """What a current and a membrane lose in a timestep is within what the registers hold."""
+    """What a current and a membrane lose in a timestep is rounded to what the registers hold."""
     for name, neuron in sorted(design.neurons.items()):
         losses = {"membrane": (1 - neuron.membrane_decay, design.limits.membrane_loss)}
         if neuron.current_decay is not None:
@@ -86,9 +88,15 @@ def decay_range(design: Design) -> Iterator[Ruling]:
 
 
 def _within(losses: list[tuple[Floats, tuple[float, float] | None]]) -> Status:
-    if any(span and (x.min() < span[0] - HAIR or x.max() > span[1] + HAIR) for x, span in losses):
+    if any(span is not None and not _holds(span, loss) for loss, span in losses):
         return "fail"
     return "unknown" if any(span is None for _, span in losses) else "pass"
+
+
+def _holds(span: tuple[float, float], loss: Floats) -> bool:
+    """Whether each loss is at most half a step outside; next to an end the step is as it is."""
+    least, most = span[0] / 2, span[1] + (1 - span[1]) / 2 * (span[1] > span[0])
+    return bool(loss.min() >= least - HAIR and loss.max() <= most + HAIR)
 
 
 def _span(values: Floats) -> str:
@@ -106,13 +114,13 @@ def threshold_range(design: Design) -> Iterator[Ruling]:
             yield Ruling("threshold-range", population.name, "unknown")
             continue
         found = float(threshold.min()) * widest / largest
-        dead = found < 0 or 0 < found < 0.5
+        dead = found < 0 or 0 < found <= HALF
         yield Ruling(
             rule="threshold-range",
             node=population.name,
             status="fail" if dead else "pass",
             found=found,
-            limit=f"thresholds of 0.5 to {most}",
+            limit=f"thresholds above {HALF}, to {most}",
             unit="units of the smallest weight",
             remedy="Raise the threshold, or clip the weights.",
             note="thresholds above the range scale the weights down" if found > most else "",
@@ -132,9 +140,9 @@ def weight_bits(design: Design) -> Iterator[Ruling]:
         yield Ruling(
             rule="weight-bits",
             node=population.name,
-            status="pass" if found >= 0.5 else "fail",
+            status="pass" if found > HALF else "fail",
             found=found,
-            limit=f"weights of 0.5 to {widest}",
+            limit=f"weights above {HALF}, to {widest}",
             unit="mantissa of the largest weight",
             remedy="Scale the weights up, or the threshold down.",
         )
