@@ -30,8 +30,12 @@ class Entry:
         """Its name for people: `popsan · loihi1`."""
         if self.chip is None:
             return self.candidate.name
-        off = "" if self.candidate.limits or self.chip == FLOAT else ", limits off"
-        return f"{self.candidate.name} · {self.chip}{off}"
+        return f"{self.candidate.name} · {self.chip}{'' if self.limits else ', limits off'}"
+
+    @property
+    def limits(self) -> bool:
+        """Whether nothing was emulated that its chip could not hold."""
+        return self.candidate.limits or self.chip in (None, FLOAT)
 
     @property
     def references(self) -> list["Entry"]:
