@@ -46,16 +46,17 @@ def check(artifact: Artifact, on: Chip) -> Check:
     """Judge the artifact by every rule of the chip."""
     plan = design(artifact, on, on.limits or NONE)
     rulings = judged(plan) if on.limits is not None else []
-    return Check(on, (*rulings, _compiled(artifact, on)), plan.mapping)
+    broken = any(ruling.failed for ruling in rulings)
+    return Check(on, (*rulings, _compiled(artifact, on, not broken)), plan.mapping)
 
 
-def _compiled(artifact: Artifact, on: Chip) -> Ruling:
-    """What the compiler says with limits off."""
+def _compiled(artifact: Artifact, on: Chip, limits: bool) -> Ruling:
+    """What the compiler says; without limits where rules have said already what breaks them."""
     if on.name not in CHIPS:
         note = "its arithmetic is not emulated yet"
         return Ruling(COMPILE, None, "unknown", note=note)
     try:
-        compile(artifact, on, limits=False)
+        compile(artifact, on, limits=limits)
     except SpikedeployError as error:
         return Ruling(COMPILE, None, "fail", str(error))
     return Ruling(COMPILE, None, "pass", "a program")

@@ -11,7 +11,7 @@ from runtime.discrete import Discrete, discretise
 from runtime.errors import RuleError
 from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantize import Rounding, quantise
-from runtime.rules import refuse
+from runtime.rules import ARITHMETIC, ROOM, refuse
 from runtime.wiring import Wire, Wiring, wiring
 
 
@@ -38,7 +38,7 @@ def compile(
         )
     wires = wiring(artifact.graph)
     if limits:
-        refuse(artifact, chip)
+        refuse(artifact, chip, ROOM)
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
@@ -46,6 +46,8 @@ def compile(
     layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
     if chip.fixed is not None:
         layers = [quantise(layer, chip.fixed, rounding) for layer in layers]
+    if limits:  # last: the compiler itself is more precise
+        refuse(artifact, chip, ARITHMETIC)
     return Program(
         chip=chip,
         convention=artifact.convention,

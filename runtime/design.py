@@ -1,6 +1,7 @@
-"""The design: a network, a chip, and how the one lies on the other; what design rules judge."""
+"""The design: a network on a chip, which is what design rules judge."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import nir
 import numpy as np
@@ -20,7 +21,6 @@ class Design:
     artifact: the network and its convention.
     chip, limits: of the chip.
     network: populations and synapses.
-    mapping: onto the chip's cores.
     neurons: the difference equation of each node of neurons.
     """
 
@@ -28,8 +28,12 @@ class Design:
     chip: Chip
     limits: Limits
     network: Topology
-    mapping: Mapping
     neurons: dict[str, Discrete]
+
+    @cached_property
+    def mapping(self) -> Mapping:
+        """The network on the chip's cores."""
+        return mapping(self.network, self.chip, self.graph)
 
     @property
     def graph(self) -> nir.NIRGraph:
@@ -61,13 +65,11 @@ class Design:
 
 def design(artifact: Artifact, chip: Chip, limits: Limits) -> Design:
     """The artifact on the chip."""
-    network = topology(artifact.graph)
     return Design(
         artifact=artifact,
         chip=chip,
         limits=limits,
-        network=network,
-        mapping=mapping(network, chip),
+        network=topology(artifact.graph),
         neurons={
             name: discretise(name, node, artifact.convention)
             for name, node in artifact.graph.nodes.items()

@@ -40,6 +40,22 @@ class LayerCore:
 
 
 @dataclass(frozen=True)
+class Convolutions:
+    """What a core that computes a layer can take for one.
+
+    kernel: largest extent of a kernel.
+    strides: possible.
+    channels: most features.
+    extent: largest of what a layer puts out.
+    """
+
+    kernel: int
+    strides: tuple[int, ...]
+    channels: int
+    extent: int
+
+
+@dataclass(frozen=True)
 class Limits:
     """What fits on a chip; None, or nothing, is no limit that anyone published.
 
@@ -51,6 +67,9 @@ class Limits:
     fan_out: synapses that a spike can reach in the neurons of the chip, outputs not counted where
         those are limited by themselves.
     fan_out_mean: the same, the mean over the chip's neurons.
+    input_targets: neurons that can hear inputs.
+    output_sources: neurons that outputs can hear.
+    destinations: layers that can hear a layer.
     cores: of a chip.
     neurons_per_core: of one core; larger layers are divided.
     memory: synaptic memory of a core.
@@ -59,7 +78,9 @@ class Limits:
     decays: different pairs of decays in a core.
     thresholds: different thresholds in a core.
     layer_cores: where each layer takes a core of its own: what those hold.
-    weight_values: different weights of a neuron, besides 0.
+    convolutions: what such a layer can be.
+    axon_signs: whether a source excites all that it reaches, or inhibits all.
+    weight_values: different weights of a neuron, besides 0; None where each synapse has its own.
     weight_max: largest mantissa of a weight.
     threshold_max: largest threshold, in the unit of weight_max.
     current_loss: least and most that a synaptic current may lose in one timestep, of 1.
@@ -78,6 +99,9 @@ class Limits:
     fan_in: int | None = None
     fan_out: int | None = None
     fan_out_mean: int | None = None
+    input_targets: int | None = None
+    output_sources: int | None = None
+    destinations: int | None = None
     cores: int | None = None
     neurons_per_core: int | None = None
     memory: SynapticMemory | None = None
@@ -86,6 +110,8 @@ class Limits:
     decays: int | None = None
     thresholds: int | None = None
     layer_cores: tuple[LayerCore, ...] = ()
+    convolutions: Convolutions | None = None
+    axon_signs: bool = False
     weight_values: int | None = None
     weight_max: int | None = None
     threshold_max: int | None = None

@@ -5,13 +5,16 @@ is divided into blocks of neighbouring neurons, as large as each other but for t
 divisions that fit it takes the one into the fewest cores.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeAlias
 
+import nir
+
 from runtime.chip import Chip
 from runtime.core_load import Load, load
+from runtime.layer_cores import assigned, entries
 from runtime.limits import Limits
 from runtime.topology import Population, Topology
 
@@ -28,8 +31,10 @@ class Placement:
     synapses: that reach it.
     fan_in, fan_out: the most of a neuron.
     cores: it takes; 0 where the chip has none.
-    block: neurons of its fullest core.
-    memory, axons_in: of its fullest core, as in Load.
+    first: the number of its first core, from 0; None where it has none.
+    block: neurons of its fullest core, or entries of a neuron memory.
+    memory: synaptic memory of its fullest core, as in Load, or entries of a kernel memory.
+    axons_in: of its fullest core, as in Load.
     axons_out: of its fullest core.
     estimated: whether memory and axons are estimates, because the synapses are not listed.
     """
@@ -41,6 +46,7 @@ class Placement:
     fan_in: int
     fan_out: int
     cores: int
+    first: int | None
     block: int
     memory: int | None
     axons_in: int
@@ -62,9 +68,11 @@ class Mapping:
     chips: int | None
 
 
-def mapping(network: Topology, chip: Chip) -> Mapping:
+def mapping(network: Topology, chip: Chip, graph: nir.NIRGraph) -> Mapping:
     """The network on the chip; where a population does not fit, its smallest division."""
     limits = chip.limits
+    if limits is not None and limits.layer_cores:
+        return _by_layers(network, graph, limits)
     if limits is None or (limits.neurons_per_core is None and limits.memory is None):
         return Mapping(tuple(_uncored(network, p) for p in network.populations), None, None)
     lists = 2 if chip.fixed is not None and chip.fixed.sign_mode == "split" else 1
@@ -83,7 +91,32 @@ def mapping(network: Topology, chip: Chip) -> Mapping:
         placements = [*_inputs(network, limits, cores), *placements, *_bias(network, cores)]
     total = sum(placement.cores for placement in placements)
     chips = None if limits.cores is None else -(-total // limits.cores)
-    return Mapping(tuple(placements), total, chips)
+    return Mapping(tuple(_numbered(placements)), total, chips)
+
+
+def _numbered(placements: Iterable[Placement]) -> Iterator[Placement]:
+    """The placements with their first cores, one behind the other."""
+    first = 0
+    for placement in placements:
+        yield replace(placement, first=first)
+        first += placement.cores
+
+
+def _by_layers(network: Topology, graph: nir.NIRGraph, limits: Limits) -> Mapping:
+    """A core for each layer; without numbers where they do not all find one."""
+    taken = [entries(graph, population) for population in network.populations]
+    cores = assigned(taken, limits.layer_cores)
+    placements = tuple(
+        replace(
+            _uncored(network, population),
+            cores=1,
+            first=None if cores is None else cores[place],
+            block=taken[place].neurons,
+            memory=taken[place].kernel,
+        )
+        for place, population in enumerate(network.populations)
+    )
+    return Mapping(placements, len(placements), None if cores is None else 1)
 
 
 def _divided(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
@@ -157,6 +190,7 @@ def _uncored(network: Topology, population: Population) -> Placement:
         fan_in=population.fan_in,
         fan_out=_fan_out(network, population.name),
         cores=0,
+        first=None,
         block=population.size,
         memory=None,
         axons_in=sum(connection.fan.out.size for connection in population.heard),
@@ -192,4 +226,5 @@ def _bias(network: Topology, cores: dict[str, int]) -> Iterator[Placement]:
 def _source(
     name: str, kind: str, neurons: int, cores: int, block: int, heard: int, fan_out: int
 ) -> Placement:
-    return Placement(name, kind, neurons, 0, 0, fan_out, cores, block, 0, 0, block * heard, False)
+    axons = block * heard
+    return Placement(name, kind, neurons, 0, 0, fan_out, cores, None, block, 0, 0, axons, False)

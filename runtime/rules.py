@@ -1,9 +1,9 @@
 """The design rules: a table of them, and what they say of a network on a chip."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import TypeAlias
 
-from runtime import rules_of_layers, rules_of_networks, rules_of_nodes
+from runtime import rules_of_layers, rules_of_networks, rules_of_nodes, rules_of_weights
 from runtime.artifact import Artifact
 from runtime.chip import Chip
 from runtime.design import Design, design
@@ -22,8 +22,12 @@ NODE_RULES: dict[str, Rule] = {
     "synaptic-memory": rules_of_layers.synaptic_memory,
     "axons-in": rules_of_layers.axons_in,
     "axons-out": rules_of_layers.axons_out,
+    "shape": rules_of_layers.shape,
+    "destinations": rules_of_layers.destinations,
+    "kernel": rules_of_weights.kernel,
+    "axon-signs": rules_of_weights.axon_signs,
+    "weight-values": rules_of_weights.weight_values,
     "weight-bits": rules_of_nodes.weight_bits,
-    "weight-values": rules_of_nodes.weight_values,
     "threshold-range": rules_of_nodes.threshold_range,
     "decay-range": rules_of_nodes.decay_range,
     "recurrence": rules_of_nodes.recurrence,
@@ -32,35 +36,40 @@ NODE_RULES: dict[str, Rule] = {
 NETWORK_RULES: dict[str, Rule] = {
     "inputs": rules_of_networks.inputs,
     "outputs": rules_of_networks.outputs,
+    "input-targets": rules_of_networks.input_targets,
+    "output-sources": rules_of_networks.output_sources,
     "fan-out-mean": rules_of_networks.fan_out_mean,
     "cores": rules_of_networks.cores,
     "chips": rules_of_networks.chips,
     "convention": rules_of_networks.convention,
 }
 RULES = (*NODE_RULES, *NETWORK_RULES)
-# what the arithmetic itself cannot do, so that no size of the chip would help
+# what is about numbers and not about room: the compiler looks at them when it rounds, too
 ARITHMETIC = ("primitive", "reset", "weight-bits", "threshold-range", "decay-range", "convention")
+ROOM = tuple(name for name in RULES if name not in ARITHMETIC)
 
 
-def judged(plan: Design) -> list[Ruling]:
-    """What every rule says of every node, and of the network."""
+def judged(plan: Design, names: Collection[str] = RULES) -> list[Ruling]:
+    """What each of these rules says of every node, and of the network."""
     rulings = []
     for name, rule in NODE_RULES.items():
+        if name not in names:
+            continue
         found = list(rule(plan))
         silent = set(plan.graph.nodes) - {ruling.node for ruling in found}
         rulings += [*found, *(Ruling(name, node, "not applicable") for node in sorted(silent))]
-    for rule in NETWORK_RULES.values():
-        rulings += rule(plan)
+    for name, rule in NETWORK_RULES.items():
+        rulings += rule(plan) if name in names else ()
     return rulings
 
 
-def refuse(artifact: Artifact, chip: Chip) -> None:
-    """Refuse a network that breaks a design rule of the chip, by the first that it breaks."""
+def refuse(artifact: Artifact, chip: Chip, names: Collection[str] = RULES) -> None:
+    """Refuse a network that breaks one of these rules of the chip, by the first that it breaks."""
     if chip.limits is None:
         return
-    broken = [ruling for ruling in judged(design(artifact, chip, chip.limits)) if ruling.failed]
-    if broken:
-        way_out = " Or emulate the arithmetic alone with --limits off (limits=False)."
-        first = broken[0]
-        line = first.describe(chip.name)
-        raise RuleError(line if first.rule in ARITHMETIC else f"{line}{way_out}")
+    for ruling in judged(design(artifact, chip, chip.limits), names):
+        if ruling.failed:
+            raise RuleError(
+                f"{ruling.describe(chip.name)} Or emulate the arithmetic alone with --limits off "
+                "(limits=False)."
+            )

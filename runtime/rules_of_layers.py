@@ -103,3 +103,32 @@ def _placement(design: Design, name: str) -> Placement:
 
 def _note(placement: Placement) -> str:
     return "estimated: its synapses are not listed" if placement.estimated else ""
+
+
+def shape(design: Design) -> Iterator[Ruling]:
+    """Channels and extents of what a layer puts out."""
+    limits = design.limits.convolutions
+    if limits is None:
+        return
+    for population in design.network.populations:
+        channels, *extents = population.shape
+        fits = channels <= limits.channels and max(extents, default=1) <= limits.extent
+        yield Ruling(
+            rule="shape",
+            node=population.name,
+            status="pass" if fits else "fail",
+            found=" x ".join(map(str, population.shape)),
+            limit=f"{limits.channels} channels of {limits.extent} in each axis",
+            remedy="Make the layer smaller, with a stride or a pool.",
+        )
+
+
+def destinations(design: Design) -> Iterator[Ruling]:
+    """Layers that hear a layer."""
+    if design.limits.destinations is None:
+        return
+    remedy = "Let fewer layers hear it."
+    for population in design.network.populations:
+        found = len({c.target for c in design.network.leaving(population.name)})
+        limit = design.limits.destinations
+        yield at_most("destinations", population.name, found, limit, "layers", remedy)

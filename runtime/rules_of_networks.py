@@ -1,6 +1,6 @@
 """Design rules on the network as a whole: inputs, outputs, cores, chips, convention."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from runtime.design import Design
 from runtime.layer_cores import assigned, entries
 from runtime.mapping import mapping
 from runtime.ruling import Ruling, at_most
+from runtime.topology import Population
 
 
 def inputs(design: Design) -> Iterator[Ruling]:
@@ -23,6 +24,32 @@ def outputs(design: Design) -> Iterator[Ruling]:
     found = sum(population.size for population in design.outputs)
     remedy = "Put a small layer at the end."
     yield at_most("outputs", None, found, design.limits.outputs, "outputs", remedy)
+
+
+def input_targets(design: Design) -> Iterator[Ruling]:
+    """Neurons that hear inputs."""
+    remedy = "Let fewer neurons hear the inputs."
+    found = sum(_hearing(p, design.network.inputs) for p in design.inside)
+    limit = design.limits.input_targets
+    yield at_most("input-targets", None, found, limit, "neurons that hear inputs", remedy)
+
+
+def output_sources(design: Design) -> Iterator[Ruling]:
+    """Neurons that outputs hear."""
+    remedy = "Let the outputs hear fewer neurons."
+    targets = {population.name for population in design.outputs}
+    found = sum(
+        int(np.count_nonzero(design.network.fan_out(population.name, targets)))
+        for population in design.inside
+    )
+    limit = design.limits.output_sources
+    yield at_most("output-sources", None, found, limit, "neurons that outputs hear", remedy)
+
+
+def _hearing(population: Population, sources: Collection[str]) -> int:
+    """Neurons with a synapse from one of these sources."""
+    into = [c.fan.into for c in population.heard if c.source in sources]
+    return int(np.count_nonzero(np.sum(into, axis=0))) if into else 0
 
 
 def fan_out_mean(design: Design) -> Iterator[Ruling]:
@@ -70,7 +97,7 @@ def _mixed(design: Design) -> str:
     if fixed is None or fixed.sign_mode != "split" or min(fixed.weight_bits, 2) < 2:
         return ""
     other = replace(design.chip, arithmetic=replace(fixed, sign_mode="mixed"))
-    found = mapping(design.network, other).cores
+    found = mapping(design.network, other, design.graph).cores
     return f"{found} where both signs share a list (sign_mode 'mixed')" if found else ""
 
 

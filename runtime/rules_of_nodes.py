@@ -10,7 +10,6 @@ from runtime.design import Design
 from runtime.discrete import SPIKING
 from runtime.float_delay import delay_timesteps
 from runtime.ruling import Ruling, Status, allowed, at_most
-from runtime.shapes import DENSE
 
 Floats = NDArray[np.float64]
 
@@ -146,17 +145,3 @@ def weight_bits(design: Design) -> Iterator[Ruling]:
             unit="mantissa of the largest weight",
             remedy="Scale the weights up, or the threshold down.",
         )
-
-
-def weight_values(design: Design) -> Iterator[Ruling]:
-    """Different weights of a neuron, where a chip has a table of few."""
-    remedy = "Quantise to so few weights, or double sources so that each has one more."
-    for name, node in sorted(design.graph.nodes.items()):
-        if not isinstance(node, DENSE) or name in design.network.host:
-            continue
-        if design.limits.weight_values is None:
-            yield Ruling("weight-values", name, "unknown")
-        else:
-            found = max(len(np.unique(row[row != 0])) for row in node.weight)
-            limit = design.limits.weight_values
-            yield at_most("weight-values", name, found, limit, "weights of a neuron", remedy)

@@ -24,6 +24,10 @@ class Utilisation:
 
 def of_placement(placement: Placement, limits: Limits) -> Utilisation:
     """Of the fullest core of a layer."""
+    if limits.layer_cores and placement.first is not None:
+        core = limits.layer_cores[placement.first]
+        memory = (placement.memory or 0) / core.kernel
+        return Utilisation(placement.block / core.neurons, memory, None, None)
     return _shares([(1, placement)], limits, [placement.block])
 
 

@@ -35,6 +35,7 @@ LAYER = {
     "fan_in": int,
     "fan_out": int,
     "cores": int,
+    "first": (int, type(None)),
     "block": int,
     "memory": (int, type(None)),
     "axons_in": int,

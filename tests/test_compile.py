@@ -216,7 +216,7 @@ def no_neurons():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (reset_elsewhere, "rule reset: node 'n2' has v_reset 0.1"),
+        (reset_elsewhere, "layer 'n2': v_reset"),
         (two_maps, "nodes 'n1' and 'n2': two maps in a row"),
         (leaky_readout, "node 'n2': LI has no place on a chip"),
         (long_loop, "layers 'l2' -> 'l1': the feedback would have to arrive"),

@@ -24,7 +24,7 @@ WORDS = SynapticMemory(size=1 << 20, cost="words", weight_bits=8)
 
 def placed(network, datasheet):
     check_graph(network)
-    return mapping(topology(network), datasheet)
+    return mapping(topology(network), datasheet, network)
 
 
 def dense(*sizes, weight=None, bias=0.1):

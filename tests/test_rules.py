@@ -56,6 +56,15 @@ def xylo(inputs=4, hidden=4, outputs=2, there=1):
     return feed(*nodes, *last, width=inputs, act=outputs, reset="subtract")
 
 
+def reached(targets, sources):
+    """Hidden neurons of which so many hear inputs, and so many are heard by outputs."""
+    hidden = 200
+    first, last = np.zeros((hidden, 2)), np.zeros((2, hidden))
+    first[:targets], last[:, :sources] = 1.0, 1.0
+    nodes = nir.Linear(first), lif(hidden), nir.Linear(last), lif(2)
+    return feed(*nodes, width=2, act=2, reset="subtract")
+
+
 def sized(layers):
     """So many layers of two integrators."""
     nodes = [node for _ in range(layers) for node in (nir.Linear(np.ones((2, 2))), integrate(2))]
@@ -90,6 +99,33 @@ def delayed(timesteps):
 
 def membrane(tau):
     return one(neurons=lif(2, tau=tau, r=tau / 1e-3))
+
+
+def convolved(size, kernel, stride=1, features=2):
+    """A convolution of a square image."""
+    weight = np.ones((features, 1, kernel, kernel))
+    node = nir.Conv2d((size, size), weight, stride, 0, 1, 1, np.zeros(features))
+    extent = (size - kernel) // stride + 1
+    shape = (features, extent, extent)
+    ends = {"input": nir.Input(np.array([1, size, size])), "output": nir.Output(np.array(shape))}
+    edges = "input->c, c->n, n->output"
+    return Artifact(graph(edges, c=node, n=integrate(*shape), **ends), None, CONVENTION)
+
+
+def heard_by(layers):
+    """A layer that so many others hear, whose spikes meet in the last."""
+    nodes = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    nodes |= {name: integrate(2) for name in ("a", "z")}
+    edges = ["input->wa", "wa->a", "z->output", "wz->z"]
+    nodes |= {name: nir.Linear(np.ones((2, 2))) for name in ("wa", "wz")}
+    for k in range(layers):
+        nodes |= {f"w{k}": nir.Linear(np.ones((2, 2))), f"n{k}": integrate(2)}
+        edges += [f"a->w{k}", f"w{k}->n{k}", f"n{k}->wz"]
+    return Artifact(graph(", ".join(edges), **nodes), None, CONVENTION)
+
+
+def signed(weight):
+    return feed(nir.Linear(np.array(weight, float)), integrate(2), width=2, act=2)
 
 
 def values(number):
@@ -140,6 +176,14 @@ BOUNDARIES = [
     ("axons-in", "truenorth", one(256), one(257)),
     ("cores", "speck2f", sized(9), sized(10)),
     ("weight-values", "truenorth", values(4), values(5)),
+    ("input-targets", "xylo-a3", reached(128, 1), reached(129, 1)),
+    ("output-sources", "xylo-imu", reached(1, 128), reached(1, 129)),
+    ("kernel", "speck2f", convolved(20, 16), convolved(20, 17)),
+    ("kernel", "speck2f", convolved(20, 2, stride=8), convolved(20, 2, stride=3)),
+    ("shape", "speck2f", convolved(65, 2, features=1), convolved(66, 2, features=1)),
+    ("shape", "speck2f", convolved(2, 2, features=1024), convolved(2, 2, features=1025)),
+    ("destinations", "speck2f", heard_by(2), heard_by(3)),
+    ("axon-signs", "odin", signed([[1, -1], [2, 0]]), signed([[1, -1], [2, 1]])),
     ("recurrence", "loihi1", looped(True), None),
     ("recurrence", limited(recurrence=False), looped(False), looped(True)),
     ("delay", "loihi1", delayed(62), delayed(63)),
@@ -216,8 +260,16 @@ def test_the_refusal_says_the_limit_and_the_way_out():
         compile(feed(BIASED, cuba(2), width=4096, act=2), LOIHI)
 
 
+def test_what_the_compiler_would_only_round_badly_is_refused_too():
+    # nearer to a membrane that keeps nothing, which the register cannot hold, than to its largest
+    artifact = membrane(1.0001e-3)
+    with pytest.raises(RuleError, match=r"decay-range: node 'n2' has a loss of membrane 0\.99"):
+        compile(artifact, LOIHI)
+    assert compile(artifact, LOIHI, limits=False).layers[0].membrane_keep.tolist() == [1, 1]
+
+
 def test_no_way_out_is_promised_where_the_arithmetic_itself_refuses():
-    with pytest.raises(RuleError, match="rule weight-bits: node 'n2'") as refusal:
+    with pytest.raises(RuleError, match="every weight becomes 0") as refusal:
         compile(one(neurons=cuba(2, threshold=1e6)), LOIHI)
     assert "limits" not in str(refusal.value)
 
@@ -244,7 +296,8 @@ def test_the_other_way_to_store_signs_is_told():
 def test_every_limit_has_a_source(name):
     limits = datasheet(name).limits
     given = {f.name for f in fields(Limits) if getattr(limits, f.name) not in (None, ())}
-    by_definition = {"sources"} | ({"input_cores"} if not limits.input_cores else set())
+    no = {name for name in ("input_cores", "axon_signs") if not getattr(limits, name)}
+    by_definition = {"sources", *no}
     assert given - by_definition <= set(limits.sources)
     assert set(limits.sources) <= {field.name for field in fields(Limits)}
 

@@ -10,11 +10,14 @@ LIMITS = replace(
     neurons=992,
     outputs=32,
     fan_out=1024,
+    input_targets=128,
+    output_sources=128,
     sources={
         **A2.sources,
         "neurons": ROCKPOOL,
         "outputs": ROCKPOOL,
-        "fan_out": f"{ROCKPOOL}; it also says that 128 neurons hear inputs or reach outputs, which "
-        "is not checked here",
+        "fan_out": ROCKPOOL,
+        "input_targets": ROCKPOOL,
+        "output_sources": ROCKPOOL,
     },
 )

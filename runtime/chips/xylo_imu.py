@@ -10,12 +10,15 @@ LIMITS = replace(
     neurons=496,
     outputs=16,
     fan_out=512,
+    input_targets=128,
+    output_sources=128,
     sources={
         **A2.sources,
         "neurons": ROCKPOOL,
         "outputs": ROCKPOOL,
-        "fan_out": f"{ROCKPOOL}; it also says that 128 neurons hear inputs or reach outputs, which "
-        "is not checked here",
+        "fan_out": ROCKPOOL,
+        "input_targets": ROCKPOOL,
+        "output_sources": ROCKPOOL,
         "fan_out_mean": f"{ROCKPOOL}: 64, which is 31,744 recurrent weights of 496 neurons",
     },
 )
