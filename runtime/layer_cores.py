@@ -52,9 +52,10 @@ def _place(
     holds: dict[int, int],
     tried: set[int],
 ) -> bool:
-    """Give the layer a core, moving others on where they have another choice."""
-    for place, core in enumerate(cores):
-        if place in tried or not layers[layer].fit(core):
+    """Give the layer a free core, or one whose layer can move on to another."""
+    fitting = [place for place, core in enumerate(cores) if layers[layer].fit(core)]
+    for place in sorted(fitting, key=lambda place: place in holds):
+        if place in tried:
             continue
         tried.add(place)
         if place not in holds or _place(holds[place], layers, cores, holds, tried):

@@ -83,8 +83,17 @@ def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:
     counts = (placement.neurons, placement.fan_in, placement.fan_out, placement.synapses)
     shares = of_placement(placement, limits)
     each = (shares.neurons, shares.memory, shares.axons_in, shares.axons_out)
-    cores = (f"{placement.cores:,}", f"{placement.block:,}") if placement.cores else ("–", "–")
+    cores = (_numbers(placement), f"{placement.block:,}") if placement.cores else ("–", "–")
     return placement.name, *(f"{count:,}" for count in counts), *cores, *map(_percent, each)
+
+
+def _numbers(placement: Placement) -> str:
+    """How many cores, and which."""
+    if placement.first is None:
+        return f"{placement.cores:,}"
+    last = placement.first + placement.cores - 1
+    which = f"{placement.first}" if placement.cores == 1 else f"{placement.first}–{last}"
+    return f"{placement.cores:,} ({which})"
 
 
 def _percent(share: float | None) -> str:

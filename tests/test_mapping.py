@@ -7,10 +7,15 @@ import nir
 import numpy as np
 import pytest
 
+from runtime.artifact import Artifact
+from runtime.check import datasheet
 from runtime.chip import chip
+from runtime.convention import Convention
+from runtime.design import design
 from runtime.layer_cores import Entries, assigned, entries
 from runtime.limits import LayerCore, SynapticMemory
 from runtime.mapping import mapping
+from runtime.rules import judged
 from runtime.soundness import check_graph
 from runtime.synapse_words import axon_bits, index_bits, list_bits
 from runtime.topology import topology
@@ -22,9 +27,9 @@ SPLIT = chip("loihi1")
 WORDS = SynapticMemory(size=1 << 20, cost="words", weight_bits=8)
 
 
-def placed(network, datasheet):
+def placed(network, on):
     check_graph(network)
-    return mapping(topology(network), datasheet, network)
+    return mapping(topology(network), on, network)
 
 
 def dense(*sizes, weight=None, bias=0.1):
@@ -209,6 +214,52 @@ def test_a_linear_map_behind_a_flatten_is_a_kernel():
     network = graph("input->f, f->w, w->n, n->output", **nodes)
     check_graph(network)
     assert entries(network, topology(network).populations[0]) == Entries(3 * 32 * 16, 10)
+
+
+def neuromorphic_mnist():
+    """A network for N-MNIST of three convolutions, two pools and two maps, without a leak."""
+
+    def convolution(features, channels, size, kernel, stride):
+        weight = np.ones((features, channels, kernel, kernel))
+        return nir.Conv2d((size, size), weight, stride, 1, 1, 1, np.zeros(features))
+
+    def integrate(*shape):
+        return nir.IF(*(np.full(shape, v) for v in (1000.0, 1.0)))
+
+    two = np.array([2, 2])
+    nodes = {
+        "input": nir.Input(np.array([2, 34, 34])),
+        "c1": convolution(16, 2, 34, 5, 2),
+        "n1": integrate(16, 16, 16),
+        "c2": convolution(16, 16, 16, 3, 1),
+        "n2": integrate(16, 16, 16),
+        "p2": nir.SumPool2d(two, two, np.array([0, 0])),
+        "c3": convolution(8, 16, 8, 3, 1),
+        "n3": integrate(8, 8, 8),
+        "p3": nir.SumPool2d(two, two, np.array([0, 0])),
+        "f": nir.Flatten({"input": np.array([8, 4, 4])}, 0, -1),
+        "w4": nir.Linear(np.ones((256, 128))),
+        "n4": integrate(256),
+        "w5": nir.Linear(np.ones((10, 256))),
+        "n5": integrate(10),
+        "output": nir.Output(np.array([10])),
+    }
+    return nir.NIRGraph(nodes, list(pairwise(nodes)), type_check=False)
+
+
+def test_a_convolutional_network_finds_a_core_of_speck_for_each_layer():
+    found = placed(neuromorphic_mnist(), datasheet("speck2f"))
+    # kernels: 2 x 32 x 16, 16 x 16 x 16, 16 x 16 x 8, 8 x 16 x 256 (a kernel of 4 x 4), 256 x 16
+    assert [p.memory for p in found.placements] == [1024, 4096, 2048, 32768, 4096]
+    assert [p.block for p in found.placements] == [4096, 4096, 512, 256, 10]
+    # only cores 3 to 6 have 32 Ki entries of kernel memory
+    assert [p.first for p in found.placements] == [0, 1, 2, 3, 4]
+
+
+def test_a_convolutional_network_keeps_every_rule_of_speck():
+    artifact = Artifact(neuromorphic_mnist(), None, Convention(1e-3, reset="subtract"))
+    on = datasheet("speck2f")
+    assert [r for r in judged(design(artifact, on, on.limits)) if r.failed] == []
 
 
 def test_a_layer_moves_on_when_another_needs_its_core():
