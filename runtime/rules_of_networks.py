@@ -94,11 +94,13 @@ def _layer_cores(design: Design) -> Ruling:
 def _mixed(design: Design) -> str:
     """What the other way to store signs would take."""
     fixed = design.chip.fixed
-    if fixed is None or fixed.sign_mode != "split" or min(fixed.weight_bits, 2) < 2:
+    if fixed is None or fixed.sign_mode != "split" or fixed.weight_bits < 2:
         return ""
     other = replace(design.chip, arithmetic=replace(fixed, sign_mode="mixed"))
     found = mapping(design.network, other, design.graph).cores
-    return f"{found} where both signs share a list (sign_mode 'mixed')" if found else ""
+    if found == design.mapping.cores:
+        return ""
+    return f"{found} where both signs share a list (sign_mode 'mixed')"
 
 
 def chips(design: Design) -> Iterator[Ruling]:

@@ -42,8 +42,7 @@ def _summary(found: Check) -> str:
     if not found.passed:
         first = next(ruling for ruling in found.rulings if ruling.failed)
         rules = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
-        more = f" (also {', '.join(rules[1:])})" if rules[1:] else ""
-        return f"{first.describe(found.chip.name)}{more}"
+        return f"breaks {', '.join(rules)}. First {first.describe(found.chip.name)}"
     if found.chip.limits is None:
         return "no limits"
     return f"{found.mapping.cores} cores" if found.mapping.cores else "fits"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import fields, replace
+from pathlib import Path
 
 import nir
 import numpy as np
@@ -361,3 +362,25 @@ def test_rules_on_arithmetic_refuse_all_that_the_compiler_refuses(power, slow, i
     refused = [ruling for ruling in found.rulings if ruling.rule in rules and ruling.failed]
     if found.of("compile")[0].failed:
         assert refused
+
+
+DOCUMENTED = (
+    "inputs", "neurons", "outputs", "fan_in", "fan_out", "fan_out_mean", "input_targets",
+    "output_sources", "cores", "neurons_per_core", "axons_in", "axons_out", "weight_values",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("field", DOCUMENTED)
+def test_the_documented_limits_are_those_of_the_datasheets(field):
+    page = (Path(__file__).parents[1] / "docs" / "check.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("|")]
+    (heads,) = [row for row in rows if row[0] == "loihi1"]
+    (cells,) = [row[1:] for row in rows if row[0] == field.replace("_", " ")]
+    for name, cell in zip(heads, cells, strict=True):
+        limit = getattr(datasheet(name).limits, field)
+        assert cell == ("–" if limit is None else f"{limit:,}")
+
+
+def test_every_rule_is_documented():
+    page = (Path(__file__).parents[1] / "docs" / "check.md").read_text(encoding="utf-8")
+    assert all(f"`{rule}`" in page for rule in (*RULES, "compile"))
