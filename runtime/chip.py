@@ -11,6 +11,7 @@ from runtime.errors import ChipError
 from runtime.event_point import EventPoint
 from runtime.fixed import Register
 from runtime.float_point import FloatPoint
+from runtime.limits import Limits
 from runtime.step_point import StepPoint
 
 __all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
@@ -119,6 +120,7 @@ class Chip:
     energy_tables: names of the tables in runtime.energy that price its events.
     sources: field name to where its value comes from and how sure it is.
     evidence: what its emulation was compared with, and what came out.
+    limits: what fits on it, with sources of their own; None where nothing limits it.
     """
 
     name: str
@@ -130,6 +132,7 @@ class Chip:
     energy_tables: tuple[str, ...]
     sources: Mapping[str, str] = field(compare=False)
     evidence: str = field(default="compared with nothing", compare=False)
+    limits: Limits | None = None
 
     @property
     def fixed(self) -> FixedPoint | None:

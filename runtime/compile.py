@@ -17,6 +17,7 @@ from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantised import quantised
 from runtime.quantize_xylo import Granularity, quantise_xylo
 from runtime.rounding import Rounding
+from runtime.rules import ARITHMETIC, ROOM, refuse
 from runtime.step_rules import check_convention
 from runtime.wiring import Wire, Wiring, wiring
 from runtime.xylo_layers import as_held, check_output
@@ -42,21 +43,39 @@ def compile(
         unless the convention itself has a delay, and on Xylo where Xylo can.
     granularity: on Xylo, whether a population or each neuron has a scale, as in quantise_xylo.
     weight_shift: on Xylo, as in quantise_xylo.
-    limits: False emulates the arithmetic also where the chip has no room for the network, and where
-        it has not quite what the network asks for.
+    limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
+        the chip has no room for the network, and where it has not quite what the network asks for.
     """
     _check_reset(artifact.convention, chip)
     if not limits:
         chip = replace(chip, delay_max=ENDLESS)
     wires = wiring(artifact.graph)
+    if limits:
+        refuse(artifact, chip, ROOM)
     if chip.events is not None:
-        program = _for_xylo(artifact, chip, chip.events, wires, stagger)
-        return quantise_xylo(program, chip.events, granularity, rounding or "nearest", weight_shift)
-    if granularity != "layer" or weight_shift:
+        held = _for_xylo(artifact, chip, chip.events, wires, stagger)
+        program = quantise_xylo(held, chip.events, granularity, rounding or "nearest", weight_shift)
+    elif granularity != "layer" or weight_shift:
         raise ConfigError(
             f"granularity {granularity!r} and weight_shift {weight_shift}: {chip.name} has one "
             "scale for each layer, and no shift. Leave them out, or choose a Xylo."
         )
+    else:
+        program = _layered(artifact, chip, wires, rounding, stagger, limits)
+    if limits:  # last: the compiler itself is more precise
+        refuse(artifact, chip, ARITHMETIC)
+    return program
+
+
+def _layered(
+    artifact: Artifact,
+    chip: Chip,
+    wires: Wiring,
+    rounding: Rounding | None,
+    stagger: bool | None,
+    limits: bool,
+) -> Program:
+    """The program of a chip whose layers may be as they are in the graph."""
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)

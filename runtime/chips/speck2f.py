@@ -7,11 +7,36 @@ a timestep are one sum, and a neuron spikes as often as the threshold goes into 
 
 from runtime.chip import Chip
 from runtime.fixed import Register
+from runtime.limits import ENDS, SPACE, WEIGHTS, Convolutions, LayerCore, Limits
 from runtime.step_point import StepPoint
 
 SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
 IAF = "sinabs, IAF layer (source read)"
 TIMELESS = "the chip has no timesteps; as sinabs steps it"
+KI = 1024
+CORES = ((16, 64), (16, 64), (16, 64), (32, 32), (32, 32), (64, 16), (64, 16), (16, 16), (16, 16))
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, *SPACE, "IF"),
+    inputs=2 * 128 * 128,
+    layer_cores=tuple(LayerCore(kernel * KI, neurons * KI) for kernel, neurons in CORES),
+    convolutions=Convolutions(kernel=16, strides=(1, 2, 4, 8), channels=1024, extent=64),
+    destinations=2,
+    weight_max=127,
+    threshold_max=(1 << 15) - 1,
+    membrane_loss=(0.0, 0.0),
+    sources={
+        "primitives": f"{SINABS}: convolution or linear map, IAF neurons, sum pool",
+        "inputs": f"{SINABS}: 128 x 128 pixels of two polarities",
+        "layer_cores": f"{SINABS}: kernel and neuron memory of each core",
+        "convolutions": f"{SINABS}: limits of its layers",
+        "destinations": SINABS,
+        "weight_max": f"{SINABS}: 8 bits with the sign",
+        "threshold_max": f"{SINABS}: 16 bits with the sign",
+        "membrane_loss": f"{SINABS}: no leak that depends on the membrane",
+        "alone": "no way to join two is published",
+    },
+)
 
 SPECK2F = Chip(
     name="speck2f",
@@ -39,6 +64,7 @@ SPECK2F = Chip(
     delay=0,
     delay_max=1,
     energy_tables=(),  # published for whole tasks only
+    limits=LIMITS,
     sources={
         "weight_bits": f"{SINABS}: DYNAPCNN_WEIGHT_PRECISION_BITS",
         "signs": f"{SINABS}: two's complement",

@@ -6,10 +6,18 @@ to fire that is the same, only that a spike leaves one cycle later: hence the de
 
 from runtime.chip import Chip
 from runtime.fixed import Register
+from runtime.limits import ENDS, WEIGHTS, Limits
 from runtime.step_point import StepPoint
 
 VHDL = "Spiker's VHDL and generator, commit e61e5b06 (source read)"
 DATAPATH = "a parameter; the default of neuron_datapath.vhd"
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "LIF"),
+    sources={
+        "primitives": f"{VHDL}: a leak by a shift; its other neurons were not read",
+        "alone": "one FPGA is synthesised at a time",
+    },
+)
 
 SPIKER = Chip(
     name="spiker",
@@ -37,6 +45,7 @@ SPIKER = Chip(
     delay=1,
     delay_max=1,
     energy_tables=(),  # published for whole tasks only
+    limits=LIMITS,
     sources={
         "weight_bits": f"{VHDL}: {DATAPATH}; 5 to 8 are used",
         "signs": f"{VHDL}: two's complement",

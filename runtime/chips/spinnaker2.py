@@ -6,8 +6,27 @@ the firmware multiplies and adds, and rounds, is not published.
 
 from runtime.chip import Chip
 from runtime.float_point import FloatPoint
+from runtime.limits import ENDS, WEIGHTS, Limits, SynapticMemory
 
 S2_NIR = "py-spinnaker2, s2_nir (source read)"
+PY = "py-spinnaker2's reading of NIR (source read)"
+SURVEY = "secondary: surveys of the chip"
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Conv2d", "Flatten", "SumPool2d", "Scale", "IF", "LIF", "CubaLIF"),
+    cores=152,
+    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=8),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{PY}: its NEURON_NODES; models lif, lif_curr_exp and lif_conv2d",
+        "cores": SURVEY,
+        "memory": f"{SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
+        "cores is the least that it can be (derived)",
+        "recurrence": f"{PY}: a population can hear itself",
+        "alone": f"{SURVEY}: chips are joined on boards",
+    },
+)
 
 SPINNAKER2 = Chip(
     name="spinnaker2",
@@ -17,6 +36,7 @@ SPINNAKER2 = Chip(
     delay=1,
     delay_max=1,
     energy_tables=(),  # published figures disagree, and none is primary
+    limits=LIMITS,
     sources={
         "weight_bits": f"{S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
         "resets": f"{S2_NIR}: subtraction is its default",

@@ -6,6 +6,7 @@ assumptions that can be set. Stochastic modes, and resets of negative thresholds
 
 from runtime.chip import Chip
 from runtime.fixed import Register
+from runtime.limits import ENDS, WEIGHTS, Limits
 from runtime.step_point import StepPoint
 
 CASSIDY = "Cassidy et al. 2013, IJCNN"
@@ -13,6 +14,30 @@ CORE = "the order of a tick as published: synapses, leak, threshold, reset"
 SANAFE = "SANA-FE, models.cpp (source read)"
 REVIEW = "IEEE Circuits and Systems Magazine 22(2), 2022, Table II, secondary"
 ASSUMED = "assumed, not confirmed by any source that was read; an option"
+MEROLLA = "Merolla et al. 2014 (secondary)"
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
+    fan_in=256,
+    cores=4096,
+    neurons_per_core=256,
+    axons_in=256,
+    weight_values=4,
+    membrane_loss=(0.0, 0.0),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{CASSIDY}: its leak is a constant, so no LIF, and no synaptic current",
+        "fan_in": f"{MEROLLA}: a neuron hears the axons of its core alone",
+        "cores": MEROLLA,
+        "neurons_per_core": MEROLLA,
+        "axons_in": MEROLLA,
+        "weight_values": f"{CASSIDY}: four types of axons, a weight of each neuron for each",
+        "membrane_loss": f"{CASSIDY}: its leak is a constant",
+        "recurrence": f"{MEROLLA}: a spike can go to any axon",
+        "alone": f"{MEROLLA}: chips tile",
+    },
+)
 
 TRUENORTH = Chip(
     name="truenorth",
@@ -40,6 +65,7 @@ TRUENORTH = Chip(
     delay=1,
     delay_max=15,
     energy_tables=(),  # published all-in only: energy of the whole chip per synaptic event
+    limits=LIMITS,
     sources={
         "weight_bits": f"{ASSUMED}; a review says 8 ({REVIEW})",
         "signs": f"{CASSIDY}, secondary: a signed weight for each type",

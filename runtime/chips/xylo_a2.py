@@ -6,6 +6,7 @@ Equal to xylosim's traces, which SynSense calls exact; never "equal to the chip"
 from runtime.chip import Chip
 from runtime.event_point import EventPoint
 from runtime.fixed import Register
+from runtime.limits import ENDS, WEIGHTS, Limits
 
 XYLOSIM = "xylosim 0.1.3, core v2 (run, traces equal)"
 ROCKPOOL = "rockpool's table of Xylo's cores"
@@ -22,6 +23,38 @@ XYLO_V2 = EventPoint(
     output_spikes_max=1,
 )
 
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "LIF", "CubaLIF"),
+    inputs=16,
+    neurons=1000,
+    outputs=8,
+    fan_out=64,
+    fan_out_mean=64,
+    input_targets=1000,
+    output_sources=1000,
+    weight_max=127,
+    threshold_max=(1 << 15) - 1,
+    current_loss=(2.0**-15, 1.0),
+    membrane_loss=(2.0**-15, 1.0),
+    recurrence=True,
+    sources={
+        "primitives": f"{XYLOSIM}: every state leaks, and no neuron has a state without spikes",
+        "inputs": ROCKPOOL,
+        "neurons": ROCKPOOL,
+        "outputs": ROCKPOOL,
+        "fan_out": ROCKPOOL,
+        "fan_out_mean": f"{ROCKPOOL}: 32 to each of two synapses; here their sum (derived)",
+        "input_targets": ROCKPOOL,
+        "output_sources": ROCKPOOL,
+        "weight_max": f"{ROCKPOOL}: 8 bits with the sign; its quantiser uses 127",
+        "threshold_max": f"{XYLOSIM}: 16 bits with the sign",
+        "current_loss": f"{XYLOSIM}: x >> dash, dash 0 to 15",
+        "membrane_loss": f"{XYLOSIM}: x >> dash, dash 0 to 15",
+        "recurrence": XYLOSIM,
+        "alone": "no way to join two is published",
+    },
+)
+
 XYLO_A2 = Chip(
     name="xylo-a2",
     summary="Xylo-Audio 2: 8-bit weights, 16-bit states that saturate, several spikes a timestep",
@@ -30,6 +63,7 @@ XYLO_A2 = Chip(
     delay=1,
     delay_max=1,
     energy_tables=(),  # published for whole tasks only (docs/xylo.md)
+    limits=LIMITS,
     sources={
         "weight_bits": f"{ROCKPOOL}: 8 bits with the sign",
         "shift_max": "by definition: a further shift of any weight saturates 16 bits as well",

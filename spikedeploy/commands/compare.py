@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed, Workers
+from spikedeploy.commands.options import EnvOptions, Json, Limits, LimitsOption, Seed, Workers
 
 
 def compare(
@@ -29,6 +29,7 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
+    limits: LimitsOption = Limits.on,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
@@ -39,7 +40,7 @@ def compare(
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
-    entries = line_up(env, files or (), listed(chips))
+    entries = line_up(env, files or (), listed(chips), limits is Limits.on)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(comparison)
     if output:
