@@ -79,7 +79,8 @@ def suitable(name):
     # one size of weights, and signs of axons
     weight = rng.integers(0, 2, (5, 8)) * np.where(np.arange(8) % 3 == 2, -1.0, 1.0)
     for neurons in (cuba(5), lif(5, tau=0.004, r=4.0), nir.IF(np.full(5, 1e3), np.full(5, 2.0))):
-        network = chain(nir.Linear(weight), neurons, width=8, act=5)
+        nodes = nir.Linear(weight), neurons, nir.Linear(2 * np.eye(5)), neurons
+        network = chain(*nodes, width=8, act=5)
         yield Artifact(network, None, Convention(1e-3, chip(name).resets[0]))
 
 
@@ -89,9 +90,9 @@ def test_every_chip_compiles_and_emulates_a_small_network_that_suits_it(name):
     ran = []
     for artifact in suitable(name):
         with contextlib.suppress(RuleError):
-            ran.append(trace(compile(artifact, chip(name)), raster)["n2"])
+            ran.append(trace(compile(artifact, chip(name)), raster)["n4"])
     assert ran
-    assert all(found.spikes.any() and found.membrane.any() for found in ran)
+    assert all(found.spikes.any() for found in ran)
 
 
 @pytest.mark.parametrize("name", NAMES)
