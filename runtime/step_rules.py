@@ -103,7 +103,7 @@ def _check_signs(layers: Sequence[Layer], chip: Chip) -> None:
             signs[synapses.source] = up, down = before[0] | up, before[1] | down
             if (both := np.flatnonzero(up & down)).size:
                 raise RuleError(
-                    f"rule sign: layer {layer.name!r}: {both.size} of {up.size} axons from "
+                    f"rule axon-signs: layer {layer.name!r}: {both.size} of {up.size} axons from "
                     f"{synapses.source!r} have weights of both signs, the first is axon {both[0]}; "
                     f"on {chip.name} an axon has one. Train with signed axons, or compile with "
                     "limits off."

@@ -147,12 +147,12 @@ def test_an_axon_of_odin_has_one_sign_wherever_it_goes():
     check_axons([signed], odin, odin.steps)
     mixed = quantised(floats([[1.0, -0.5], [-1.0, 0.0]]), "odin")
     with pytest.raises(
-        RuleError, match=r"^rule sign: layer 'if1': 1 of 2 axons from 'input'.*axon 0"
+        RuleError, match=r"^rule axon-signs: layer 'if1': 1 of 2 axons from 'input'.*axon 0"
     ):
         check_axons([mixed], odin, odin.steps)
     # the same neuron excites one layer and inhibits the next
     other = quantised(floats([[-1.0], [-1.0]], name="if2"), "odin")
-    with pytest.raises(RuleError, match=r"^rule sign: layer 'if2': 1 of 2 axons"):
+    with pytest.raises(RuleError, match=r"^rule axon-signs: layer 'if2': 1 of 2 axons"):
         check_axons([signed, other], odin, odin.steps)
 
 

@@ -43,17 +43,17 @@ def network(neurons, values=(-1.0, 1.0), reset="zero", signed=False):
     return Artifact(chain(*nodes, width=8, act=4), None, Convention(1e-3, reset))
 
 
-def signed(reset="zero"):
+def signed(reset="zero", neurons=integrators):
     """Synapses of one size, there or not, with the signs of their axons."""
-    return network(integrators, (0.0, 1.0), reset, signed=True)
+    return network(neurons, (0.0, 1.0), reset, signed=True)
 
 
 NETWORKS = {
     "integrators of +-1": lambda reset: network(integrators, reset=reset),
     "signed axons": signed,
     "many weights": lambda reset: network(integrators, np.linspace(-1, 1, 40), reset=reset),
-    "leaky": lambda reset: network(leaky, reset=reset),
-    "synaptic currents": lambda reset: network(synaptic, reset=reset),
+    "leaky": lambda reset: signed(reset, leaky),
+    "synaptic currents": lambda reset: signed(reset, synaptic),
 }
 # chip -> network -> the rule that refuses it; everything else runs
 REFUSED = {
@@ -67,8 +67,8 @@ REFUSED = {
         "synaptic currents": "current",
     },
     "odin": {
-        "integrators of +-1": "sign",
-        "many weights": "sign",
+        "integrators of +-1": "axon-signs",
+        "many weights": "axon-signs",
         "leaky": "leak",
         "synaptic currents": "current",
     },
