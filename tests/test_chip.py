@@ -43,7 +43,7 @@ def test_energy_tables_of_a_chip_exist(name):
 @pytest.mark.parametrize("name", COMPILED)
 def test_a_policy_runs_on_every_chip(name):
     artifact = popsan()
-    controller = SpikingController(artifact, chip(name))
+    controller = SpikingController(artifact, chip(name), limits=False)
     controller.reset(0)
     action = controller.act(np.zeros(3))
     assert action.shape == (2,)
@@ -53,7 +53,7 @@ def test_a_policy_runs_on_every_chip(name):
 
 @pytest.mark.parametrize("name", COMPILED)
 def test_a_machine_gives_the_same_bits_again(name):
-    program = compile(popsan(), chip(name))
+    program = compile(popsan(), chip(name), limits=False)
     raster = (np.random.default_rng(0).random((2, 5, 30)) < 0.3).astype(np.uint8)
     first, again = (Machine(program, 2).infer(raster) for _ in range(2))
     np.testing.assert_array_equal(first, again)
