@@ -134,8 +134,12 @@ def _divided(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
 
 
 def _hearing(network: Topology, name: str, cores: dict[str, int]) -> int:
-    """Cores that hear a population or an input."""
-    return sum(cores[target] for target in {c.target for c in network.leaving(name)})
+    """Cores that hear a neuron of a population, or an input; no more than it has synapses."""
+    synapses: dict[str, int] = {}
+    for connection in network.leaving(name):
+        most = int(connection.fan.out.max())
+        synapses[connection.target] = synapses.get(connection.target, 0) + most
+    return sum(min(cores[target], most) for target, most in synapses.items())
 
 
 def _block(population: Population, limits: Limits, weigh: Weigh, heard: int) -> int:

@@ -25,8 +25,8 @@ NODE_RULES: dict[str, Rule] = {
     "shape": rules_of_layers.shape,
     "destinations": rules_of_layers.destinations,
     "kernel": rules_of_weights.kernel,
-    "axon-signs": rules_of_weights.axon_signs,
-    "weight-values": rules_of_weights.weight_values,
+    "sign": rules_of_weights.axon_signs,
+    "axon-types": rules_of_weights.weight_values,
     "weight-bits": rules_of_nodes.weight_bits,
     "threshold-range": rules_of_nodes.threshold_range,
     "decay-range": rules_of_nodes.decay_range,
@@ -45,7 +45,16 @@ NETWORK_RULES: dict[str, Rule] = {
 }
 RULES = (*NODE_RULES, *NETWORK_RULES)
 # what is about numbers and not about room: the compiler looks at them when it rounds, too
-ARITHMETIC = ("primitive", "reset", "weight-bits", "threshold-range", "decay-range", "convention")
+ARITHMETIC = (
+    "primitive",
+    "reset",
+    "sign",
+    "axon-types",
+    "weight-bits",
+    "threshold-range",
+    "decay-range",
+    "convention",
+)
 ROOM = tuple(name for name in RULES if name not in ARITHMETIC)
 
 

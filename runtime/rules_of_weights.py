@@ -37,7 +37,7 @@ def weight_values(design: Design) -> Iterator[Ruling]:
         if limit is not None and isinstance(node, DENSE) and name not in design.network.host:
             rows = node.weight.reshape(-1, node.weight.shape[-1])
             found = max(len(np.unique(row[row != 0])) for row in rows)
-            yield at_most("weight-values", name, found, limit, "weights of a neuron", remedy)
+            yield at_most("axon-types", name, found, limit, "weights of a neuron", remedy)
 
 
 def axon_signs(design: Design) -> Iterator[Ruling]:
@@ -51,7 +51,7 @@ def axon_signs(design: Design) -> Iterator[Ruling]:
         if weights:
             up, down = (_any(weights, sign) for sign in (1, -1))
             found, unit = int((up & down).sum()), "sources with weights of both signs"
-            yield at_most("axon-signs", name, found, 0, unit, remedy)
+            yield at_most("sign", name, found, 0, unit, remedy)
 
 
 def _any(weights: list[NDArray[np.float64]], sign: int) -> NDArray[np.bool_]:

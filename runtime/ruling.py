@@ -39,7 +39,8 @@ class Ruling:
         """One line on a failure: the rule, the node, what was found, the limit, the remedy."""
         where = "the network" if self.node is None else f"node {self.node!r}"
         if self.limit is None:
-            return f"rule {self.rule}: {where}: {text(self.found)}. {self.remedy}"
+            found = text(self.found).rstrip(".")
+            return f"rule {self.rule}: {where}: {found}. {self.remedy}".rstrip()
         has = "at most " if isinstance(self.limit, int | float) else ""
         unit = f" {self.unit}" if self.unit else ""
         return (

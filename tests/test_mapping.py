@@ -6,11 +6,14 @@ from itertools import pairwise
 import nir
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from runtime.artifact import Artifact
 from runtime.check import datasheet
 from runtime.chip import chip
 from runtime.convention import Convention
+from runtime.core_load import load
 from runtime.design import design
 from runtime.layer_cores import Entries, assigned, entries
 from runtime.limits import LayerCore, SynapticMemory
@@ -108,11 +111,49 @@ def test_neurons_of_a_core_divide_a_layer(size, cores):
     assert placed(dense(1, size), MIXED).placements[1].cores == cores
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 300), st.integers(1, 400), st.integers(1, 100), st.booleans())
+def test_a_division_fits_and_none_into_fewer_cores_does(size, fan_in, room, full):
+    signs = [1.0] if full else [-1.0, 0.0, 1.0]
+    weight = np.random.default_rng(room).choice(signs, (size, fan_in))
+    network = chain(nir.Affine(weight, np.ones(size)), cuba(size), width=fan_in, act=size)
+    check_graph(network)
+    memory = SynapticMemory(size=64 * fan_in * 2 + 64 * room, cost="words", weight_bits=8)
+    limits = replace(SPLIT.limits, memory=memory, neurons_per_core=100)
+    (population,) = topology(network).populations
+    placement = mapping(topology(network), replace(SPLIT, limits=limits), network).placements[1]
+    assert (placement.cores - 1) * placement.block < size <= placement.cores * placement.block
+    fits = [
+        block
+        for block in range(1, min(size, 100) + 1)
+        if load(population, limits, 2, block).memory <= memory.size
+    ]
+    if fits:
+        assert placement.block in fits
+        # blocks of other sizes have other borders, so that one beyond may fit by chance
+        assert placement.cores <= -(-size // fits[0])
+        if full:
+            assert placement.cores == -(-size // fits[-1])
+    else:
+        assert placement.block == 1
+
+
 def test_axons_out_of_a_core_divide_the_layer_that_is_heard():
     # 8 neurons heard by 4 cores are 32 axons; 16 a core leave room for 4 neurons
     limits = replace(MIXED.limits, neurons_per_core=8, axons_out=16, input_cores=False)
     found = placed(dense(2, 8, 32), replace(MIXED, limits=limits)).placements
     assert [(p.cores, p.block, p.axons_out) for p in found] == [(2, 4, 16), (4, 8, 0)]
+
+
+def test_a_spike_needs_no_more_axons_than_it_has_synapses():
+    # each of 8 neurons has one synapse, in however many cores the others lie
+    limits = replace(MIXED.limits, neurons_per_core=8, axons_out=8, input_cores=False)
+    nodes = nir.Linear(np.ones((8, 2))), cuba(8), nir.Linear(np.eye(8)), cuba(8)
+    network = chain(*nodes, width=2, act=8)
+    one_each = replace(limits, neurons_per_core=1)
+    for held, axons in ((limits, [8, 0]), (one_each, [1, 0])):
+        found = placed(network, replace(MIXED, limits=held)).placements
+        assert [placement.axons_out for placement in found] == axons
 
 
 def test_registers_for_decays_divide_a_layer():

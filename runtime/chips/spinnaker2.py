@@ -19,7 +19,8 @@ LIMITS = Limits(
     recurrence=True,
     alone=False,
     sources={
-        "primitives": f"{PY}: its NEURON_NODES; models lif, lif_curr_exp and lif_conv2d",
+        "primitives": f"{PY}: models lif, lif_curr_exp and lif_conv2d; IF is a lif "
+        "without a leak (derived)",
         "cores": SURVEY,
         "memory": f"{SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
         "cores is the least that it can be (derived)",
