@@ -87,7 +87,8 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
     if convention.reset not in chip.resets:
         raise RuleError(
             f"reset {convention.reset!r}: a spike on {chip.name} can only do "
-            f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
+            f"{', '.join(map(repr, chip.resets))}. Train with that reset, give it as an option, or "
+            "run in float."
         )
     many = chip.events is not None  # how many spikes is then the chip's own business
     if (convention.spikes != "above" and not many) or convention.floor != "none":
