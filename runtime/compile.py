@@ -39,7 +39,7 @@ def compile(
     _check_reset(artifact.convention, chip)
     wires = wiring(artifact.graph)
     if chip.events is not None:
-        program = _for_xylo(artifact, chip, chip.events, wires, stagger)
+        program = for_xylo(artifact, chip, chip.events, wires, stagger)
         return quantise_xylo(program, chip.events, granularity, rounding, weight_shift)
     if granularity != "layer" or weight_shift:
         raise ConfigError(
@@ -56,7 +56,7 @@ def compile(
     return _program(artifact, chip, wires, layers)
 
 
-def _for_xylo(
+def for_xylo(
     artifact: Artifact, chip: Chip, point: EventPoint, wires: Wiring, stagger: bool | None
 ) -> Program:
     """The program in floats, with Xylo's populations, shifts for decays and delays."""

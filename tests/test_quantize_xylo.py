@@ -85,6 +85,13 @@ def test_the_largest_bias_sets_the_scale_where_it_is_above_all_weights():
     assert hidden.synapses[0].weight.tolist() == [[64, 64]]  # 2 * 127/4 = 63.5, to even
 
 
+def test_the_bias_of_a_channel_may_be_wider_than_its_weights():
+    artifact = two_layers([[1], [1]], [[1, 1]], bias=[2, 0])
+    hidden, _ = compiled(artifact, granularity="channel").layers
+    assert hidden.synapses[0].weight.tolist() == [[127, 127]]  # 1 / (1/2) = 2
+    assert hidden.voltage_bias.tolist() == [254, 0]  # 2 / (1/2) = 4
+
+
 def test_a_threshold_beyond_16_bits_rescales_everything():
     weak = two_layers([[0.001], [0.0005]], [[1, 1]])
     hidden, output = compiled(weak).layers
