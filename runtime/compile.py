@@ -53,7 +53,7 @@ def compile(
     if limits:
         refuse(artifact, chip, ROOM)
     if chip.events is not None:
-        held = _for_xylo(artifact, chip, chip.events, wires, stagger)
+        held = for_xylo(artifact, chip, chip.events, wires, stagger)
         program = quantise_xylo(held, chip.events, granularity, rounding or "nearest", weight_shift)
     elif granularity != "layer" or weight_shift:
         raise ConfigError(
@@ -84,7 +84,7 @@ def _layered(
     return _program(artifact, chip, wires, quantised(layers, chip, rounding, limits))
 
 
-def _for_xylo(
+def for_xylo(
     artifact: Artifact, chip: Chip, point: EventPoint, wires: Wiring, stagger: bool | None
 ) -> Program:
     """The program in floats, with Xylo's populations, shifts for decays and delays."""
@@ -119,7 +119,8 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
     if convention.reset not in chip.resets:
         raise RuleError(
             f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
-            f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
+            f"{', '.join(map(repr, chip.resets))}. Train with that reset, give it as an option, or "
+            "run in float."
         )
     if chip.steps is not None:
         check_convention(convention, chip.name, chip.steps)

@@ -1,10 +1,12 @@
 """Quantisation for Xylo: 8-bit weights, and thresholds and biases that follow their scale.
 
 As in rockpool's `global_quantize` and `channel_quantize`: a scale makes the largest weight or bias
-of a population, or of a neuron, 127; where its threshold then does not fit 16 bits, the scale is
-what makes it fit. Hidden and output neurons have scales of their own, for biases too (rockpool
-3.1.0 scales biases of outputs by the hidden scale, and recurrent weights once more where the
-outputs' thresholds do not fit).
+of a population, or the largest weight of a neuron, 127; where a threshold then does not fit 16
+bits, the scale is what makes it fit. Hidden and output neurons have scales of their own.
+
+Three things of rockpool 3.1.0 are not taken over: `global_quantize` scales the biases of outputs by
+the hidden scale, and recurrent weights once more where the outputs' thresholds do not fit;
+`channel_quantize` leaves biases unscaled where neurons have one synapse.
 """
 
 from collections.abc import Sequence
@@ -60,7 +62,8 @@ def _scales(
     program: Program, point: EventPoint, granularity: Granularity, one: int
 ) -> dict[str, Floats]:
     """Weights per float unit (N,) of each layer; a weight of 1 is worth so many state units."""
-    each = {layer.name: _fitting(layer, point, one) for layer in program.layers}
+    biases_too = granularity == "layer"
+    each = {layer.name: _fitting(layer, point, one, biases_too) for layer in program.layers}
     if granularity == "channel":
         return each
     outputs = {program.output} if program.output_apart else set()
@@ -71,14 +74,19 @@ def _scales(
     return common
 
 
-def _fitting(layer: Layer, point: EventPoint, one: int) -> Floats:
-    """(N,) largest scale at which the weights, the bias and the threshold of each neuron fit."""
-    weights = np.concatenate([np.abs(s.weight) for s in layer.synapses])
-    largest = np.maximum(weights.max(axis=0, initial=0.0), np.abs(layer.voltage_bias))
+def _fitting(layer: Layer, point: EventPoint, one: int, biases_too: bool) -> Floats:
+    """(N,) largest scale at which the weights, the bias and the threshold of each neuron fit.
+
+    biases_too: whether biases, which have 16 bits, are to be no larger than weights all the same.
+    """
     _check_thresholds(layer)
+    bias = np.abs(layer.voltage_bias)
+    weight = np.concatenate([np.abs(s.weight) for s in layer.synapses]).max(axis=0, initial=0.0)
+    largest = np.maximum(weight, bias) if biases_too else weight
+    wide = point.state.limit / one
     with np.errstate(divide="ignore"):
-        scale = np.minimum(point.weight_max / largest, point.state.limit / one / layer.threshold)
-    return np.asarray(scale)
+        scales = point.weight_max / largest, wide / layer.threshold, wide / bias
+    return np.asarray(np.min(scales, axis=0))
 
 
 def _check_thresholds(layer: Layer) -> None:

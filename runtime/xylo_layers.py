@@ -40,7 +40,7 @@ def as_held(
     """
     remarks = [*_spike_remarks(point, convention)]
     for layer in layers:
-        remarks += _remarks(layer, point)
+        remarks += _remarks(layer, point, convention)
     starts, why = _starts(wires, layers, convention, stagger)
     held = [_held(layer, point, wires, convention, starts[layer.name]) for layer in layers]
     return held, remarks + why
@@ -60,15 +60,15 @@ def check_output(program: Program, point: EventPoint) -> None:
 def _held(
     layer: Layer, point: EventPoint, wires: Wiring, convention: Convention, start: int
 ) -> Layer:
-    keep, dash = layer.current_keep, current_dash(layer, point)
+    keep, (current, membrane) = layer.current_keep, _dashes(layer, point, convention)
     return replace(
         layer,
-        synapses=tuple(_synapses(layer, wires, convention, _gain(keep, dash))),
+        synapses=tuple(_synapses(layer, wires, convention, _gain(keep, current))),
         bias=np.zeros(layer.size),
         # what the current adds in every timestep once it has settled
         voltage_bias=layer.voltage_bias + layer.bias / (1 - keep),
-        current_keep=dash[None],
-        membrane_keep=membrane_dash(layer, point),
+        current_keep=current[None],
+        membrane_keep=membrane,
         start=start,
     )
 
@@ -92,29 +92,34 @@ def _synapses(
             yield Synapses(source, gain * np.sum(weights, axis=0), delay)
 
 
-def current_dash(layer: Layer, point: EventPoint) -> NDArray[np.int64]:
-    """(N,) of the currents; at least 1, as a dash of 0 forgets events before they are used."""
-    return np.maximum(_dash(layer, "current", point), 1)
+def _dashes(
+    layer: Layer, point: EventPoint, convention: Convention
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(N,) of the currents, at least 1 as 0 forgets events before they are used; of membranes."""
+    current = _dash(layer.name, "current", layer.current_keep, point, convention)
+    membrane = _dash(layer.name, "membrane", layer.membrane_keep, point, convention)
+    return np.maximum(current, 1), membrane
 
 
-def membrane_dash(layer: Layer, point: EventPoint) -> NDArray[np.int64]:
-    """(N,) of the membranes."""
-    return _dash(layer, "membrane", point)
-
-
-def _dash(layer: Layer, of: str, point: EventPoint) -> NDArray[np.int64]:
-    """The shift whose decay is nearest, on a scale of octaves: log2(tau/dt) with forward Euler."""
-    keep = layer.current_keep if of == "current" else layer.membrane_keep
-    with np.errstate(divide="ignore"):
-        exact = -np.log2(1 - keep)
+def _dash(
+    name: str, of: str, keep: Floats, point: EventPoint, convention: Convention
+) -> NDArray[np.int64]:
+    exact = _octaves(keep, convention)
     if (far := exact > point.dash_max + 0.5).any():
         raise RuleError(
-            f"layer {layer.name!r}: the rule 'dash'. A {of} that keeps {keep[far].max():.6g} of "
+            f"layer {name!r}: the rule 'dash'. A {of} that keeps {keep[far].max():.6g} of "
             f"itself in a timestep needs a shift of {exact[far].max():.3g}; Xylo has "
             f"{point.dash_max}, and none without a leak. Choose a shorter time constant, or a "
             "longer dt."
         )
     return np.asarray(np.rint(exact), np.int64)
+
+
+def _octaves(keep: Floats, convention: Convention) -> Floats:
+    """log2(tau/dt), at least 0, of what keeps so much of itself in a timestep."""
+    with np.errstate(divide="ignore"):
+        share = -np.log(keep) if convention.integrator == "exponential" else 1 - keep
+        return np.asarray(np.maximum(-np.log2(share), 0.0))
 
 
 def _starts(
@@ -164,7 +169,7 @@ def _spike_remarks(point: EventPoint, convention: Convention) -> Iterator[str]:
         )
 
 
-def _remarks(layer: Layer, point: EventPoint) -> Iterator[str]:
+def _remarks(layer: Layer, point: EventPoint, convention: Convention) -> Iterator[str]:
     """What of a layer is not as the file has it."""
     if layer.current_keep.any() and layer.bias.any():
         yield (
@@ -176,10 +181,13 @@ def _remarks(layer: Layer, point: EventPoint) -> Iterator[str]:
             f"layer {layer.name!r}: it has no synaptic current; on Xylo it has the shortest, which "
             "halves in each timestep, and spreads a spike over the next"
         )
-    kept: list[Floats] = [layer.current_keep[layer.current_keep > 0], layer.membrane_keep]
-    dashes = [current_dash(layer, point)[layer.current_keep > 0], membrane_dash(layer, point)]
-    for of, keep, dash in zip(("current", "membrane"), kept, dashes, strict=True):
-        yield from _rounding(layer.name, of, 1 / (1 - keep), np.exp2(dash))
+    current, membrane = _dashes(layer, point, convention)
+    there = layer.current_keep > 0
+    for of, keep, dash in (
+        ("current", layer.current_keep[there], current[there]),
+        ("membrane", layer.membrane_keep, membrane),
+    ):
+        yield from _rounding(layer.name, of, np.exp2(_octaves(keep, convention)), np.exp2(dash))
 
 
 def _rounding(name: str, of: str, wanted: Floats, held: Floats) -> Iterable[str]:

@@ -33,6 +33,7 @@ class Emulation:
     output    (T, act) of the readout, or the spikes of the last node
     ledger    of this one inference; None where `uncounted` says why
     uncounted why the events could not be counted
+    remarks   of the compiler, on what the chip does otherwise than the file says
     """
 
     artifact: Artifact
@@ -41,6 +42,7 @@ class Emulation:
     output: NDArray[np.float64]
     ledger: Ledger | None
     uncounted: str = ""
+    remarks: tuple[str, ...] = ()
 
     def save(self, path: Path) -> None:
         """Write a .npz with the spikes under each node's name, and `output`."""
@@ -61,6 +63,7 @@ class Emulation:
             "energy_j": self._energies(),
             "layers": {name: {"spikes": int(rows.sum())} for name, rows in self.spikes.items()},
             "uncounted": self.uncounted or None,
+            "remarks": list(self.remarks),
         }
 
     def _total(self, event: str) -> int | None:
@@ -118,7 +121,8 @@ def _on_chip(artifact: Artifact, chip: str, raster: Raster, limits: bool) -> Emu
     machine = Machine(compiled(artifact, datasheet(chip), limits=limits), trace=True)
     output = machine.infer(raster[None])[0]
     spikes = {name: seen.spikes[0] for name, seen in machine.recordings.items()}
-    return Emulation(artifact, chip, spikes, output, machine.ledger)
+    remarks = machine.program.remarks
+    return Emulation(artifact, chip, spikes, output, machine.ledger, remarks=remarks)
 
 
 def _flat(rows: NDArray[Any]) -> NDArray[Any]:

@@ -69,6 +69,17 @@ def test_a_dash_is_the_rounded_logarithm_of_the_time_constant(ratio, dash):
     assert program.layers[0].current_keep.tolist() == [[dash, dash]]
 
 
+@pytest.mark.parametrize(("ratio", "dash"), [(0.3, 1), (2.8, 1), (2.9, 2), (11.3, 3), (11.4, 4)])
+def test_the_exponential_integrator_has_the_same_dashes(ratio, dash):
+    # keeps exp(-1/ratio) of itself, which is less than 1 - 1/ratio would be
+    nodes = [nir.Linear(np.ones((1, 1))), cuba(1), nir.Linear(np.ones((1, 1))), cuba(1)]
+    for node in nodes[1::2]:
+        node.tau_syn[:] = ratio * 1e-3
+    convention = replace(CONVENTION, integrator="exponential")
+    program = compiled(Artifact(chain(*nodes, width=1, act=1), None, convention))
+    assert program.layers[0].current_keep.tolist() == [[dash]]
+
+
 def test_a_bias_is_what_it_comes_to_through_the_current():
     # 0.1 / (1 - 1/2) = 0.2 in every timestep; the largest weight, 1 / (1/2) = 2, is 127
     artifact = two_layers([[1], [1]], [[1, 1]], bias=[0.1, -0.3])
@@ -83,6 +94,13 @@ def test_the_largest_bias_sets_the_scale_where_it_is_above_all_weights():
     hidden, _ = compiled(two_layers([[1], [1]], [[1, 1]], bias=[2, 0])).layers
     assert hidden.voltage_bias.tolist() == [127, 0]  # 2 / (1/2) = 4
     assert hidden.synapses[0].weight.tolist() == [[64, 64]]  # 2 * 127/4 = 63.5, to even
+
+
+def test_the_bias_of_a_channel_may_be_wider_than_its_weights():
+    artifact = two_layers([[1], [1]], [[1, 1]], bias=[2, 0])
+    hidden, _ = compiled(artifact, granularity="channel").layers
+    assert hidden.synapses[0].weight.tolist() == [[127, 127]]  # 1 / (1/2) = 2
+    assert hidden.voltage_bias.tolist() == [254, 0]  # 2 / (1/2) = 4
 
 
 def test_a_threshold_beyond_16_bits_rescales_everything():

@@ -62,7 +62,7 @@ REFUSED = {
     "truenorth": {
         # two axons that reach two neurons with (1, -1) and (-1, 1) are of two types, and so on
         "integrators of +-1": "axon-types",
-        "many weights": "weight-values",
+        "many weights": "axon-types",
         "leaky": "leak",
         "synaptic currents": "current",
     },
