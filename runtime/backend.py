@@ -7,8 +7,10 @@ from runtime.chip import FixedPoint
 from runtime.errors import ConfigError
 from runtime.program import Program
 
-# "numpy" needs nothing else; "numba" compiles, several times faster; "auto" compiles where it can
-Backend = Literal["numpy", "numba", "auto"]
+# "numpy" needs nothing else; "numba" compiles, several times faster; "auto" compiles where it can;
+# "interpreter" is the specification of them all. What has no fast kernels is interpreted by "numpy"
+# and "auto" too.
+Backend = Literal["numpy", "numba", "auto", "interpreter"]
 # what registers may do when a number does not fit, of all that `runtime.fixed` has
 OVERFLOWS = ("none", "wrap", "wrap-once", "clip")
 
@@ -16,13 +18,34 @@ OVERFLOWS = ("none", "wrap", "wrap-once", "clip")
 def compiles(program: Program, backend: Backend) -> bool:
     """Whether the program is to run compiled; the compiler itself is not loaded."""
     if backend not in get_args(Backend):
-        raise ConfigError(f"backend {backend!r} is unknown. Choose 'numpy', 'numba' or 'auto'.")
-    if backend == "numpy":
+        choices = ", ".join(map(repr, get_args(Backend)))
+        raise ConfigError(f"backend {backend!r} is unknown. Choose one of {choices}.")
+    if backend in ("numpy", "interpreter"):
         return False
     obstacle = _obstacle(program)
     if obstacle and backend == "numba":
         raise ConfigError(f"backend 'numba': {obstacle} Or choose backend='numpy'.")
     return obstacle is None
+
+
+def interprets(program: Program, backend: Backend) -> bool:
+    """Whether the program is to run in the interpreter, by choice or for want of kernels."""
+    return backend == "interpreter" or _only_interpreted(program) is not None
+
+
+def _only_interpreted(program: Program) -> str | None:
+    """Why no fast kernel computes the program."""
+    chip = program.chip
+    if chip.arithmetic is not None and chip.fixed is None:
+        kind = type(chip.arithmetic).__name__
+        return f"chip {chip.name!r} computes with {kind}, which only the interpreter knows."
+    for layer in program.layers:
+        if any(synapses.shift for synapses in layer.synapses):
+            return (
+                f"layer {layer.name!r}: its weights have a negative exponent, by which "
+                f"{chip.name} rounds sums, which only the interpreter knows."
+            )
+    return None
 
 
 def _beyond(fixed: FixedPoint) -> bool:
@@ -34,6 +57,8 @@ def _beyond(fixed: FixedPoint) -> bool:
 
 def _obstacle(program: Program) -> str | None:
     """Why the program cannot run compiled, and what to do."""
+    if obstacle := _only_interpreted(program):
+        return obstacle
     fixed = program.chip.fixed
     if fixed is None:
         return (

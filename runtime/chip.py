@@ -1,15 +1,18 @@
 """The datasheet of a chip: widths, rounding, overflow, limits, delays."""
 
-import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Literal, get_args
 
+from runtime.chip_options import like, overridden, spelled
 from runtime.chips import CHIPS
 from runtime.errors import ChipError
 from runtime.event_point import EventPoint
 from runtime.fixed import Register
+from runtime.float_point import FloatPoint
+from runtime.limits import Limits
+from runtime.step_point import StepPoint
 
 __all__ = ["CHIPS", "Chip", "FixedPoint", "chip"]
 
@@ -116,16 +119,20 @@ class Chip:
     delay_max: [timesteps] longest delay that a synapse can add up to.
     energy_tables: names of the tables in runtime.energy that price its events.
     sources: field name to where its value comes from and how sure it is.
+    evidence: what its emulation was compared with, and what came out.
+    limits: what fits on it, with sources of their own; None where nothing limits it.
     """
 
     name: str
     summary: str
-    arithmetic: FixedPoint | EventPoint | None
+    arithmetic: FixedPoint | EventPoint | StepPoint | FloatPoint | None
     resets: tuple[str, ...]
     delay: int
     delay_max: int
     energy_tables: tuple[str, ...]
     sources: Mapping[str, str] = field(compare=False)
+    evidence: str = field(default="compared with nothing", compare=False)
+    limits: Limits | None = None
 
     @property
     def fixed(self) -> FixedPoint | None:
@@ -137,32 +144,26 @@ class Chip:
         """Its arithmetic, if it is that of Xylo."""
         return self.arithmetic if isinstance(self.arithmetic, EventPoint) else None
 
+    @property
+    def steps(self) -> StepPoint | None:
+        """Its arithmetic, if it is that of neurons without a synaptic current."""
+        return self.arithmetic if isinstance(self.arithmetic, StepPoint) else None
+
+    @property
+    def input_spikes_max(self) -> int:
+        """Spikes of an input channel in a timestep."""
+        return self.events.events_max if self.events else 1
+
 
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
-    """The chip called `name`, with some fields of it or of its arithmetic replaced."""
+    """The chip called `name`, with some fields of it or of its arithmetic replaced.
+
+    They may also stand in the name, as on a command line: "int:weight_bits=4,membrane=12". Where a
+    register is given as a number, that is its bits; "12-wrap" says what overflows do too.
+    """
+    name, _, options = name.partition(":")
     if name not in CHIPS:
-        raise ChipError(
-            f"there is no chip {name!r}{_like(name, CHIPS)}. Known: {', '.join(CHIPS)}."
-        )
+        raise ChipError(f"there is no chip {name!r}{like(name, CHIPS)}. Known: {', '.join(CHIPS)}.")
     module, attribute = CHIPS[name].split(":")
     datasheet: Chip = getattr(import_module(module), attribute)
-    return _overridden(datasheet, overrides)
-
-
-def _overridden(datasheet: Chip, overrides: dict[str, Any]) -> Chip:
-    own = {f.name for f in fields(Chip)}
-    numbers = datasheet.arithmetic
-    inside = {f.name for f in fields(numbers)} if numbers else set()
-    for key in overrides:
-        if key not in own | inside:
-            raise ChipError(
-                f"chip {datasheet.name!r} has no option {key!r}{_like(key, own | inside)}."
-            )
-    inner = {key: value for key, value in overrides.items() if key in inside}
-    outer = {key: value for key, value in overrides.items() if key in own}
-    return replace(datasheet, **{"arithmetic": numbers and replace(numbers, **inner), **outer})
-
-
-def _like(name: str, known: Any) -> str:  # noqa: ANN401
-    close = difflib.get_close_matches(name, known, n=2)
-    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
+    return overridden(datasheet, {**spelled(datasheet, options), **overrides})

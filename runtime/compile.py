@@ -1,5 +1,8 @@
 """The compiler: an artifact becomes the program of a chip."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import nir
 import numpy as np
 from numpy.typing import NDArray
@@ -8,36 +11,98 @@ from runtime.artifact import Artifact
 from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
-from runtime.errors import RuleError
+from runtime.errors import ConfigError, RuleError
+from runtime.event_point import EventPoint
 from runtime.program import Layer, Program, Readout, Synapses
-from runtime.quantize import Rounding, quantise
+from runtime.quantised import quantised
+from runtime.quantize_xylo import Granularity, quantise_xylo
+from runtime.rounding import Rounding
+from runtime.rules import ARITHMETIC, ROOM, refuse
+from runtime.step_rules import check_convention
 from runtime.wiring import Wire, Wiring, wiring
+from runtime.xylo_layers import as_held, check_output
+
+# [timesteps] beyond any network's longest path
+ENDLESS = 1 << 30
 
 
 def compile(
-    artifact: Artifact, chip: Chip, rounding: Rounding = "nearest", stagger: bool | None = None
+    artifact: Artifact,
+    chip: Chip,
+    rounding: Rounding | None = None,
+    stagger: bool | None = None,
+    granularity: Granularity = "layer",
+    weight_shift: int = 0,
+    limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
 
-    rounding: of weights, biases, thresholds and decays, as in quantise.
+    rounding: of weights, biases, thresholds and decays, as in quantise; None is the chip's own.
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
-        unless the convention itself has a delay.
+        unless the convention itself has a delay, and on Xylo where Xylo can.
+    granularity: on Xylo, whether a population or each neuron has a scale, as in quantise_xylo.
+    weight_shift: on Xylo, as in quantise_xylo.
+    limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
+        the chip has no room for the network, and where it has not quite what the network asks for.
     """
     _check_reset(artifact.convention, chip)
-    if chip.events is not None:
-        raise RuleError(
-            f"{chip.name}: networks cannot be compiled for it yet, only traces of it replayed. "
-            "Choose another chip."
-        )
+    if not limits:
+        chip = replace(chip, delay_max=ENDLESS)
     wires = wiring(artifact.graph)
+    if limits:
+        refuse(artifact, chip, ROOM)
+    if chip.events is not None:
+        held = for_xylo(artifact, chip, chip.events, wires, stagger)
+        program = quantise_xylo(held, chip.events, granularity, rounding or "nearest", weight_shift)
+    elif granularity != "layer" or weight_shift:
+        raise ConfigError(
+            f"granularity {granularity!r} and weight_shift {weight_shift}: {chip.name} has one "
+            "scale for each layer, and no shift. Leave them out, or choose a Xylo."
+        )
+    else:
+        program = _layered(artifact, chip, wires, rounding, stagger, limits)
+    if limits:  # last: the compiler itself is more precise
+        refuse(artifact, chip, ARITHMETIC)
+    return program
+
+
+def _layered(
+    artifact: Artifact,
+    chip: Chip,
+    wires: Wiring,
+    rounding: Rounding | None,
+    stagger: bool | None,
+    limits: bool,
+) -> Program:
+    """The program of a chip whose layers may be as they are in the graph."""
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
     delay = max(chip.delay, 0 if stagger else artifact.convention.delay)
     layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
-    if chip.fixed is not None:
-        layers = [quantise(layer, chip.fixed, rounding) for layer in layers]
+    return _program(artifact, chip, wires, quantised(layers, chip, rounding, limits))
+
+
+def for_xylo(
+    artifact: Artifact, chip: Chip, point: EventPoint, wires: Wiring, stagger: bool | None
+) -> Program:
+    """The program in floats, with Xylo's populations, shifts for decays and delays."""
+    starts = _starts(wires, 0)
+    layers = [_layer(artifact, wires, name, starts, 0) for name in wires.layers]
+    held, remarks = as_held(wires, layers, point, artifact.convention, stagger)
+    program = _program(artifact, chip, wires, held, remarks)
+    check_output(program, point)
+    return program
+
+
+def _program(
+    artifact: Artifact,
+    chip: Chip,
+    wires: Wiring,
+    layers: Sequence[Layer],
+    remarks: Sequence[str] = (),
+) -> Program:
     return Program(
         chip=chip,
         convention=artifact.convention,
@@ -46,16 +111,22 @@ def compile(
         layers=tuple(layers),
         output=wires.output,
         readout=_readout(wires.readout, artifact.convention.delay),
+        remarks=tuple(remarks),
     )
 
 
 def _check_reset(convention: Convention, chip: Chip) -> None:
     if convention.reset not in chip.resets:
         raise RuleError(
-            f"reset {convention.reset!r}: a spike on {chip.name} can only do "
-            f"{', '.join(map(repr, chip.resets))}. Train with that reset, or run in float."
+            f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
+            f"{', '.join(map(repr, chip.resets))}. Train with that reset, give it as an option, or "
+            "run in float."
         )
-    if convention.spikes != "above" or convention.floor != "none":
+    if chip.steps is not None:
+        check_convention(convention, chip.name, chip.steps)
+        return
+    many = chip.events is not None  # how many spikes is then the chip's own business
+    if (convention.spikes != "above" and not many) or convention.floor != "none":
         raise RuleError(
             f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
             "sends one spike where its membrane is above the threshold, and its membrane has no "

@@ -2,13 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.errors import ChipError
+
+# bits of a register whose sums int64 still holds
+WIDEST = 62
+
 Integers = NDArray[np.int64]
 Overflow = Literal["none", "wrap", "wrap-once", "clip", "saturate"]
+OVERFLOWS: tuple[Overflow, ...] = get_args(Overflow)
 
 
 def decay(x: Integers, keep: Integers, bits: int) -> Integers:
@@ -38,6 +44,14 @@ class Register:
     bits: int
     overflow: Overflow
     between: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.bits <= WIDEST:
+            raise ChipError(f"a register of {self.bits} bits; choose 2 to {WIDEST}, sign included.")
+        if self.overflow not in OVERFLOWS:
+            raise ChipError(
+                f"overflow {self.overflow!r} is unknown. Choose one of {', '.join(OVERFLOWS)}."
+            )
 
     @property
     def limit(self) -> int:

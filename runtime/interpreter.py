@@ -1,9 +1,10 @@
 """The interpreter: the arithmetic of the chips as its specification, in chip time.
 
-Short and slow on purpose. Integers are int64 (float64 on `ideal`). Everything fast is tested to be
-equal to this in every current, membrane and spike.
+Short and slow on purpose. Integers are int64 (floats on `ideal` and `spinnaker2`). Everything fast
+is tested to be equal to this in every current, membrane and spike.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,8 @@ from runtime.chip import FixedPoint
 from runtime.event_point import EventPoint
 from runtime.fixed import Register, decay, shift_decay
 from runtime.program import Layer, Program
+from runtime.step_point import StepPoint
+from runtime.step_update import stepped
 
 Numbers = NDArray[Any]
 Bits = NDArray[np.bool_]
@@ -36,7 +39,7 @@ class State:
     def zero(cls, layer: Layer, batch: int) -> "State":
         """The state of a layer that was just reset."""
         shape = (batch, layer.size)
-        dtype = np.float64 if layer.threshold.dtype.kind == "f" else np.int64
+        dtype = layer.threshold.dtype if layer.threshold.dtype.kind == "f" else np.dtype(np.int64)
         currents = np.zeros((batch, *layer.current_keep.shape), dtype)
         return cls(currents, np.zeros(shape, dtype), np.zeros(shape, np.int64))
 
@@ -91,8 +94,13 @@ class Interpreter:
             for name, size in program.sizes.items()
         }
 
-    def run(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-        """One inference; states go on from the one before."""
+    def run(
+        self, raster: NDArray[np.uint8], waiting: Collection[str] = ()
+    ) -> dict[str, LayerTrace]:
+        """One inference; states go on from the one before.
+
+        waiting: names of layers that stand still meanwhile.
+        """
         program, timesteps = self.program, raster.shape[1]
         emitted = {name: _lengthened(tail, timesteps) for name, tail in self._tails.items()}
         emitted[program.input][:, self._memory :] = raster
@@ -104,7 +112,10 @@ class Interpreter:
                 if not layer.start <= step < layer.start + timesteps:
                     continue
                 state = self.states[layer.name]
-                tick = self._tick(layer, self._heard(layer, step, emitted), state)
+                if layer.name in waiting:
+                    tick = _still(state)
+                else:
+                    tick = self._tick(layer, self._heard(layer, step, emitted), state)
                 emitted[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self._tails = {name: rows[:, timesteps:] for name, rows in emitted.items()}
@@ -114,6 +125,8 @@ class Interpreter:
         """Advance a layer by one timestep, in the arithmetic of the chip."""
         if self.program.chip.events is not None:
             return update_by_events(self.program, self.program.chip.events, layer, heard, state)
+        if self.program.chip.steps is not None:
+            return update_by_steps(self.program, self.program.chip.steps, layer, heard, state)
         return update(self.program, layer, _weights(layer, heard), state)
 
     def _heard(
@@ -126,6 +139,12 @@ class Interpreter:
             start = 0 if of == self.program.input else self.program.layer(of).start
             heard.append(emitted[of][:, self._memory + step - synapses.delay - start])
         return heard
+
+
+def _still(state: State) -> Tick:
+    """What a layer does that has not started yet."""
+    none = np.zeros(state.membrane.shape, np.int64)
+    return Tick(none, none.astype(np.bool_), none)
 
 
 def _weights(layer: Layer, heard: list[Numbers]) -> Numbers:
@@ -178,15 +197,27 @@ def update_by_events(
     current, lost = _arrived(program, point, layer, heard, state.current)
     # I = I - dec(I)      V = V + (sum I - dec(V) + bias)      each sum as its register holds it
     current = current - shift_decay(current, layer.current_keep)
-    leak = shift_decay(state.membrane, layer.membrane_keep)
-    change, low = _fit(point.state, current.sum(axis=1) - leak)
+    # the lowest membrane with a dash of 0 leaks what does not fit: it stays where it is (xylosim)
+    leak = point.leak.fit(-shift_decay(state.membrane, layer.membrane_keep))
+    change, low = _fit(point.state, current.sum(axis=1) + leak)
     change, turned = _fit(point.state, change + layer.voltage_bias)
     membrane, high = _fit(point.state, state.membrane + change)
-    most = point.output_spikes_max if layer.name == program.output else point.spikes_max
+    is_output = layer.name == program.output and program.output_apart
+    most = point.output_spikes_max if is_output else point.spikes_max
     spikes, membrane = _spikes(layer, membrane, most)
     busy = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
     state.current, state.membrane = current, membrane
     return Tick(spikes, busy, lost + low + turned + high)
+
+
+def update_by_steps(
+    program: Program, point: StepPoint, layer: Layer, heard: list[Numbers], state: State
+) -> Tick:
+    """Advance a layer without synaptic currents by one timestep."""
+    after = stepped(point, program.convention, layer, heard, state.membrane)
+    busy = (state.membrane != 0) | after.arrived
+    state.membrane = after.membrane
+    return Tick(after.spikes, busy, after.lost)
 
 
 def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Numbers]:
@@ -220,12 +251,18 @@ def _arrived(
     """The currents (B, K, N) after the events, axon by axon, and how many additions saturated."""
     current, lost = current.copy(), np.zeros((len(current), layer.size), np.int64)
     for synapses, counts in zip(layer.synapses, heard, strict=True):
-        weight = synapses.weight.astype(np.int64)
-        events = counts.clip(max=point.events_max) if synapses.source == program.input else counts
+        weight, fed = synapses.weight.astype(np.int64), synapses.current
+        events = counts.astype(np.int64)
+        if synapses.source == program.input:
+            events = events.clip(max=point.events_max)
+        if (np.abs(current[:, fed]) + events @ np.abs(weight)).max() <= point.state.limit:
+            # none of the sums can saturate on the way, and so their order does not matter
+            current[:, fed] += events @ weight
+            continue
         for copy, axon in np.argwhere(events):
             for _ in range(events[copy, axon]):
-                raised = current[copy, synapses.current] + weight[axon]
-                current[copy, synapses.current], over = _fit(point.state, raised)
+                raised = current[copy, fed] + weight[axon]
+                current[copy, fed], over = _fit(point.state, raised)
                 lost[copy] += over
     return current, lost
 

@@ -1,12 +1,13 @@
 """The machine: a chip with a program on it, running."""
 
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.backend import Backend, compiles
-from runtime.errors import ConfigError, ObservationError, RuleError
+from runtime.backend import Backend, compiles, interprets
+from runtime.errors import ConfigError, ObservationError
+from runtime.interpreted import InterpretedPipeline
 from runtime.ledger import EVENTS, Ledger
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
@@ -16,6 +17,7 @@ from runtime.recorder import Recorder, Rows
 if TYPE_CHECKING:
     from runtime.native import NativePipeline
 
+AnyPipeline: TypeAlias = "Pipeline | InterpretedPipeline | NativePipeline"
 Floats = NDArray[np.float64]
 
 # "window": all timesteps of a layer at once; "row": one timestep of all layers; "step": the same,
@@ -37,7 +39,8 @@ class Machine:
     trace: whether `infer` leaves a Recording of each layer in `recordings`.
     backend: "numpy", or "numba", which computes the same several times faster, and compiles for
         half a minute when it runs for the first time after it was installed; "auto" takes it where
-        it is installed and can run the program.
+        it is installed and can run the program. "interpreter" computes the same slowly; "numpy" and
+        "auto" do so too where nothing faster knows the chip's arithmetic.
     """
 
     def __init__(
@@ -50,11 +53,14 @@ class Machine:
     ) -> None:
         if batch < 1:
             raise ConfigError(f"batch is {batch}; the least is 1.")
-        _check_fast(program)
         self.program, self.batch = program, batch
         self.recordings: dict[str, Recording] = {}
         self._trace = trace
         self._native = compiles(program, backend)
+        self._interpreted = interprets(program, backend)
+        # of these, a pipeline closes loops by itself
+        self._whole = self._native or self._interpreted
+        self._most = program.chip.input_spikes_max
         self._kept = program.convention.state == "kept"
         self._recorder = ledger if isinstance(ledger, Recorder) else Recorder(program, ledger)
         self._prepared_for: tuple[Way, int] = ("row", 1)
@@ -75,7 +81,7 @@ class Machine:
             self.reset()
         if self.program.feed_forward:
             return self._output(self._window(rows, "window"))
-        return self._output(self._window(rows, "row") if self._native else self._rows(rows))
+        return self._output(self._window(rows, "row") if self._whole else self._rows(rows))
 
     def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:
         """Output (B, act) after one chip timestep with the input spikes (B, M).
@@ -99,7 +105,7 @@ class Machine:
 
     @property
     def current(self) -> dict[str, NDArray[Any]]:
-        """(B, N) of each layer now [state units]."""
+        """(B, N) of each layer now [state units]; (B, K, N) where neurons have K currents."""
         return {name: current for name, (current, _) in self._now().items()}
 
     @property
@@ -120,13 +126,13 @@ class Machine:
                 "raster of this network, or make a machine with another batch."
             )
         if not spikes.size or spikes.dtype.kind not in "bu":
-            raise not_spikes(spikes)
+            raise not_spikes(spikes, self._most)
         # compiled kernels look themselves
-        if not self._native and spikes.dtype.kind == "u" and _largest(spikes) > 1:
-            raise not_spikes(spikes)
+        if not self._native and spikes.dtype.kind == "u" and _largest(spikes) > self._most:
+            raise not_spikes(spikes, self._most)
         return spikes
 
-    def _prepared(self, way: Way, timesteps: int) -> "Pipeline | NativePipeline":
+    def _prepared(self, way: Way, timesteps: int) -> AnyPipeline:
         """The memory for a way of running, which has to stay the same while states are kept."""
         if (way, timesteps) != self._prepared_for:
             before, goes_on = self._pipeline, self._running and self._pipeline.schedule.kept
@@ -138,17 +144,19 @@ class Machine:
             self._pipeline = self._build(way, timesteps)
             self._prepared_for = (way, timesteps)
             if goes_on:
-                # only compiled ones run several rows at once
+                # only these run several rows at once
                 cast("NativePipeline", self._pipeline).resume(cast("NativePipeline", before))
         self._running = True
         return self._pipeline
 
-    def _build(self, way: Way, timesteps: int) -> "Pipeline | NativePipeline":
+    def _build(self, way: Way, timesteps: int) -> AnyPipeline:
         program, native = self.program, self._native
         late = program.delays if way == "step" else program.lags
-        steps = program.steps(timesteps) if way == "window" or (native and way == "row") else 1
+        steps = program.steps(timesteps) if way == "window" or (self._whole and way == "row") else 1
         kept = self._kept or way != "window"
         schedule = Schedule(timesteps, late, kept, steps)
+        if self._interpreted:
+            return InterpretedPipeline(program, schedule, self.batch, streaming=way == "step")
         if not native:
             return Pipeline(program, schedule, self.batch)
         # loads the compiler, which takes longer than everything else
@@ -207,21 +215,6 @@ class Machine:
             np.dot(spikes, readout.weight, out)
             np.add(out, readout.bias, out)
         return out
-
-
-def _check_fast(program: Program) -> None:
-    """Refuse what only the interpreter computes."""
-    if program.chip.events is not None:
-        raise RuleError(
-            f"{program.chip.name} adds up event by event, which is not fast. Run the program with "
-            "runtime.interpreter.trace."
-        )
-    for layer in program.layers:
-        if any(synapses.shift for synapses in layer.synapses):
-            raise RuleError(
-                f"layer {layer.name!r}: its weights have a negative exponent, by which "
-                f"{program.chip.name} rounds sums. Run the program with runtime.interpreter.trace."
-            )
 
 
 def _largest(spikes: NDArray[Any]) -> int:

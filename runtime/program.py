@@ -49,8 +49,8 @@ class Layer:
     threshold: (N,) membrane above which a neuron spikes [state units].
     current_keep: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
     membrane_keep: (N,) likewise of the membrane. Where decays are shifts, both hold the shift, that
-        of K currents as (K, N).
-    scale: float units of current and membrane per state unit.
+        of K currents as (K, N); where the leak is linear, this is what it takes [state units].
+    scale: float units of current and membrane per state unit; (N,) where neurons differ.
     start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     """
@@ -62,7 +62,7 @@ class Layer:
     threshold: Numbers
     current_keep: Numbers
     membrane_keep: Numbers
-    scale: float
+    scale: float | NDArray[np.float64]
     start: int
     aliases: tuple[tuple[int, ...], ...] = ()
 
@@ -112,6 +112,7 @@ class Program:
     layers: in an order in which no layer comes before one that it hears without delay.
     output: name of the layer that the readout or the host listens to.
     readout: None where the spikes themselves are the output.
+    remarks: what of it is not as in the artifact, besides rounding and its convention; sentences.
     """
 
     chip: Chip
@@ -121,6 +122,7 @@ class Program:
     layers: tuple[Layer, ...]
     output: str
     readout: Readout | None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         heard = {self.input}
@@ -162,6 +164,14 @@ class Program:
                 return False
             heard.add(layer.name)
         return True
+
+    @cached_property
+    def output_apart(self) -> bool:
+        """Whether the output layer hears other layers only, and none hears it (Xylo's outputs)."""
+        wires = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
+        heard = {source for source, target in wires if target == self.output}
+        heard_by = {target for source, target in wires if source == self.output}
+        return self.input not in heard and not heard_by
 
     def steps(self, timesteps: int) -> int:
         """Chip timesteps of one inference of T timesteps."""

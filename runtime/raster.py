@@ -60,9 +60,10 @@ class Raster:
         return self._active
 
 
-def not_spikes(values: NDArray[Any]) -> ObservationError:
-    """The error for values that are no spikes."""
+def not_spikes(values: NDArray[Any], most: int = 1) -> ObservationError:
+    """The error for values that are no spikes, or more of them than an input takes at once."""
+    range_ = "0 or 1" if most == 1 else f"0 to {most}"
     return ObservationError(
-        f"the raster holds {values.dtype} values; it must hold at least one timestep, and 0 or 1 "
-        "in bool or unsigned integers. Convert it with spikes.astype(bool)."
+        f"the raster holds {values.dtype} values; it must hold at least one timestep, and {range_} "
+        "in bool or unsigned integers. Convert it with spikes.astype(bool), or clip the counts."
     )

@@ -35,6 +35,8 @@ READERS = {
     "loihi1-nengo": "runtime.loihi_trace:loihi_trace",
     "loihi2": "runtime.loihi_trace:loihi_trace",
     "xylo-a2": "runtime.xylo_trace:xylo_trace",
+    "xylo-a3": "runtime.xylo_trace:xylo_trace",
+    "xylo-imu": "runtime.xylo_trace:xylo_trace",
 }
 # what is for people
 PROSE = {

@@ -25,7 +25,7 @@ RECORDED = {
     OUTPUT: {"current": "i_syn_out", "membrane": "v_mem_out", "spikes": "out_spikes"},
 }
 INPUT = ("input_counts", "input_spikes", "input")
-REPEATED = {"steps", "params"}
+REPEATED = {"chip", "steps", "params"}
 
 
 def xylo_trace(fields: Fields, chip: str) -> TraceFile:

@@ -23,7 +23,9 @@ class Column:
 
 def label(row: Row) -> str:
     """The name of a row as people read it: `popsan · loihi1`."""
-    return f"{row['policy']} · {row['chip']}" if row["chip"] else str(row["policy"])
+    if not row["chip"]:
+        return str(row["policy"])
+    return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
 
 
 def number(field: str, form: str) -> Cell:

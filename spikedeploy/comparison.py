@@ -135,6 +135,7 @@ def _identity(row: Row) -> dict[str, Any]:
         "policy": candidate.name,
         "kind": candidate.kind,
         "chip": row.entry.chip,
+        "limits": row.entry.limits,
         "file": zoo.called(candidate.path),
     }
 

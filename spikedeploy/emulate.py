@@ -33,6 +33,7 @@ class Emulation:
     output    (T, act) of the readout, or the spikes of the last node
     ledger    of this one inference; None where `uncounted` says why
     uncounted why the events could not be counted
+    remarks   of the compiler, on what the chip does otherwise than the file says
     """
 
     artifact: Artifact
@@ -41,6 +42,7 @@ class Emulation:
     output: NDArray[np.float64]
     ledger: Ledger | None
     uncounted: str = ""
+    remarks: tuple[str, ...] = ()
 
     def save(self, path: Path) -> None:
         """Write a .npz with the spikes under each node's name, and `output`."""
@@ -61,6 +63,7 @@ class Emulation:
             "energy_j": self._energies(),
             "layers": {name: {"spikes": int(rows.sum())} for name, rows in self.spikes.items()},
             "uncounted": self.uncounted or None,
+            "remarks": list(self.remarks),
         }
 
     def _total(self, event: str) -> int | None:
@@ -73,13 +76,22 @@ class Emulation:
         return {name: energy(self.ledger, energy_table(name)) for name in priced_by(chip)}
 
 
-def emulate(path: Path, chip: str, raster: Raster, **convention: Any) -> Emulation:  # noqa: ANN401
+def emulate(
+    path: Path,
+    chip: str,
+    raster: Raster,
+    limits: bool = True,
+    **convention: Any,  # noqa: ANN401
+) -> Emulation:
     """Play the raster (T, N) into the network once, from zero states.
 
+    limits      refuse what breaks a design rule of the chip
     convention  options of runtime.artifact.load: go before what the file says, None leaves it
     """
     artifact = load(path, **convention)
-    return _in_float(artifact, raster) if chip == FLOAT else _on_chip(artifact, chip, raster)
+    if chip == FLOAT:
+        return _in_float(artifact, raster)
+    return _on_chip(artifact, chip, raster, limits)
 
 
 def read_raster(path: Path) -> Raster:
@@ -105,11 +117,12 @@ def _in_float(artifact: Artifact, raster: Raster) -> Emulation:
         return Emulation(artifact, FLOAT, spikes, _flat(output), None, str(error))
 
 
-def _on_chip(artifact: Artifact, chip: str, raster: Raster) -> Emulation:
-    machine = Machine(compiled(artifact, datasheet(chip)), trace=True)
+def _on_chip(artifact: Artifact, chip: str, raster: Raster, limits: bool) -> Emulation:
+    machine = Machine(compiled(artifact, datasheet(chip), limits=limits), trace=True)
     output = machine.infer(raster[None])[0]
     spikes = {name: seen.spikes[0] for name, seen in machine.recordings.items()}
-    return Emulation(artifact, chip, spikes, output, machine.ledger)
+    remarks = machine.program.remarks
+    return Emulation(artifact, chip, spikes, output, machine.ledger, remarks=remarks)
 
 
 def _flat(rows: NDArray[Any]) -> NDArray[Any]:

@@ -28,7 +28,14 @@ class Entry:
     @property
     def label(self) -> str:
         """Its name for people: `popsan · loihi1`."""
-        return f"{self.candidate.name} · {self.chip}" if self.chip else self.candidate.name
+        if self.chip is None:
+            return self.candidate.name
+        return f"{self.candidate.name} · {self.chip}{'' if self.limits else ', limits off'}"
+
+    @property
+    def limits(self) -> bool:
+        """Whether nothing was emulated that its chip could not hold."""
+        return self.candidate.limits or self.chip in (None, FLOAT)
 
     @property
     def references(self) -> list["Entry"]:
@@ -41,11 +48,15 @@ class Entry:
         return len(self.references)
 
 
-def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]:
+def line_up(
+    env: str, files: Sequence[str], chips: Sequence[str], limits: bool = True
+) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
     env     short name or id of the environment
     files   policies to compare; none stands for all that are shipped for the environment
+    chips   for those that spike
+    limits  refuse what breaks a design rule of a chip
     """
     spec = envs.spec(env)
     short = spec.short
@@ -64,7 +75,8 @@ def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]
     for candidate in _of_kind("snn", chosen):
         twin = Entry(candidate, FLOAT, ann)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
-        entries += [twin, *(Entry(candidate, chip, twin) for chip in chips if exported)]
+        bound = replace(candidate, limits=limits)
+        entries += [twin, *(Entry(bound, chip, twin) for chip in chips if exported)]
     built_in = [find(name) for name in spec.controls]
     rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]
     return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]

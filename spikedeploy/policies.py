@@ -51,6 +51,7 @@ class Candidate:
     env       id of the environment it was made for; None fits any
     observed  numbers it observes; None fits any
     actions   numbers it puts out, or actions that it chooses from; None fits any
+    limits    whether a chip refuses it when it breaks a design rule
     """
 
     path: str
@@ -60,6 +61,7 @@ class Candidate:
     env: str | None = None
     observed: int | None = None
     actions: int | None = None
+    limits: bool = True
 
 
 class Player(Protocol):

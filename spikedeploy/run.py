@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,6 +28,7 @@ def run(
     video: Path | None = None,
     sampled: bool = False,
     options: Mapping[str, Any] = MappingProxyType({}),
+    limits: bool = True,
 ) -> Comparison:
     """Play the policy on every seed.
 
@@ -37,8 +39,9 @@ def run(
     video      MP4 of the first episode
     sampled    draw one of several actions by its probability, instead of taking the likeliest
     options    of the environment
+    limits     refuse what breaks a design rule of the chip
     """
-    candidate = find(reference)
+    candidate = replace(find(reference), limits=limits)
     entry = Entry(candidate, chip or _default_chip(candidate))
     mode = "rgb_array" if video else None
     world: Any = made(env or _made_for(candidate), options, render_mode=mode)

@@ -91,6 +91,8 @@ def print_emulation(emulation: "Emulation") -> None:
         **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+    for remark in emulation.remarks:
+        print(f"  {remark}")
 
 
 def console(stderr: bool = False) -> "Console":

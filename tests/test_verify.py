@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.errors import RuleError, SpikedeployError, TraceError
+from runtime.errors import SpikedeployError, TraceError
 from runtime.interpreter import trace
-from runtime.machine import Machine
 from runtime.trace_file import read_trace
 from runtime.verify import Difference, verify
 from tests.programs import GOLDEN
@@ -171,12 +170,6 @@ def test_parameters_may_differ_from_neuron_to_neuron(file):
     record["s"] = [[0, 0], [1, 0]]
     record["params"]["vth"] = [8, 9]
     assert verify(file(record)).difference is None
-
-
-def test_the_machine_refuses_what_only_the_interpreter_rounds(file):
-    path = file(small("loihi1", [[7, 7, -7]], EACH, [[0]] * 3, weight_exp=-1))
-    with pytest.raises(RuleError, match="layer 'layer0': its weights have a negative exponent"):
-        Machine(read_trace(path).program)
 
 
 def broken(key, value):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime.chip import chip
-from runtime.errors import RuleError, TraceError
+from runtime.errors import TraceError
 from runtime.fixed import Register, shift_decay
 from runtime.interpreter import trace
 from runtime.machine import Machine
@@ -152,10 +152,40 @@ def test_the_first_difference_names_the_second_current(file):
     assert verify(file(record)).difference == expected
 
 
-def test_the_machine_refuses_a_chip_that_only_the_interpreter_knows():
-    recorded = read_trace(GOLDEN / "xylo_A_ff.json")
-    with pytest.raises(RuleError, match="xylo-a2 adds up event by event"):
-        Machine(recorded.program)
+def test_every_spike_of_a_timestep_is_counted_in_the_ledger(file):
+    # 3 events of 10 on one of two channels: 15 of current, 3 spikes of 5; one step later 1 more
+    record = network([10, 0], [[3, 0], [0, 2], [0, 0]], threshold=5)
+    machine = Machine(read_trace(file(record)).program)
+    machine.infer(np.array([record["input_counts"]], np.uint8))
+    ledger = machine.ledger
+    assert ledger.by_layer("spike_in") == {"hidden": 5 + 5, "output": 5}
+    # channel 1 and the recurrent synapse have weight 0, and so no fan-out
+    assert ledger.by_layer("sop") == {"hidden": 3, "output": 5}
+    assert ledger.by_layer("spike_out") == {"hidden": 3 + 1 + 1, "output": 0}
+    assert ledger.by_layer("message") == {"hidden": 10, "output": 5}
+
+
+@pytest.mark.parametrize("name", ["xylo-a2", "xylo-a3", "xylo-imu"])
+def test_traces_of_every_xylo_are_replayed(name, file):
+    record = json.loads((GOLDEN / "xylo_A_ff.json").read_text()) | {"chip": name}
+    verdict = verify(file(record))
+    assert (verdict.chip, verdict.difference, verdict.unread) == (name, None, ())
+
+
+def test_a_neuron_of_xylo_imu_has_one_synapse(file):
+    record = network([], [[1]], weights_in=[[[1, 2]]]) | {"chip": "xylo-imu"}
+    with pytest.raises(TraceError, match="A neuron has 1 synapses at most"):
+        verify(file(record))
+
+
+def test_the_lowest_membrane_that_forgets_at_once_stays_where_it_is(ran):
+    # as xylosim 0.1.3: -32768 is its own negative in 16 bits, so the leak does not lift it
+    record = network([-127, 127], [[15, 0], [0, 0], [0, 15]], dash_mem=0, weight_shift=[8, 0, 0])
+    membrane = ran(record | {"params": {**record["params"], "bias": -30000}})["hidden"].membrane
+    assert membrane.ravel().tolist() == [-32768] * 3
+    lifted = ran(record | {"params": {**record["params"], "bias": -30000, "dash_mem": 1}})["hidden"]
+    # 16384 + 16384 saturates to 32767; -32768 + 32767 - 30000
+    assert lifted.membrane.ravel().tolist() == [-32768, -32768, -30001]
 
 
 def test_options_of_its_arithmetic_can_be_set():

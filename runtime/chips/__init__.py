@@ -7,4 +7,24 @@ CHIPS: dict[str, str] = {
     "loihi1-nengo": "runtime.chips.loihi1:LOIHI1_NENGO",
     "loihi2": "runtime.chips.loihi2:LOIHI2",
     "xylo-a2": "runtime.chips.xylo_a2:XYLO_A2",
+    "xylo-a3": "runtime.chips.xylo_a3:XYLO_A3",
+    "xylo-imu": "runtime.chips.xylo_imu:XYLO_IMU",
+    "spinnaker2": "runtime.chips.spinnaker2:SPINNAKER2",
+    "speck2f": "runtime.chips.speck2f:SPECK2F",
+    "truenorth": "runtime.chips.truenorth:TRUENORTH",
+    "odin": "runtime.chips.odin:ODIN",
+    "spiker": "runtime.chips.spiker:SPIKER",
+    "int": "runtime.chips.int:INT",
+}
+
+# chips whose limits are known, but whose arithmetic is not emulated: module of their LIMITS, and
+# what a spike does to a membrane there
+PLANNED: dict[str, tuple[str, tuple[str, ...]]] = {
+    "odin": ("runtime.chips.odin", ("zero",)),
+    "speck2f": ("runtime.chips.speck2f", ("zero", "subtract")),
+    "spiker": ("runtime.chips.spiker", ("zero", "subtract")),
+    "spinnaker2": ("runtime.chips.spinnaker2", ("zero", "subtract")),
+    "truenorth": ("runtime.chips.truenorth", ("zero", "subtract")),
+    "xylo-a3": ("runtime.chips.xylo_a3", ("subtract",)),
+    "xylo-imu": ("runtime.chips.xylo_imu", ("subtract",)),
 }

@@ -16,4 +16,5 @@ IDEAL = Chip(
         "delay": "by definition: the convention decides",
         "delay_max": "by definition: recurrent connections take one timestep",
     },
+    evidence="equal to the float graph in every spike",
 )

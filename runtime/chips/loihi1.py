@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from runtime.chip import Chip, FixedPoint
 from runtime.fixed import Register
+from runtime.limits import ENDS, SPACE, WEIGHTS, Limits, SynapticMemory
 
 LAVA = "lava-nc 0.10.0, bit-accurate LIF and Dense models (source read, traces equal)"
 NENGO = "nengo-loihi 1.1.0, emulator and discretisation (source read)"
@@ -35,6 +36,45 @@ _LAVA = FixedPoint(
     push=Register(24, "none"),
     membrane=Register(24, "clip"),
     refractory=1,
+)
+
+DOSSIER = "Davies et al. 2018, pp. 86-92 (secondary: a public transcription)"
+BLOCK = "nengo-loihi 1.1.0, its block of a core (source read)"
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, *SPACE, "Scale", "Delay", "IF", "LIF", "CubaLIF"),
+    cores=128,
+    neurons_per_core=1024,
+    memory=SynapticMemory(size=16384 * 64, cost="words", weight_bits=8),
+    axons_in=4096,
+    axons_out=4096,
+    decays=32,
+    thresholds=16,
+    weight_max=255,
+    threshold_max=(1 << 17) - 1,
+    current_loss=(1 / 4096, 1.0),
+    membrane_loss=(0.0, 4095 / 4096),
+    recurrence=True,
+    input_cores=True,
+    alone=False,
+    sources={
+        "primitives": "IF, LIF and CuBa-LIF are one equation with other decays; maps without a "
+        "state are synapses, delays theirs (derived)",
+        "cores": DOSSIER,
+        "neurons_per_core": f"{DOSSIER}; {BLOCK}",
+        "memory": f"{DOSSIER}: 16384 words of 64 bits; what a synapse takes: {BLOCK}",
+        "axons_in": f"{DOSSIER}; {BLOCK}",
+        "axons_out": f"{DOSSIER}; {BLOCK}",
+        "decays": "nengo-loihi 1.1.0: 32 compartment configurations, with its own 'TODO: check'",
+        "thresholds": "nengo-loihi 1.1.0: 16 threshold configurations, with its own 'TODO: check'",
+        "weight_max": f"{DAVIES}, p. 87: 8 bits and the sign of the list",
+        "threshold_max": f"{LAVA}: 17 bits unsigned; all emulators agree",
+        "current_loss": f"{LAVA} and {NENGO}: a register of 0 to 4095, and 1 that is added",
+        "membrane_loss": f"{LAVA} and {NENGO}: a register of 0 to 4095",
+        "recurrence": "lava, brian2_loihi and nengo-loihi all have it",
+        "input_cores": "PopSAN's placement (repository read): encoders and bias in cores of theirs",
+        "alone": "Frady et al. 2020, Pohoiki Springs: many chips as one (secondary)",
+    },
 )
 
 LOIHI1 = Chip(
@@ -68,6 +108,8 @@ LOIHI1 = Chip(
         "delay": f"{LAVA}: a spike arrives one timestep after it was emitted",
         "delay_max": f"{DAVIES}, p. 92: 6 bits",
     },
+    limits=LIMITS,
+    evidence=f"equal to traces of {LAVA.partition(',')[0]}, `spikedeploy verify`",
 )
 
 LOIHI1_BRIAN2 = replace(
@@ -87,6 +129,7 @@ LOIHI1_BRIAN2 = replace(
         membrane=Register(24, "none"),
     ),
     delay=0,
+    limits=replace(LIMITS, current_loss=(0.0, 1.0), membrane_loss=(0.0, 1.0)),
     sources={
         **LOIHI1.sources,
         "step_rounding": f"{BRIAN2}: odd mixed weights go toward zero",
@@ -103,6 +146,7 @@ LOIHI1_BRIAN2 = replace(
         "refractory": f"{BRIAN2}: 1 to 64, as on the chip",
         "delay": f"{BRIAN2}: a spike acts in the timestep in which it was emitted",
     },
+    evidence=f"equal to traces of {BRIAN2.partition(',')[0]}, `spikedeploy verify`",
 )
 
 LOIHI1_NENGO = replace(
@@ -129,4 +173,5 @@ LOIHI1_NENGO = replace(
         "refractory": f"{NENGO}: 1 to 64",
         "delay": f"{NENGO}: what a compartment is given acts in the same timestep",
     },
+    evidence=f"equal to traces of {NENGO.partition(',')[0]}, `spikedeploy verify`",
 )

@@ -1,16 +1,44 @@
 """`spikedeploy chips`: the chips that are emulated."""
 
+from typing import Annotated
+
+import typer
+
 from spikedeploy.commands.options import Json
 
 
-def chips(json: Json = False) -> None:
-    """List the chips."""
+def chips(
+    json: Json = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the table of docs/chips.md.")
+    ] = False,
+) -> None:
+    """List the chips: what they compute with, and how sure that is.
+
+    Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
+    """
     from runtime.chip import CHIPS, chip
+    from spikedeploy.datasheets import COLUMNS, rows
+    from spikedeploy.datasheets import markdown as as_markdown
     from spikedeploy.terminal import print_json, print_table
 
     known = [chip(name) for name in CHIPS]
     if json:
-        print_json([{"name": c.name, "summary": c.summary, "sources": c.sources} for c in known])
+        print_json(
+            [
+                {
+                    **dict(zip((c.replace(" ", "_") for c in COLUMNS), row, strict=True)),
+                    "resets": each.resets,
+                    "summary": each.summary,
+                    "energy_tables": each.energy_tables,
+                    "sources": each.sources,
+                }
+                for each, row in zip(known, rows(known), strict=True)
+            ]
+        )
+    elif markdown:
+        typer.echo(as_markdown(known), nl=False)
     else:
-        rows = [(c.name, c.summary, ", ".join(c.energy_tables) or "none") for c in known]
-        print_table("Chips", ("name", "what it is", "energy tables"), rows)
+        lines = [(c.name, c.summary, ", ".join(c.energy_tables) or "none") for c in known]
+        print_table("Chips", ("name", "what it is", "energy tables"), lines)
+        print_table("What they compute with", COLUMNS, rows(known))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed, Workers
+from spikedeploy.commands.options import EnvOptions, Json, Limits, LimitsOption, Seed, Workers
 
 
 def compare(
@@ -29,16 +29,18 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
+    limits: LimitsOption = Limits.on,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
+    from runtime.chip_options import listed
     from spikedeploy import report
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
-    entries = line_up(env, files or (), _names(chips))
+    entries = line_up(env, files or (), listed(chips), limits is Limits.on)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(comparison)
     if output:
@@ -49,7 +51,3 @@ def compare(
         print_comparison(document)
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json
+from spikedeploy.commands.options import Json, Limits, LimitsOption
 
 
 class Reset(str, Enum):
@@ -49,6 +49,7 @@ def emulate(
             help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
         ),
     ] = None,
+    limits: LimitsOption = Limits.on,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
@@ -63,7 +64,7 @@ def emulate(
         "delay": delay,
         "like": like,
     }
-    result = play(file, chip, read_raster(input_), **given)
+    result = play(file, chip, read_raster(input_), limits is Limits.on, **given)
     result.save(output)
     if json:
         print_json(result.as_json())

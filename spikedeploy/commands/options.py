@@ -1,9 +1,25 @@
 """Options that several commands share, worded once."""
 
+from enum import Enum
 from typing import Annotated
 
 import typer
 
+
+class Limits(str, Enum):
+    """Whether a chip refuses what breaks its design rules."""
+
+    on = "on"
+    off = "off"
+
+
+LimitsOption = Annotated[
+    Limits,
+    typer.Option(
+        "--limits",
+        help="Refuse what breaks a design rule of the chip; 'off' emulates its arithmetic alone.",
+    ),
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")
 ]

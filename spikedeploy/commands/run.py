@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed
+from spikedeploy.commands.options import EnvOptions, Json, Limits, LimitsOption, Seed
 
 
 def run(
@@ -32,6 +32,7 @@ def run(
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
+    limits: LimitsOption = Limits.on,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
@@ -41,7 +42,9 @@ def run(
     from spikedeploy.worlds import parsed
 
     numbers = range(seed, seed + episodes)
-    comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()))
+    comparison = play(
+        policy, env, chip, numbers, video, sampled, parsed(set_ or ()), limits is Limits.on
+    )
     document = report.document(comparison)
     if json:
         print_json(document)

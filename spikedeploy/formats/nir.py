@@ -26,14 +26,15 @@ class NirController:
     """A spiking policy whose ledger begins anew with every episode.
 
     chip     it runs on; None is the float twin
+    limits   whether the chip refuses what breaks its design rules
     sampled  actions are drawn, as in SpikingController
     program  whose operations are counted; the float twin's is the one without rounding
     """
 
-    def __init__(self, path: str, chip: str, sampled: bool = False) -> None:
+    def __init__(self, path: str, chip: str, sampled: bool = False, limits: bool = True) -> None:
         artifact = load(path)
         self.chip = None if chip == FLOAT else datasheet(chip)
-        self._controller = SpikingController(artifact, self.chip, "total", sampled)
+        self._controller = SpikingController(artifact, self.chip, "total", sampled, limits=limits)
         self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
         self._before = self._controller.ledger
 
@@ -89,7 +90,7 @@ def controller(
     candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
 ) -> NirController:
     """The network on the chip, or its float twin."""
-    return NirController(candidate.path, chip or FLOAT, sampled)
+    return NirController(candidate.path, chip or FLOAT, sampled, candidate.limits)
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:

@@ -1,0 +1,76 @@
+"""Datasheets side by side: what the chips compute with, and what that was compared with."""
+
+from collections.abc import Iterable
+
+from runtime.chip import Chip, FixedPoint
+from runtime.event_point import EventPoint
+from runtime.fixed import Register
+from runtime.float_point import FloatPoint
+from runtime.int_point import IntPoint
+from runtime.step_point import StepPoint
+
+OVERFLOWS = {
+    "none": "never full",
+    "wrap": "wraps",
+    "wrap-once": "wraps once",
+    "clip": "clips",
+    "saturate": "saturates",
+}
+COLUMNS = ("name", "neurons", "weights", "membrane", "resets", "compared with")
+
+
+def rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
+    """A row of COLUMNS for each chip."""
+    return [
+        (chip.name, *_arithmetic(chip.arithmetic), ", ".join(chip.resets), chip.evidence)
+        for chip in chips
+    ]
+
+
+def markdown(chips: Iterable[Chip]) -> str:
+    """The same as a table of Markdown."""
+    lines = [COLUMNS, ("---",) * len(COLUMNS), *rows(chips)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _arithmetic(
+    numbers: FixedPoint | EventPoint | StepPoint | FloatPoint | None,
+) -> tuple[str, str, str]:
+    """Neurons, weights and membrane in a few words each."""
+    if isinstance(numbers, IntPoint):
+        signs = "with the sign" if numbers.sign_mode == "mixed" else "and sign"
+        free = f"{numbers.weight_bits} bits {signs}, free"
+        return "CuBa-LIF, free widths", free, f"{_register(numbers.membrane)}, free"
+    if isinstance(numbers, FixedPoint):
+        signs = "with the sign" if numbers.sign_mode == "mixed" else "and sign"
+        return "CuBa-LIF", f"{numbers.weight_bits} bits {signs}", _register(numbers.membrane)
+    if isinstance(numbers, EventPoint):
+        bits = f"{numbers.weight_bits} bits with the sign"
+        return "CuBa-LIF, event by event", bits, _register(numbers.state)
+    if isinstance(numbers, StepPoint):
+        return _steps(numbers)
+    if isinstance(numbers, FloatPoint):
+        return "CuBa-LIF", f"{numbers.weight_bits} bits with the sign", "float32"
+    return "CuBa-LIF", "float64", "float64"
+
+
+def _steps(point: StepPoint) -> tuple[str, str, str]:
+    leak = {
+        "none": "IF",
+        "linear": "IF, linear leak",
+        "crossing": "IF, linear leak",
+        "shift": "LIF, leak by a shift",
+    }[point.leak]
+    each = ", event by event" if point.adds == "event" else ""
+    signs = "and the axon's sign" if point.signs == "axon" else "with the sign"
+    types = f", {point.axon_types} a neuron" if point.axon_types else ""
+    weights = f"{point.weight_bits} bits {signs}{types}"
+    register = point.membrane
+    if point.floor == 0:
+        unsigned = f"{register.bits - 1} bits unsigned, {OVERFLOWS[register.overflow]}"
+        return f"{leak}{each}", weights, unsigned
+    return f"{leak}{each}", weights, _register(register)
+
+
+def _register(register: Register) -> str:
+    return f"{register.bits} bits, {OVERFLOWS[register.overflow]}"

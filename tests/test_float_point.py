@@ -1,0 +1,77 @@
+"""SpiNNaker2: whole weights and float32 states, which is approximate and says so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from runtime.chip import chip
+from runtime.compile import compile
+from runtime.errors import ChipError
+from runtime.float_graph import FloatGraph
+from runtime.interpreter import trace
+from tests.networks import popsan
+
+CHIP = chip("spinnaker2")
+
+
+def test_it_is_labelled_approximate():
+    assert "approximate" in CHIP.summary
+    assert "approximate" in CHIP.evidence
+
+
+def test_the_largest_weight_of_a_population_becomes_127_and_everything_else_follows():
+    artifact = popsan()
+    layer = compile(artifact, CHIP).layers[0]
+    weight = artifact.graph.nodes["n1"].weight.T
+    scale = 127 / np.abs(weight).max()
+    np.testing.assert_array_equal(layer.synapses[0].weight, np.rint(weight * scale))
+    np.testing.assert_allclose(layer.threshold, 0.5 * scale, rtol=1e-6)
+    np.testing.assert_allclose(layer.bias, artifact.graph.nodes["n1"].bias * scale, rtol=1e-6)
+    assert layer.threshold.dtype == layer.bias.dtype == layer.current_keep.dtype == np.float32
+    assert layer.scale == pytest.approx(1 / scale)
+
+
+def test_its_states_are_those_of_a_plain_loop_in_float32():
+    program = compile(popsan(), CHIP)
+    layer = program.layers[0]
+    raster = (np.random.default_rng(0).random((1, 12, 30)) < 0.3).astype(np.uint8)
+    found = trace(program, raster)[layer.name]
+    assert found.membrane.dtype == np.float32
+    n = 3
+    current = membrane = np.float32(0)
+    for t in range(12):
+        arrived = np.float32(int(raster[0, t] @ layer.synapses[0].weight[:, n].astype(int)))
+        current = layer.current_keep[n] * current + (layer.bias[n] + arrived)
+        membrane = layer.membrane_keep[n] * membrane + current
+        spikes = membrane > layer.threshold[n]
+        membrane = np.float32(0) if spikes else membrane
+        assert (found.current[0, t, n], found.membrane[0, t, n]) == (current, membrane)
+        assert found.spikes[0, t, n] == spikes
+    assert found.spikes[0, :, n].any()
+
+
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+@pytest.mark.parametrize("integrator", ["euler", "exponential"])
+def test_eight_bits_change_few_spikes_and_sixteen_fewer(reset, integrator):
+    artifact = popsan()
+    convention = replace(artifact.convention, reset=reset, integrator=integrator)
+    artifact = replace(artifact, convention=convention)
+    raster = (np.random.default_rng(1).random((8, 20, 30)) < 0.3).astype(np.uint8)
+    expected = FloatGraph(artifact).run(raster)
+
+    def differing(used):
+        found = trace(compile(artifact, used), raster)
+        return sum(int((found[n].spikes != expected[n]).sum()) for n in found)
+
+    fine, coarse = (
+        differing(chip("spinnaker2", weight_bits=16)),
+        differing(chip("spinnaker2:weight_bits=3")),
+    )
+    assert fine <= differing(CHIP) < coarse
+    assert fine <= 3
+
+
+def test_an_impossible_width_is_refused():
+    with pytest.raises(ChipError, match="weight_bits is 1; choose 2 to 16"):
+        chip("spinnaker2", weight_bits=1)

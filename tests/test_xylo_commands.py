@@ -1,0 +1,72 @@
+"""Xylo from the command line: the same commands as for any chip."""
+
+import json
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from runtime.artifact import save
+from runtime.chip import chip
+from runtime.compile import compile
+from runtime.machine import Machine
+from tests import strolling
+from tests.networks import popsan
+from tests.xylo_networks import network
+
+CHIPS = ["xylo-a2", "xylo-a3", "xylo-imu"]
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A network that says nothing of its convention, and spikes for it."""
+    artifact = network(np.random.default_rng(1), [16, 20, 8], ["cuba"] * 2, loops={1})
+    nir.write(tmp_path / "net.nir", artifact.graph)
+    raster = (np.random.default_rng(0).random((60, 16)) < 0.2).astype(np.uint8)
+    np.save(tmp_path / "spikes.npy", raster)
+    return tmp_path / "net.nir", tmp_path / "spikes.npy", artifact, raster
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_emulate_plays_a_foreign_network(name, files, command, tmp_path):
+    net, spikes, artifact, raster = files
+    words = ("emulate", net, "--chip", name, "--reset", "subtract", "--input", spikes)
+    code, out, err = command(*words, "-o", tmp_path / "out.npz", "--json")
+    assert code == 0, err
+    machine = Machine(compile(artifact, chip(name)), trace=True)
+    expected = machine.infer(raster[None])[0]
+    with np.load(tmp_path / "out.npz") as found:
+        np.testing.assert_array_equal(found["output"], expected)
+        np.testing.assert_array_equal(found["l1"], machine.recordings["l1"].spikes[0])
+    document = json.loads(out)
+    assert document["sops"] == machine.ledger.total("sop")
+    assert any("up to 31 times in a timestep" in remark for remark in document["remarks"])
+
+
+def test_emulate_prints_what_the_chip_does_otherwise(files, command, tmp_path):
+    net, spikes, *_ = files
+    words = ("emulate", net, "--chip", "xylo-a2", "--reset", "subtract", "--input", spikes)
+    _, out, _ = command(*words, "-o", tmp_path / "out.npz")
+    assert "a power of two" in out
+
+
+def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
+    net, spikes, *_ = files
+    words = ("emulate", net, "--chip", "xylo-a2", "--input", spikes, "-o", tmp_path / "out.npz")
+    code, _, err = command(*words)
+    assert code == 1
+    assert "reset 'zero': a spike on xylo-a2 can only do 'subtract'" in err
+
+
+def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path):
+    strolling.install(monkeypatch)
+    policy = popsan()
+    convention = replace(policy.convention, reset="subtract")
+    save(replace(policy, convention=convention, origin=strolling.ORIGIN), tmp_path / "policy.nir")
+    words = (tmp_path / "policy.nir", "--chip", "xylo-a2", "--env", "stroll", "--json")
+    code, out, err = command("run", *words)
+    assert code == 0, err
+    (row,) = json.loads(out)["rows"]
+    assert row["chip"] == "xylo-a2"
+    assert row["sops_per_inference"] > 0
