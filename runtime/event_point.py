@@ -27,3 +27,8 @@ class EventPoint:
     events_max: int
     spikes_max: int
     output_spikes_max: int
+
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]: its currents and its membrane."""
+        return (self.state.bits,) * (self.currents + 1)

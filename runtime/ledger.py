@@ -57,8 +57,9 @@ class Ledger:
 
     @property
     def sparsity(self) -> float:
-        """Part of all neuron-timesteps without a spike (NeuroBench's activation sparsity)."""
-        return 1 - self.total("spike_out") / max(sum(self.neurons) * self.timesteps, 1)
+        """Part of all neuron-timesteps without a spike (NeuroBench's ActivationSparsity)."""
+        every = max(sum(self.neurons) * self.timesteps, 1)
+        return (every - self.total("spike_out")) / every
 
 
 def count(

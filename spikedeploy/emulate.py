@@ -16,6 +16,8 @@ from runtime.errors import ObservationError, RuleError
 from runtime.float_machine import FloatMachine
 from runtime.ledger import Ledger
 from runtime.machine import Machine
+from runtime.neurobench import NeuroBench, neurobench
+from runtime.program import Program
 from spikedeploy.files import replacing
 from spikedeploy.policies import FLOAT
 from spikedeploy.spiking_costs import priced_by
@@ -33,6 +35,7 @@ class Emulation:
     output    (T, act) of the readout, or the spikes of the last node
     ledger    of this one inference; None where `uncounted` says why
     uncounted why the events could not be counted
+    measures  NeuroBench's numbers of it; None likewise
     """
 
     artifact: Artifact
@@ -41,6 +44,7 @@ class Emulation:
     output: NDArray[np.float64]
     ledger: Ledger | None
     uncounted: str = ""
+    measures: NeuroBench | None = None
 
     def save(self, path: Path) -> None:
         """Write a .npz with the spikes under each node's name, and `output`."""
@@ -59,6 +63,7 @@ class Emulation:
             "neuron_updates": self._total("neuron_update"),
             "saturations": self._total("saturation"),
             "energy_j": self._energies(),
+            "neurobench": self.measures.as_json() if self.measures else None,
             "layers": {name: {"spikes": int(rows.sum())} for name, rows in self.spikes.items()},
             "uncounted": self.uncounted or None,
         }
@@ -100,7 +105,8 @@ def _in_float(artifact: Artifact, raster: Raster) -> Emulation:
     output = machine.infer(raster[None])[0]
     spikes = {name: _flat(rows[0]) for name, rows in machine.spikes.items()}
     try:
-        return Emulation(artifact, FLOAT, spikes, _flat(output), machine.ledger)
+        measures = _measures(artifact, machine.program, raster)
+        return Emulation(artifact, FLOAT, spikes, _flat(output), machine.ledger, "", measures)
     except RuleError as error:  # a graph that no chip could hold
         return Emulation(artifact, FLOAT, spikes, _flat(output), None, str(error))
 
@@ -109,7 +115,23 @@ def _on_chip(artifact: Artifact, chip: str, raster: Raster) -> Emulation:
     machine = Machine(compiled(artifact, datasheet(chip)), trace=True)
     output = machine.infer(raster[None])[0]
     spikes = {name: seen.spikes[0] for name, seen in machine.recordings.items()}
-    return Emulation(artifact, chip, spikes, output, machine.ledger)
+    measures = _measured(artifact, machine, raster)
+    return Emulation(artifact, chip, spikes, output, machine.ledger, "", measures)
+
+
+def _measures(artifact: Artifact, program: Program, raster: Raster) -> NeuroBench:
+    """NeuroBench's numbers of a program whose states are not known yet."""
+    machine = Machine(program, ledger="none", trace=True)
+    machine.infer(raster[None])
+    return _measured(artifact, machine, raster)
+
+
+def _measured(artifact: Artifact, machine: Machine, raster: Raster) -> NeuroBench:
+    """NeuroBench's numbers of what the machine recorded."""
+    program, seen = machine.program, machine.recordings
+    spikes = {program.input: raster[None], **{name: rows.spikes for name, rows in seen.items()}}
+    membranes = {name: rows.membrane for name, rows in seen.items()}
+    return neurobench(artifact.graph, program, spikes, membranes)
 
 
 def _flat(rows: NDArray[Any]) -> NDArray[Any]:

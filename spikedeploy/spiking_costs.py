@@ -5,6 +5,7 @@ import numpy as np
 from runtime.chip import Chip
 from runtime.energy import energy, energy_table, latency
 from runtime.ledger import Ledger
+from runtime.neurobench import dense
 from runtime.program import Program
 from spikedeploy.costs import Costs
 
@@ -33,12 +34,6 @@ def priced_by(chip: Chip | None) -> tuple[str, ...]:
     if chip is None or chip.fixed is None:
         return ("horowitz45",)
     return (*chip.energy_tables, "horowitz45-int8")
-
-
-def dense(program: Program) -> int:
-    """Weights of all matrices, zeros included: the operations of a timestep without sparsity."""
-    weights = [s.weight.size for layer in program.layers for s in layer.synapses]
-    return sum(weights) + (program.readout.weight.size if program.readout else 0)
 
 
 def _readout_acs(ledger: Ledger, program: Program) -> float:

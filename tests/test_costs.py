@@ -6,14 +6,13 @@ import pytest
 from envs.rollout import Rollout
 from runtime.artifact import load
 from runtime.chip import chip
-from runtime.compile import compile as compiled
 from runtime.energy import TABLES, mac_energy
 from spikedeploy import costs
 from spikedeploy.costs import Costs
 from spikedeploy.formats.nir import NirController
 from spikedeploy.formats.onnx import OnnxController
 from spikedeploy.formats.onnx import costs as onnx_costs
-from spikedeploy.spiking_costs import dense, priced_by, spiking_costs
+from spikedeploy.spiking_costs import priced_by, spiking_costs
 from tests import strolling
 
 OBSERVATIONS = np.random.default_rng(5).normal(size=(7, 3))
@@ -71,10 +70,6 @@ def test_the_ledger_begins_anew_with_each_episode(snn):
         player.act(observation)
     assert (first.inferences, player.ledger.inferences) == (7, 3)
     assert 0 < player.ledger.total("sop") < first.total("sop")
-
-
-def test_dense_counts_zero_weights_too(snn):
-    assert dense(compiled(load(snn), chip("ideal"))) == 30 * 16 + 16 * 12 + 12 * 20 + 20 * 2
 
 
 def test_a_chip_is_priced_by_its_own_tables_and_one_that_float_networks_share():
