@@ -5,7 +5,7 @@ static power: they are for comparing networks, not for choosing batteries.
 """
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 
 from runtime.energy_table import EnergyTable, StaticPower, Uncertainty
@@ -37,6 +37,17 @@ def energy_table(name: str) -> EnergyTable:
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise ConfigError(f"there is no energy table {name!r}{hint}. Known: {', '.join(TABLES)}.")
     return TABLES[name]
+
+
+def energy_tables(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, each of a table that exists, each once."""
+    return tuple(dict.fromkeys(energy_table(name).name for name in names))
+
+
+def described(table: EnergyTable) -> str:
+    """A line that belongs to every number of the table: its source, and how sure it is."""
+    off = table.uncertainty
+    return f"{table.source}: {table.provenance}. Energies: {off.describe()} ({off.why})"
 
 
 def energy(ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None) -> float:
@@ -76,6 +87,12 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
             f"Choose one of {', '.join(n for n, t in TABLES.items() if 'mac' in t.joules)}."
         )
     return macs * table.joules["mac"]
+
+
+def mac_estimate(macs: float, table: EnergyTable) -> Estimate:
+    """[J] likewise, and between what it lies."""
+    joules, off = mac_energy(macs, table), table.uncertainty
+    return Estimate(joules, joules * off.low, joules * off.high)
 
 
 def latency(ledger: Ledger, table: EnergyTable) -> float:

@@ -1,5 +1,6 @@
 """The tables of a comparison, the same ones on the terminal, in the HTML report and on cards."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -36,14 +37,33 @@ def number(field: str, form: str) -> Cell:
     return cell
 
 
-def price(field: str, table: str, unit: str) -> Cell:
-    """A cell with what an energy table says, in the unit or a thousandth part of it or less."""
+def price(field: str, table: str, unit: str, interval: str) -> Cell:
+    """A cell with what an energy table says, in the unit or a thousandth part of it or less.
+
+    interval: field with the bounds, which reports of before have not.
+    """
 
     def cell(row: Row) -> str:
         value = row[field].get(table)
-        return ABSENT if value is None else f"{scaled(value)}{unit}"
+        if value is None:
+            return ABSENT
+        low, high = row.get(interval, {}).get(table, (0, None))
+        return bounded(f"{scaled(value)}{unit}", value, low, high)
 
     return cell
+
+
+def bounded(text: str, value: float, low: float, high: float | None) -> str:
+    """A number with what is known of it: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `3.2 µJ (≤ 9.8 µ)`."""
+    if high is None or math.isinf(high):
+        return f"≥ {text}" if low == value else text
+    if low == high:
+        return text
+    if math.isclose(value - low, high - value, rel_tol=1e-6):
+        return f"{text} ± {100 * (high - value) / value:.3g} %"
+    if low == 0:
+        return f"≤ {scaled(high)}{text[-1]}"
+    return f"{scaled(low)}–{scaled(high)}{text[-1]}"
 
 
 def scaled(value: float) -> str:
@@ -211,14 +231,14 @@ def _prices(rows: Sequence[Row]) -> list[Column]:
     """Energies and latencies by every table that prices some row."""
     energy, latency = "energy_per_inference_j", "latency_per_inference_s"
     energies = [
-        Column(name, f"energy by table {name}", price(energy, name, "J"))
+        Column(name, f"energy by table {name}", price(energy, name, "J", "energy_interval_j"))
         for name in dict.fromkeys(name for row in rows for name in row[energy])
     ]
     latencies = [
         Column(
             f"{name} time",
             f"time by table {name}, as if one core did everything",
-            price(latency, name, "s"),
+            price(latency, name, "s", "latency_interval_s"),
         )
         for name in dict.fromkeys(name for row in rows for name in row[latency])
     ]

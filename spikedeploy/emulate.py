@@ -1,6 +1,6 @@
 """Open loop: a raster of spikes into a network, and everything that it did out of it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from runtime.artifact import Artifact, load
 from runtime.chip import chip as datasheet
 from runtime.compile import compile as compiled
-from runtime.energy import energy, energy_table
+from runtime.energy import Estimate, energy_estimate, energy_table
 from runtime.errors import ObservationError, RuleError
 from runtime.float_machine import FloatMachine
 from runtime.ledger import Ledger
@@ -36,6 +36,7 @@ class Emulation:
     ledger    of this one inference; None where `uncounted` says why
     uncounted why the events could not be counted
     measures  NeuroBench's numbers of it; None likewise
+    tables    energy tables to price by; none are those of the chip
     """
 
     artifact: Artifact
@@ -45,6 +46,7 @@ class Emulation:
     ledger: Ledger | None
     uncounted: str = ""
     measures: NeuroBench | None = None
+    tables: Sequence[str] = ()
 
     def save(self, path: Path) -> None:
         """Write a .npz with the spikes under each node's name, and `output`."""
@@ -62,7 +64,8 @@ class Emulation:
             "bias_sops": self._total("bias_sop"),
             "neuron_updates": self._total("neuron_update"),
             "saturations": self._total("saturation"),
-            "energy_j": self._energies(),
+            "energy_j": {name: each.value for name, each in self.energies.items()},
+            "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
             "neurobench": self.measures.as_json() if self.measures else None,
             "layers": {name: {"spikes": int(rows.sum())} for name, rows in self.spikes.items()},
             "uncounted": self.uncounted or None,
@@ -71,11 +74,13 @@ class Emulation:
     def _total(self, event: str) -> int | None:
         return self.ledger.total(event) if self.ledger else None
 
-    def _energies(self) -> dict[str, float]:
+    @property
+    def energies(self) -> dict[str, Estimate]:
+        """[J] by each table, with the interval that it lies in."""
         if self.ledger is None:
             return {}
-        chip = None if self.chip == FLOAT else datasheet(self.chip)
-        return {name: energy(self.ledger, energy_table(name)) for name in priced_by(chip)}
+        names = self.tables or priced_by(None if self.chip == FLOAT else datasheet(self.chip))
+        return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
 
 
 def emulate(path: Path, chip: str, raster: Raster, **convention: Any) -> Emulation:  # noqa: ANN401

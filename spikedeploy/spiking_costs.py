@@ -3,7 +3,7 @@
 import numpy as np
 
 from runtime.chip import Chip
-from runtime.energy import energy, energy_table, latency
+from runtime.energy import TABLES, energy_estimate, latency_estimate
 from runtime.ledger import Ledger
 from runtime.neurobench import dense
 from runtime.program import Program
@@ -13,7 +13,6 @@ from spikedeploy.costs import Costs
 def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
     """The mean inference of the ledger; `chip` None is the float twin."""
     sops = ledger.per_inference("sop")
-    tables = [energy_table(name) for name in priced_by(chip)]
     return Costs(
         sparsity=ledger.sparsity,
         spikes=ledger.per_inference("spike_out"),
@@ -24,8 +23,11 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         effective_macs=0.0,  # every weight matrix hears spikes
         dense=dense(program) * ledger.timesteps / ledger.inferences,
         saturations=ledger.total("saturation") if chip else None,
-        energy_j={table.name: energy(ledger, table) for table in tables},
-        latency_s={table.name: latency(ledger, table) for table in tables if table.seconds},
+        # by all of them, so that a report can choose
+        energy_j={name: energy_estimate(ledger, table) for name, table in TABLES.items()},
+        latency_s={
+            n: latency_estimate(ledger, table) for n, table in TABLES.items() if table.timed
+        },
     )
 
 

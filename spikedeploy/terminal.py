@@ -79,18 +79,32 @@ def print_comparison(document: Mapping[str, Any]) -> None:
 
 def print_emulation(emulation: "Emulation") -> None:
     """Write how the network was stepped, what it did, and what that costs."""
+    from spikedeploy.columns import bounded, scaled
+
     found = emulation.as_json()
-    energies = {f"energy, {name}": f"{joules:.4g} J" for name, joules in found["energy_j"].items()}
+    energies = {
+        f"energy, {name}": bounded(f"{scaled(each.value)}J", each.value, each.low, each.high)
+        for name, each in emulation.energies.items()
+    }
     counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
     lines = {
         "convention": emulation.artifact.convention.describe(),
         **{
             name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
         },
+        **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **energies,
         **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+
+
+def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
+    """Those of NeuroBench's numbers that are one each, by its names."""
+    if measures is None:
+        return {}
+    flat = {**measures, **measures["SynapticOperations"]}
+    return {name: value for name, value in flat.items() if isinstance(value, int | float)}
 
 
 def console(stderr: bool = False) -> "Console":

@@ -1,12 +1,14 @@
 """What an inference costs, against counts made by hand."""
 
+import math
+
 import numpy as np
 import pytest
 
 from envs.rollout import Rollout
 from runtime.artifact import load
 from runtime.chip import chip
-from runtime.energy import TABLES, mac_energy
+from runtime.energy import TABLES, Estimate, mac_energy
 from spikedeploy import costs
 from spikedeploy.costs import Costs
 from spikedeploy.formats.nir import NirController
@@ -83,11 +85,13 @@ def test_energy_per_inference_is_the_mean_of_single_inferences(snn):
     for observation in OBSERVATIONS:
         player.reset(0)
         player.act(observation)
-        alone.append(spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"])
+        alone.append(
+            spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"].value
+        )
     player.reset(0)
     player.replay(OBSERVATIONS)
     found = spiking_costs(player.ledger, player.program, player.chip)
-    assert found.energy_j["sanafe"] == pytest.approx(np.mean(alone))
+    assert found.energy_j["sanafe"].value == pytest.approx(np.mean(alone))
 
 
 def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
@@ -103,14 +107,14 @@ def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
     player = OnnxController(strolling.ann(tmp_path / "ann.onnx", hidden=(8,)))
     found = onnx_costs(player, played(OBSERVATIONS))
     assert found.dense == 3 * 8 + 8 * 2
-    assert found.energy_j["horowitz45"] == mac_energy(40, TABLES["horowitz45"])
+    assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])
 
 
 def test_means_are_weighted_by_inferences_and_saturations_are_summed():
-    one = Costs(sops=10.0, saturations=1, energy_j={"a": 1.0})
-    other = Costs(sops=40.0, saturations=2, energy_j={"a": 4.0})
+    one = Costs(sops=10.0, saturations=1, energy_j={"a": Estimate(1.0, 0.5, 2.0)})
+    other = Costs(sops=40.0, saturations=2, energy_j={"a": Estimate(4.0, 2.0, math.inf)})
     found = costs.mean([one, other], weights=[2, 1])
     assert found.sops == pytest.approx(20)
-    assert found.energy_j == {"a": pytest.approx(2.0)}
+    assert found.energy_j == {"a": Estimate(2.0, 1.0, math.inf)}
     assert found.saturations == 3
     assert found.spikes is None

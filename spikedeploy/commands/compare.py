@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed, Workers
+from spikedeploy.commands.options import Energy, EnvOptions, Json, Seed, Workers
 
 
 def compare(
@@ -24,6 +24,7 @@ def compare(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
+    energy: Energy = None,
     workers: Workers = None,
     output: Annotated[
         Path | None,
@@ -32,15 +33,19 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
+    from dataclasses import replace
+
+    from runtime.energy import energy_tables
     from spikedeploy import report
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
+    tables = energy_tables(energy or ())
     entries = line_up(env, files or (), _names(chips))
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
-    document = report.document(comparison)
+    document = report.document(replace(comparison, tables=tables))
     if output:
         report.write(document, output)
     if json:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json
+from spikedeploy.commands.options import Energy, Json
 
 
 class Reset(str, Enum):
@@ -49,9 +49,13 @@ def emulate(
             help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
         ),
     ] = None,
+    energy: Energy = None,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
+    from dataclasses import replace
+
+    from runtime.energy import energy_tables
     from spikedeploy.emulate import emulate as play
     from spikedeploy.emulate import read_raster
     from spikedeploy.terminal import print_emulation, print_json
@@ -63,7 +67,8 @@ def emulate(
         "delay": delay,
         "like": like,
     }
-    result = play(file, chip, read_raster(input_), **given)
+    tables = energy_tables(energy or ())
+    result = replace(play(file, chip, read_raster(input_), **given), tables=tables)
     result.save(output)
     if json:
         print_json(result.as_json())

@@ -16,6 +16,15 @@ EnvOptions = Annotated[
         "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
     ),
 ]
+Energy = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--energy",
+        metavar="TABLE",
+        help="Energy table to price by, as often as you like; `energy` lists them.",
+        show_default="the chip's own",
+    ),
+]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
 ]
