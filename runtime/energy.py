@@ -46,8 +46,13 @@ def energy_tables(names: Iterable[str]) -> tuple[str, ...]:
 
 def described(table: EnergyTable) -> str:
     """A line that belongs to every number of the table: its source, and how sure it is."""
-    off = table.uncertainty
-    return f"{table.source}: {table.provenance}. Energies: {off.describe()} ({off.why})"
+    why = table.uncertainty.why
+    return f"{table.source}: {table.provenance}. Energies: {certainty(table)} ({why})"
+
+
+def certainty(table: EnergyTable) -> str:
+    """How far off the energies of the table may be, in a few words."""
+    return "between two figures" if table.most else table.uncertainty.describe()
 
 
 def energy(ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None) -> float:

@@ -113,7 +113,7 @@ ODIN = EnergyTable(
     "and at biological rates a SOP takes 54 pJ (both secondary)",
     joules={"sop": 12.7 * PICO, "bias_sop": 12.7 * PICO},
     uncertainty=Uncertainty(
-        8.43 / 12.7, 54 / 12.7, "from the increment of a SOP to all at biological rates"
+        8.43 / 12.7, 54 / 12.7, "8.43 pJ, one SOP more, to 54 pJ, all at biological rates"
     ),
 )
 
@@ -137,7 +137,7 @@ SPINNAKER2 = EnergyTable(
         "neuron_idle": 2.19 * NANO,
     },
     most={"sop": 1.5 * NANO, "bias_sop": 1.5 * NANO},
-    uncertainty=Uncertainty(1.0, 1.0, "as far apart as the two figures for a synaptic event"),
+    uncertainty=Uncertainty(1.0, 1.0, "both for a synaptic event, and neither has a source"),
 )
 
 # a multiplication and an addition in float32, and 4 of the 8 bytes of a read of 10 pJ

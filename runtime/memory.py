@@ -5,10 +5,12 @@ widths of the chip's registers. It is what the arithmetic must touch at least; w
 besides (indices, whole words, routing tables) differs from chip to chip and is not in it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+import numpy as np
 
 from runtime.chip import Chip
-from runtime.ledger import Ledger
+from runtime.ledger import EVENTS, Counts, Ledger
 from runtime.program import Layer, Program
 
 FLOAT = 32  # [bits] of a weight or state of a network that no chip has rounded
@@ -50,25 +52,26 @@ def widths(chip: Chip) -> Widths:
     return Widths(chip.arithmetic.weight_bits, chip.arithmetic.state_bits)
 
 
-def memory(ledger: Ledger, program: Program) -> dict[str, Memory]:
-    """What each layer reads and writes."""
+def memory_counts(ledger: Ledger, program: Program) -> Counts:
+    """Counts (S, L, K) of each row and layer of the ledger; K as the fields of Memory."""
     wide = widths(program.chip)
-    events = {
-        name: ledger.by_layer(name) for name in ("sop", "bias_sop", "neuron_update", "neuron_idle")
+    event = {name: ledger.counts[:, :, kind] for kind, name in enumerate(EVENTS)}
+    weights = event["sop"] + event["bias_sop"]
+    looks = event["neuron_update"] + event["neuron_idle"]
+    columns = {
+        "weight_reads": weights,
+        "state_reads": looks * len(wide.states),
+        "state_writes": event["neuron_update"] * len(wide.states),
+        "read_bits": weights * wide.weight + looks * sum(wide.states),
+        "write_bits": event["neuron_update"] * sum(wide.states),
     }
-    found = {}
-    for name in ledger.layers:
-        weights = events["sop"][name] + events["bias_sop"][name]
-        updates = events["neuron_update"][name]
-        looks = updates + events["neuron_idle"][name]
-        found[name] = Memory(
-            weight_reads=weights,
-            state_reads=looks * len(wide.states),
-            state_writes=updates * len(wide.states),
-            read_bits=weights * wide.weight + looks * sum(wide.states),
-            write_bits=updates * sum(wide.states),
-        )
-    return found
+    return np.stack([columns[field.name] for field in fields(Memory)], axis=2)
+
+
+def memory(ledger: Ledger, program: Program) -> dict[str, Memory]:
+    """What each layer reads and writes, in all inferences."""
+    totals = memory_counts(ledger, program).sum(axis=0)
+    return {name: Memory(*row.tolist()) for name, row in zip(ledger.layers, totals, strict=True)}
 
 
 def packed_bytes(program: Program) -> float:

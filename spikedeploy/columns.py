@@ -54,16 +54,15 @@ def price(field: str, table: str, unit: str, interval: str) -> Cell:
 
 
 def bounded(text: str, value: float, low: float, high: float | None) -> str:
-    """A number with what is known of it: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `3.2 µJ (≤ 9.8 µ)`."""
+    """A number with what is known of it: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
     if high is None or math.isinf(high):
         return f"≥ {text}" if low == value else text
     if low == high:
         return text
     if math.isclose(value - low, high - value, rel_tol=1e-6):
         return f"{text} ± {100 * (high - value) / value:.3g} %"
-    if low == 0:
-        return f"≤ {scaled(high)}{text[-1]}"
-    return f"{scaled(low)}–{scaled(high)}{text[-1]}"
+    unit = text[-1]
+    return f"≤ {scaled(high)}{unit}" if low == 0 else f"{scaled(low)}{unit} to {scaled(high)}{unit}"
 
 
 def scaled(value: float) -> str:

@@ -16,9 +16,8 @@ from runtime.errors import ObservationError, RuleError
 from runtime.float_machine import FloatMachine
 from runtime.ledger import Ledger
 from runtime.machine import Machine
-from runtime.neurobench import NeuroBench, neurobench
-from runtime.program import Program
 from spikedeploy.files import replacing
+from spikedeploy.measures import Measures, measured, measured_again
 from spikedeploy.policies import FLOAT
 from spikedeploy.spiking_costs import priced_by
 
@@ -35,7 +34,7 @@ class Emulation:
     output    (T, act) of the readout, or the spikes of the last node
     ledger    of this one inference; None where `uncounted` says why
     uncounted why the events could not be counted
-    measures  NeuroBench's numbers of it; None likewise
+    measures  NeuroBench's numbers, memory and time; None likewise
     tables    energy tables to price by; none are those of the chip
     """
 
@@ -45,7 +44,7 @@ class Emulation:
     output: NDArray[np.float64]
     ledger: Ledger | None
     uncounted: str = ""
-    measures: NeuroBench | None = None
+    measures: Measures | None = None
     tables: Sequence[str] = ()
 
     def save(self, path: Path) -> None:
@@ -66,7 +65,7 @@ class Emulation:
             "saturations": self._total("saturation"),
             "energy_j": {name: each.value for name, each in self.energies.items()},
             "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
-            "neurobench": self.measures.as_json() if self.measures else None,
+            **(self.measures.as_json() if self.measures else {"neurobench": None}),
             "layers": {name: {"spikes": int(rows.sum())} for name, rows in self.spikes.items()},
             "uncounted": self.uncounted or None,
         }
@@ -110,7 +109,7 @@ def _in_float(artifact: Artifact, raster: Raster) -> Emulation:
     output = machine.infer(raster[None])[0]
     spikes = {name: _flat(rows[0]) for name, rows in machine.spikes.items()}
     try:
-        measures = _measures(artifact, machine.program, raster)
+        measures = measured_again(artifact, machine.program, raster[None], machine.ledger)
         return Emulation(artifact, FLOAT, spikes, _flat(output), machine.ledger, "", measures)
     except RuleError as error:  # a graph that no chip could hold
         return Emulation(artifact, FLOAT, spikes, _flat(output), None, str(error))
@@ -120,23 +119,8 @@ def _on_chip(artifact: Artifact, chip: str, raster: Raster) -> Emulation:
     machine = Machine(compiled(artifact, datasheet(chip)), trace=True)
     output = machine.infer(raster[None])[0]
     spikes = {name: seen.spikes[0] for name, seen in machine.recordings.items()}
-    measures = _measured(artifact, machine, raster)
+    measures = measured(artifact, machine, raster[None], machine.ledger)
     return Emulation(artifact, chip, spikes, output, machine.ledger, "", measures)
-
-
-def _measures(artifact: Artifact, program: Program, raster: Raster) -> NeuroBench:
-    """NeuroBench's numbers of a program whose states are not known yet."""
-    machine = Machine(program, ledger="none", trace=True)
-    machine.infer(raster[None])
-    return _measured(artifact, machine, raster)
-
-
-def _measured(artifact: Artifact, machine: Machine, raster: Raster) -> NeuroBench:
-    """NeuroBench's numbers of what the machine recorded."""
-    program, seen = machine.program, machine.recordings
-    spikes = {program.input: raster[None], **{name: rows.spikes for name, rows in seen.items()}}
-    membranes = {name: rows.membrane for name, rows in seen.items()}
-    return neurobench(artifact.graph, program, spikes, membranes)
 
 
 def _flat(rows: NDArray[Any]) -> NDArray[Any]:
