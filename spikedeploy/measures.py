@@ -7,7 +7,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from runtime.artifact import Artifact
-from runtime.energy import TABLES, Estimate, latency_estimate
+from runtime.energy import STATIC, TABLES, Estimate, latency_estimate, static_energy
 from runtime.ledger import EVENTS, Ledger
 from runtime.machine import Machine
 from runtime.memory import Memory, memory
@@ -24,12 +24,14 @@ class Measures:
     events      layer -> event -> how many
     memory      layer -> what it reads and writes
     latencies   table -> [s]; of a Xylo its clocks
+    static      table -> [J] that the chip draws besides in that time, where that is known
     """
 
     neurobench: NeuroBench
     events: Mapping[str, Mapping[str, int]]
     memory: Mapping[str, Memory]
     latencies: Mapping[str, Estimate]
+    static: Mapping[str, float]
 
     def as_json(self) -> dict[str, Any]:
         """All of it as plain data."""
@@ -39,6 +41,7 @@ class Measures:
             "memory": {name: asdict(each) for name, each in self.memory.items()},
             "latency_s": {name: each.value for name, each in self.latencies.items()},
             "latency_interval_s": {n: [each.low, each.high] for n, each in self.latencies.items()},
+            "static_energy_j": dict(self.static),
         }
 
 
@@ -49,11 +52,14 @@ def measured(
     program, seen = machine.program, machine.recordings
     spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
     membranes = {name: rows.membrane for name, rows in seen.items()}
+    latencies = _latencies(program, spikes, ledger)
+    power = STATIC.get(program.chip.name)
     return Measures(
         neurobench(artifact.graph, program, spikes, membranes),
         _events(ledger),
         memory(ledger, program),
-        _latencies(program, spikes, ledger),
+        latencies,
+        {name: static_energy(t.value, power) for name, t in latencies.items()} if power else {},
     )
 
 

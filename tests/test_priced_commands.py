@@ -1,6 +1,7 @@
 """What the commands measure and price: NeuroBench's numbers, memory, energies by chosen tables."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from runtime.artifact import save
 from tests import strolling
 from tests.networks import popsan
+
+ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture
@@ -28,6 +31,7 @@ def test_emulate_measures_what_neurobench_does_and_counts_by_layer(command, emul
     assert found["memory"]["n2"]["weight_reads"] > 0
     assert sum(layer["sop"] for layer in found["events"].values()) == found["sops"]
     assert found["latency_s"].keys() == {"davies2018", "sanafe"}
+    assert found["static_energy_j"]["sanafe"] == pytest.approx(0.104 * found["latency_s"]["sanafe"])
     out = command(*emulate)[1]
     for name in ("Effective_ACs", "ConnectionSparsity", "MembraneUpdates", "Footprint_packed"):
         assert name in out
@@ -66,3 +70,8 @@ def test_compare_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_p
     assert all(row["energy_per_inference_j"] == {} for row in rows if row["kind"] == "ann")
     low, high = spiking[0]["energy_interval_j"]["spinnaker2"]
     assert low < high < 4 * low
+
+
+def test_the_page_about_energy_shows_what_the_command_prints(command):
+    page = (ROOT / "docs/energy.md").read_text(encoding="utf-8")
+    assert command("energy", "--markdown")[1].strip() in page
