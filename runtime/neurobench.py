@@ -6,6 +6,7 @@ numbers leave out or count in a way of its own is in docs/metrics.md.
 """
 
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.float_nodes_spatial import convolution
 from runtime.memory import packed_bytes
 from runtime.program import Program
 
@@ -110,7 +112,7 @@ def neurobench(
         activation_sparsity_by_layer={name: sparsity([rows]) for name, rows in layers.items()},
         effective_macs=macs / samples,
         effective_acs=acs / samples,
-        dense=float(dense(program) * timesteps),
+        dense=float(dense(graph) * timesteps),
         membrane_updates=sum(updates.values()) / samples if updates else None,
         effective_neuron_ops=_total(updates, operations) / samples if updates else None,
         neuron_dense_ops=float(_total(each, operations)),
@@ -160,10 +162,9 @@ def synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) ->
     return acs, macs
 
 
-def dense(program: Program) -> int:
-    """Weights of all matrices, zeros included: the operations of a timestep without sparsity."""
-    weights = [s.weight.size for layer in program.layers for s in layer.synapses]
-    return sum(weights) + (program.readout.weight.size if program.readout else 0)
+def dense(graph: nir.NIRGraph) -> int:
+    """Operations of a timestep without sparsity: all inputs times all weights, zeros included."""
+    return sum(_taps(name, node) for name, node in graph.nodes.items() if _is_weighted(node))
 
 
 def neuron_operations(program: Program) -> dict[str, int]:
@@ -201,8 +202,23 @@ def _total(counts: Mapping[str, int], prices: Mapping[str, int]) -> int:
     return sum(count * prices[name] for name, count in counts.items())
 
 
+def _taps(name: str, node: nir.NIRNode) -> int:
+    """Products of weights and inputs; of a convolution those outside its input are none."""
+    if not isinstance(node, (nir.Conv1d, nir.Conv2d)):
+        return int(node.weight.size)
+    ones = copy(node)
+    ones.weight, ones.bias = np.ones(node.weight.shape), np.zeros(len(node.weight))
+    # nir forgets the groups in the channels
+    shape = (node.weight.shape[1] * node.groups, *map(int, node.input_type["input"][1:]))
+    return int(convolution(name, ones, np.float64)(np.ones((1, 1, *shape))).sum())
+
+
+def _is_weighted(node: nir.NIRNode) -> bool:
+    return isinstance(node, WEIGHTED)
+
+
 def _weighted(graph: nir.NIRGraph) -> list[nir.NIRNode]:
-    return [node for node in graph.nodes.values() if isinstance(node, WEIGHTED)]
+    return [node for node in graph.nodes.values() if _is_weighted(node)]
 
 
 def _parameters(node: nir.NIRNode) -> Iterator[NDArray[Any]]:

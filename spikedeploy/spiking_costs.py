@@ -5,7 +5,6 @@ import numpy as np
 from runtime.chip import Chip
 from runtime.energy import TABLES, energy_estimate, latency_estimate
 from runtime.ledger import Ledger
-from runtime.neurobench import dense
 from runtime.program import Program
 from spikedeploy.costs import Costs
 
@@ -21,7 +20,7 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         bias_sops=ledger.per_inference("bias_sop"),
         effective_acs=sops + _readout_acs(ledger, program),
         effective_macs=0.0,  # every weight matrix hears spikes
-        dense=dense(program) * ledger.timesteps / ledger.inferences,
+        dense=_weights(program) * ledger.timesteps / ledger.inferences,
         saturations=ledger.total("saturation") if chip else None,
         # by all of them, so that a report can choose
         energy_j={name: energy_estimate(ledger, table) for name, table in TABLES.items()},
@@ -36,6 +35,12 @@ def priced_by(chip: Chip | None) -> tuple[str, ...]:
     if chip is None or chip.fixed is None:
         return ("horowitz45",)
     return (*chip.energy_tables, "horowitz45-int8")
+
+
+def _weights(program: Program) -> int:
+    """All weights of all matrices, zeros and the readout included."""
+    weights = [s.weight.size for layer in program.layers for s in layer.synapses]
+    return sum(weights) + (program.readout.weight.size if program.readout else 0)
 
 
 def _readout_acs(ledger: Ledger, program: Program) -> float:
