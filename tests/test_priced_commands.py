@@ -60,6 +60,15 @@ def test_the_energy_tables_are_listed_with_their_sources(command):
     assert "450 to 1500" in out
 
 
+def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    (row,) = json.loads(command("run", "stroll/popsan", "--energy", "reckon", "--json")[1])["rows"]
+    # 5.3 pJ a synaptic operation, those of the biases included
+    sops = row["sops_per_inference"] + row["bias_sops_per_inference"]
+    assert row["energy_per_inference_j"] == {"reckon": pytest.approx(sops * 5.3e-12)}
+
+
 def test_compare_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
     strolling.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)

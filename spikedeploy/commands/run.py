@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed
+from spikedeploy.commands.options import Energy, EnvOptions, Json, Seed
 
 
 def run(
@@ -32,17 +32,22 @@ def run(
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
+    energy: Energy = None,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
+    from dataclasses import replace
+
+    from runtime.energy import energy_tables
     from spikedeploy import report
     from spikedeploy.run import run as play
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
+    tables = energy_tables(energy or ())
     numbers = range(seed, seed + episodes)
     comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()))
-    document = report.document(comparison)
+    document = report.document(replace(comparison, tables=tables))
     if json:
         print_json(document)
     else:
