@@ -147,7 +147,7 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
         gathering = Machine(one.program, 1, "none")
         gathering.infer(raster[:1])
         for window in gathering._pipeline.windows:
-            window._drive._first = window._drive._first.gather
+            window._drive._first = getattr(window._drive._first, "gather", window._drive._first)
         candidates[f"gather {name}"] = calls(
             gathering.infer, [raster[k : k + 1] for k in range(INPUTS)]
         )

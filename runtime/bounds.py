@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 # largest magnitude for which float64 decays exactly: 2**53 less 12 decay bits, with one to spare
 EXACT = 1 << 40
 
+# every whole number up to this is held by float32
+SINGLE = 1 << 24
+
 # from here on a window is as good as endless
 LONG = 100
 
@@ -62,6 +65,66 @@ def bounds(program: Program, layer: Layer, fixed: FixedPoint, timesteps: int | N
         above=float(above.max()),
         below=float(below.max()),
     )
+
+
+def harmless(layer: Layer, fixed: FixedPoint, timesteps: int, most: int) -> int:
+    """Spikes in a window of T timesteps from zero that can take no state beyond `most`.
+
+    Each adds at most the largest weight to the sum of the magnitudes that arrive, and no state
+    exceeds that sum times the peak that follows a single arrival.
+    """
+    one = 1 << fixed.mantissa_shift
+    steady = _largest(layer.bias) * one + _largest(layer.voltage_bias)
+    left = most / _peak(layer, fixed, timesteps) - timesteps * steady
+    largest = max(_largest(synapses.weight) for synapses in layer.synapses) * one
+    return max(-1, int(left // largest)) if largest else -1
+
+
+def single(layer: Layer, fixed: FixedPoint) -> int:
+    """Largest state that float32 decays exactly: its 24 bits less those of the decays."""
+    keeps = np.concatenate([layer.current_keep, layer.membrane_keep]).astype(np.int64)
+    # the odd part of a decay is what makes a product longer
+    odd = keeps // np.maximum(keeps & -keeps, 1)
+    bits = int(odd.max(initial=0)).bit_length()
+    thresholds = layer.threshold.astype(np.int64)
+    if _largest(thresholds) >= SINGLE or _largest(layer.voltage_bias) >= SINGLE:
+        return 0
+    return int(SINGLE >> max(bits, 1))
+
+
+def exact_ticks(layer: Layer, fixed: FixedPoint) -> int:
+    """Decays after a reset that leave nothing to round, whatever the spikes.
+
+    All that is added to the states is a multiple of 2**shift, and each decay takes as many bits off
+    it as its fraction has: PopSAN's halves and quarters three times none of Loihi's six.
+    """
+    added = [1 << fixed.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
+    shift = min(_trailing(int(value)) for value in added)
+    keeps = [*layer.current_keep.tolist(), *layer.membrane_keep.tolist()]
+    bits = max(max(fixed.decay_bits - _trailing(int(keep)), 0) for keep in keeps)
+    return shift // bits if bits else LONG
+
+
+def _trailing(value: int) -> int:
+    """Zeros at the end of a binary number; of 0 there is no end."""
+    return (value & -value).bit_length() - 1 if value else LONG
+
+
+def _peak(layer: Layer, fixed: FixedPoint, timesteps: int) -> float:
+    """Largest current or membrane in a window after a single arrival of 1, without rounding."""
+    keep_current = layer.current_keep / float(fixed.decay_one)
+    keep_membrane = layer.membrane_keep / float(fixed.decay_one)
+    current, membrane = np.ones(layer.size), np.ones(layer.size)
+    peak = 1.0
+    for _ in range(timesteps):
+        current = keep_current * current
+        membrane = keep_membrane * membrane + current
+        peak = max(peak, float(membrane.max()))
+    return peak
+
+
+def _largest(values: NDArray[Any]) -> int:
+    return int(np.abs(values.astype(np.int64)).max(initial=0))
 
 
 def _leaky(

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from runtime.kernels import Window
 from runtime.program import Layer, Program
+from runtime.raster import Raster
 from runtime.recorder import Recorder
 from runtime.relay import Relay
-from runtime.synapses import Raster
+from runtime.scratch import Scratch
 from runtime.tally import Observation, Tally
+from runtime.wave import Wave, suits
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +51,16 @@ class Pipeline:
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.program, self.schedule = program, schedule
+        largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
+        scratch = Scratch(largest * np.dtype(np.float64).itemsize)
         self.windows = [
-            Window(program, layer, schedule.timesteps, batch, schedule.kept)
+            Window(program, layer, schedule.timesteps, batch, schedule.kept, scratch)
             for layer in program.layers
         ]
+        self._wave: Wave | None = None
+        once = not schedule.kept and all(window.proven for window in self.windows)
+        if once and suits(program, schedule.timesteps, batch):
+            self._wave = Wave(program, self.windows, schedule.timesteps)
         self.tally = Tally(program, self.windows, schedule.steps)
         self._emitted: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
@@ -78,6 +86,11 @@ class Pipeline:
         """
         emitted = {self.program.input: Raster(rows)}
         timesteps = self.schedule.timesteps
+        if self._wave is not None:
+            self._wave.run(rows)
+            emitted |= {window.layer.name: Raster(window.spikes) for window in self.windows}
+            self._emitted = emitted
+            return self.windows[-1].spikes
         for layer, window, wires in self._route:
             if step is not None and step < layer.start:
                 emitted[layer.name] = window.wait()

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.synapses import Raster
+from runtime.raster import Raster
 
 Rows = NDArray[np.uint8]
 

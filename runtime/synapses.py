@@ -1,72 +1,37 @@
 """Synapses in a hurry: from spikes to the sum of weights that arrives, in three ways.
 
-Which way is fastest depends on how many spikes there are and where. All of them sum whole numbers
-that their number type is proven to hold exactly, so they agree bit for bit, in any order of
-summation and on any BLAS. (`ideal` has no whole numbers and always multiplies in float64.)
+Which way is fastest depends on how many spikes there are and where, and on the machine: what each
+costs is measured when a network is loaded. All of them sum whole numbers that their number type is
+proven to hold exactly, so they agree bit for bit, in any order of summation and on any BLAS.
+(`ideal` has no whole numbers and always multiplies in float64.)
 """
 
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from runtime.raster import Raster
+from runtime.scratch import Scratch
+from runtime.ways import Costs, measured
+
+Floats = NDArray[Any]
 Weights = NDArray[Any]
 
 # largest magnitudes up to which every whole number is held
 EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
 
-# Measured on one core of a server of 2023; only their ratios matter, to choose a way.
-CALL = 0.9  # [us] a NumPy call on a few hundred numbers
-FETCH16 = 1.2e-4  # [us] a weight fetched as int16 and added
-FETCH32 = 0.8e-4  # [us] a weight copied as float32
-MULTIPLY = 0.3e-4  # [us] a weight multiplied and added in a matrix product
-
-
-class Raster:
-    """Spikes of one source in a window, with counts that several readers share.
-
-    rows: (T, B, M), uint8 or bool.
-    """
-
-    __slots__ = ("_axons", "_per_axon", "rows")
-
-    def __init__(self, rows: NDArray[Any]) -> None:
-        self.rows = rows
-        self._per_axon: NDArray[Any] | None = None
-        self._axons: NDArray[np.intp] | None = None
-
-    def per_axon(self) -> NDArray[Any]:
-        """(B, M) spikes of each axon."""
-        if self._per_axon is None:
-            # eight bits hold the counts of a short window, and are summed several times faster
-            dtype = np.uint8 if len(self.rows) < 256 else np.int64
-            self._per_axon = np.add.reduce(self.rows, 0, dtype)
-        return self._per_axon
-
-    def axons(self) -> NDArray[np.intp]:
-        """Which axons spiked at least once; batch 1."""
-        if self._axons is None:
-            # bool, for nonzero is slower on numbers
-            self._axons = self.per_axon()[0].astype(np.bool_).nonzero()[0]
-        return self._axons
-
 
 class Sum(Protocol):
     """What turns spikes into sums of weights, those of an axon that always spikes included."""
 
-    def __call__(self, raster: Raster, out: Floats) -> None:
-        """Write the sums (T, B, N) in state units."""
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums, in state units, where they are wanted."""
 
 
 def summing(
-    weight: Weights,
-    bias: Weights,
-    partial: int | None,
-    unit: int,
-    timesteps: int,
-    batch: int,
+    weight: Weights, bias: Weights, partial: int | None, unit: int, out: Floats, scratch: Scratch
 ) -> Sum:
     """The fastest exact way.
 
@@ -74,38 +39,49 @@ def summing(
     bias: (N,) weights of the axon that always spikes.
     partial: largest magnitude of any partial sum; None where weights are no whole numbers.
     unit: state units per weight unit.
+    out: (T, B, N) where the sums are wanted, float32 or float64.
+    scratch: for as many float64 as there are weights.
     """
     exact32 = partial is not None and partial * unit < EXACT_FLOAT32
     dtype = np.float32 if exact32 else np.float64
     scaled, pull = (weight * float(unit)).astype(dtype), (bias * float(unit)).astype(dtype)
-    dense = Dense(scaled, pull, timesteps, batch)
-    if partial is None or batch > 1:
+    dense = Dense(scaled, pull, out)
+    if partial is None:
         return dense
-    whole = np.int16 if partial <= EXACT_INT16 else np.int32
-    gather = Gather(weight.astype(whole), bias.astype(whole), unit, timesteps)
-    return Cheapest(gather, Union(scaled, pull, timesteps), dense)
+    union, gather = Union(scaled, pull, out, scratch), None
+    if out.shape[1] == 1:
+        whole = np.int16 if partial <= EXACT_INT16 else np.int32
+        gather = Gather(weight.astype(whole), bias.astype(whole), unit, out, scratch)
+    cheapest = Cheapest(gather, union, dense, _costs(gather, union, dense))
+    return cheapest if cheapest.has_choice else dense
 
 
 class Dense:
-    """All axons times all weights: one matrix product for the window."""
+    """All axons times all weights: one matrix product for the window.
 
-    def __init__(self, weight: Weights, bias: Weights, timesteps: int, batch: int) -> None:
-        self._weight = weight
-        axons, neurons = weight.shape
+    shape: T, B, M and N.
+    """
+
+    def __init__(self, weight: Weights, bias: Weights, out: Floats) -> None:
+        self.weight = weight
+        timesteps, batch, neurons = out.shape
+        axons = len(weight)
+        self.shape = (timesteps, batch, axons, neurons)
         # matrices over the same memory: BLAS wants two axes
         self._spikes = np.empty((timesteps, batch, axons), weight.dtype)
         self._flat = self._spikes.reshape(-1, axons)
-        self._sums = np.empty((timesteps * batch, neurons), weight.dtype)
+        self._out = out.reshape(-1, neurons)
+        self._sums = _product(self._out, weight)
         self._bias = _filled(self._sums, bias)
-        self._shaped = self._sums.reshape(timesteps, batch, neurons)
-        self.cost = 3 * CALL + MULTIPLY * timesteps * batch * weight.size
 
-    def __call__(self, raster: Raster, out: Floats) -> None:
-        """Write the sums (T, B, N) in state units."""
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums."""
         np.copyto(self._spikes, raster.rows)
-        self._flat.dot(self._weight, self._sums)
-        np.add(self._sums, self._bias, self._sums)
-        np.copyto(out, self._shaped)
+        self._flat.dot(self.weight, self._sums)
+        if self._bias is not None:
+            np.add(self._sums, self._bias, self._sums)
+        if self._sums is not self._out:
+            np.copyto(self._out, self._sums)
 
 
 class Gather:
@@ -114,67 +90,112 @@ class Gather:
     Cost grows with the number of spikes; with int16 it has the fewest bytes to fetch.
     """
 
-    def __init__(self, weight: Weights, bias: Weights, unit: int, timesteps: int) -> None:
-        self._weight = weight
-        self._unit = np.float64(unit)
-        self._sums = np.empty((timesteps, 1, weight.shape[1]), weight.dtype)
+    def __init__(
+        self, weight: Weights, bias: Weights, unit: int, out: Floats, scratch: Scratch
+    ) -> None:
+        self.weight = weight
+        self._out = out
+        self._unit = out.dtype.type(unit)
+        self._sums = np.empty(out.shape, weight.dtype)
         self._bias = _filled(self._sums, bias)
         self._rows = list(self._sums[:, 0])
-        self.cost = (1 + 3 * timesteps) * CALL
-        self.cost_per_spike = FETCH16 * weight.itemsize / 2 * weight.shape[1]
+        self._fetched = scratch.like(weight)
 
-    def __call__(self, raster: Raster, out: Floats) -> None:
-        """Write the sums (T, 1, N) in state units."""
-        take, add = self._weight.take, np.add.reduce
-        for spikes, row in zip(raster.rows[:, 0], self._rows, strict=True):
-            add(take(spikes.nonzero()[0], 0), 0, None, row)
-        np.add(self._sums, self._bias, self._sums)
-        np.multiply(self._sums, self._unit, out)
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums."""
+        take, add, fetched = self.weight.take, np.add.reduce, self._fetched
+        for spikes, row in zip(raster.bits[:, 0], self._rows, strict=True):
+            axons = spikes.nonzero()[0]
+            # "clip" never has anything to clip here, and needs no second buffer
+            add(take(axons, 0, fetched[: len(axons)], "clip"), 0, None, row)
+        if self._bias is not None:
+            np.add(self._sums, self._bias, self._sums)
+        np.multiply(self._sums, self._unit, self._out)
 
 
 class Union:
-    """Axons that spiked at least once, in one small matrix product; batch 1.
+    """Axons that spiked at least once, in one small matrix product for each of the batch.
 
     Best where the same axons spike again and again, as those of a population code do.
     """
 
-    def __init__(self, weight: Weights, bias: Weights, timesteps: int) -> None:
-        self._weight = weight
-        self._sums = np.empty((timesteps, weight.shape[1]), weight.dtype)
+    def __init__(self, weight: Weights, bias: Weights, out: Floats, scratch: Scratch) -> None:
+        self.weight, self.bias, self.scratch = weight, bias, scratch
+        # (B, T, N)
+        self._out = out.swapaxes(0, 1)
+        one = len(self._out) == 1
+        self._sums = np.empty(self._out.shape, weight.dtype)
+        if one and out.dtype == weight.dtype:
+            self._sums = self._out
         self._bias = _filled(self._sums, bias)
-        self.cost = 6 * CALL
-        self.cost_per_axon = (FETCH32 + MULTIPLY * timesteps) * weight.shape[1]
+        self._each = list(self._sums)
+        self._fetched = scratch.like(weight)
 
-    def __call__(self, raster: Raster, out: Floats) -> None:
-        """Write the sums (T, 1, N) in state units."""
-        axons = raster.axons()
-        spikes = raster.rows[:, 0].take(axons, 1).astype(self._weight.dtype)
-        spikes.dot(self._weight.take(axons, 0), self._sums)
-        np.add(self._sums, self._bias, self._sums)
-        np.copyto(out[:, 0], self._sums)
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums."""
+        weight, fetched, rows = self.weight, self._fetched, raster.rows
+        for copy, sums in enumerate(self._each):
+            axons = raster.axons(copy)
+            spikes = rows[:, copy].take(axons, 1).astype(weight.dtype)
+            spikes.dot(weight.take(axons, 0, fetched[: len(axons)], "clip"), sums)
+        if self._bias is not None:
+            np.add(self._sums, self._bias, self._sums)
+        if self._sums is not self._out:
+            np.copyto(self._out, self._sums)
 
 
 class Cheapest:
-    """Looks at the spikes and takes the way that costs least; batch 1."""
+    """Looks at the spikes and takes the way that costs least.
 
-    def __init__(self, gather: Gather, union: Union, dense: Dense) -> None:
+    gather: only where the batch is 1.
+    """
+
+    def __init__(self, gather: Gather | None, union: Union, dense: Dense, costs: Costs) -> None:
         self.gather, self.union, self.dense = gather, union, dense
+        batch = dense.shape[1]
+        united = [costs.united(a / batch) * batch for a in range(dense.shape[2] * batch + 1)]
+        # by the number of axons that spiked at all: whether their union beats the dense product,
+        # and up to how many spikes fetching them one by one beats both
+        self._union = [cost < costs.dense for cost in united]
+        self._spikes = [costs.affordable(min(cost, costs.dense)) for cost in united]
 
-    def __call__(self, raster: Raster, out: Floats) -> None:
-        """Write the sums (T, 1, N) in state units."""
-        axons = len(raster.axons())
-        cost, way = self.dense.cost, cast("Sum", self.dense)
-        union = self.union.cost + self.union.cost_per_axon * axons
-        if union < cost:
-            cost, way = union, self.union
+    @property
+    def has_choice(self) -> bool:
+        """Whether a way other than the dense product is ever the cheapest."""
+        return any(self._union) or any(most >= a for a, most in enumerate(self._spikes))
+
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums."""
+        axons = raster.active()
+        most = self._spikes[axons]
         # every axon spiked at least once; only where that is not too much, count exactly
-        if self.gather.cost + self.gather.cost_per_spike * axons < cost:
-            spikes = int(np.count_nonzero(raster.rows))
-            if self.gather.cost + self.gather.cost_per_spike * spikes < cost:
-                way = self.gather
-        way(raster, out)
+        if self.gather is not None and axons <= most and raster.spikes() <= most:
+            self.gather(raster)
+        elif self._union[axons]:
+            self.union(raster)
+        else:
+            self.dense(raster)
 
 
-def _filled(like: Weights, row: Weights) -> Weights:
-    """The row on every row: arrays of one shape are added in half the time."""
-    return np.broadcast_to(row, like.shape).astype(like.dtype)
+_KNOWN: dict[object, Costs] = {}
+
+
+def _costs(gather: Gather | None, union: Union, dense: Dense) -> Costs:
+    """Measured once for each shape and number type."""
+    types = (dense.weight.dtype, gather and gather.weight.dtype)
+    if (key := (dense.shape, types)) not in _KNOWN:
+        timesteps, batch, _, neurons = dense.shape
+        place = np.empty((timesteps, 1, neurons), dense.weight.dtype)
+        one = union if batch == 1 else Union(union.weight, union.bias, place, union.scratch)
+        _KNOWN[key] = measured(dense, one, gather, dense.shape[:3])
+    return _KNOWN[key]
+
+
+def _product(out: Floats, weight: Weights) -> Weights:
+    """Where a product goes: to the place itself if its number type is that of the weights."""
+    return out if out.dtype == weight.dtype else np.empty(out.shape, weight.dtype)
+
+
+def _filled(like: Weights, row: Weights) -> Weights | None:
+    """The row on every row: arrays of one shape are added in half the time; None adds nothing."""
+    return np.broadcast_to(row, like.shape).astype(like.dtype) if row.any() else None

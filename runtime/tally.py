@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from runtime.kernels import Window
 from runtime.ledger import EVENTS, Counts
 from runtime.program import Layer, Program
-from runtime.synapses import Raster
+from runtime.raster import Raster
 
 
 class Observation(NamedTuple):
@@ -101,7 +101,7 @@ class Busy:
     """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
 
     def __init__(self, window: Window) -> None:
-        self._states = window.states
+        self._window = window
         voltage_bias = window.layer.voltage_bias
         self._biased = voltage_bias != 0 if voltage_bias.any() else None
         self._alive = np.empty(window.states.shape, np.bool_)
@@ -111,7 +111,7 @@ class Busy:
     def __call__(self) -> Any:  # noqa: ANN401
         """Of the last window, (B,); a number where the batch is 1."""
         busy = self._busy
-        np.not_equal(self._states, 0.0, self._alive)
+        np.not_equal(self._window.states, 0.0, self._alive)
         np.logical_or(self._current, self._membrane_before, busy)
         if self._biased is not None:
             np.logical_or(busy, self._biased, busy)

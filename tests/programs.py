@@ -90,8 +90,41 @@ def _random_layer(rng, name, size, wires, start):
         bias=rng.integers(-top, top + 1, size) * rng.integers(0, 2),
         voltage_bias=rng.integers(-5000, 5001, size) * rng.integers(0, 2),
         threshold=rng.integers(0, 40 * top, size) << 6,
-        current_keep=rng.integers(0, 4097, size),
-        membrane_keep=rng.integers(0, 4097, size),
+        current_keep=_keeps(rng, size) * rng.integers(0, 2),
+        membrane_keep=_keeps(rng, size),
         scale=1.0,
         start=start,
+    )
+
+
+def _keeps(rng, size):
+    """Decays of any length, or of halves and quarters, which fast number types take."""
+    step = rng.choice([1, 1024])
+    return step * rng.integers(0, 4096 // step + 1, size)
+
+
+@st.composite
+def chains(draw):
+    """Small layers one behind the other, in whose registers everything fits."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    sizes = draw(st.lists(st.sampled_from([1, 3, 20]), min_size=3, max_size=5))
+    names = ["input", *(f"layer{k}" for k in range(1, len(sizes)))]
+    layers = []
+    for k, (name, size) in enumerate(zip(names[1:], sizes[1:], strict=True), start=1):
+        weight = rng.integers(-3, 4, (sizes[k - 1], size)).astype(np.int16)
+        layers.append(
+            Layer(
+                name=name,
+                synapses=(Synapses(names[k - 1], weight, 1),),
+                bias=rng.integers(-3, 4, size) * rng.integers(0, 2),
+                voltage_bias=rng.integers(-70, 71, size) * rng.integers(0, 2),
+                threshold=rng.integers(0, 12, size) << 6,
+                current_keep=rng.integers(0, 3900, size) * rng.integers(0, 2),
+                membrane_keep=rng.integers(0, 3900, size),
+                scale=1.0,
+                start=k,
+            )
+        )
+    return Program(
+        chip("loihi1"), Convention(1e-3), "input", sizes[0], tuple(layers), names[-1], None
     )

@@ -1,11 +1,13 @@
 """Bounds hold for the worst spikes, and are no larger than they need to be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.bounds import bounds
+from runtime.bounds import bounds, exact_ticks, harmless, single
 from runtime.chip import chip
 from runtime.convention import Convention
 from runtime.fixed import Register
@@ -69,3 +71,70 @@ def test_an_endless_leak_has_a_limit():
     limits = bounds(program, program.layers[0], WIDE.fixed, None)
     assert limits.current == 2 * 200 * 64
     assert limits.below == 4 * 2 * 55 * 64
+
+
+def the_layer(**fields):
+    return replace(one_neuron([200, -55], decays=(2047, 1024)).layers[0], **fields)
+
+
+def test_so_many_spikes_are_harmless_as_the_peak_of_one_allows():
+    # a current of 1 halves, a membrane keeps 3/4: 1, 1.25, 1.1875, … is the membrane's answer
+    a = the_layer()
+    assert harmless(a, WIDE.fixed, 5, 10 * 200 * 64) == 8
+    # an always-on axon of 3 and a voltage bias of 64 arrive in each of the 5 timesteps
+    biased = the_layer(bias=np.array([-3]), voltage_bias=np.array([64]))
+    assert harmless(biased, WIDE.fixed, 5, 10 * 200 * 64) == int((8 * 12800 - 5 * 256) / 12800)
+    assert harmless(biased, WIDE.fixed, 5, 100) == -1
+
+
+@settings(max_examples=60, deadline=None)
+@given(random_programs(), st.integers(1, 9), st.integers(0, 2**32 - 1), st.integers(8, 24))
+def test_harmless_spikes_leave_every_state_within_the_limit(program, timesteps, seed, bits):
+    wide = replace(program.chip, arithmetic=WIDE.fixed)
+    program = replace(program, chip=wide, convention=replace(program.convention, state="reset"))
+    raster = rasters(program, 1, timesteps, 0.1, seed)[0]
+    traces = Interpreter(program, 1).run(raster)
+    spikes = {program.input: raster, **{name: ran.spikes for name, ran in traces.items()}}
+    for a in program.layers:
+        heard = sum(int(spikes[s.source].sum()) for s in a.synapses)
+        if heard <= harmless(a, WIDE.fixed, timesteps, 1 << bits):
+            assert np.abs(traces[a.name].current).max() <= 1 << bits
+            assert np.abs(traces[a.name].membrane).max() <= 1 << bits
+
+
+@pytest.mark.parametrize(
+    ("current", "membrane", "bits"),
+    [
+        (2048, 3072, 2),  # 1/2 and 3/4: the 3 takes two of the 24 bits
+        (2048, 3686, 11),  # 1843/2048
+        (0, 4096, 1),
+        (1, 4095, 12),
+    ],
+)
+def test_float32_decays_states_whose_bits_leave_room_for_those_of_the_decay(
+    current, membrane, bits
+):
+    a = the_layer(current_keep=np.array([current]), membrane_keep=np.array([membrane]))
+    assert single(a, WIDE.fixed) == 1 << (24 - bits)
+    for keep in (current, membrane):
+        x, fraction = np.float32((1 << (24 - bits)) - 1), np.float32(keep / 4096)
+        assert int(np.trunc(x * fraction)) == int(x) * keep >> 12
+
+
+def test_float32_is_not_for_thresholds_that_it_cannot_hold():
+    assert single(the_layer(threshold=np.array([1 << 24])), WIDE.fixed) == 0
+
+
+@pytest.mark.parametrize(
+    ("fields", "ticks"),
+    [
+        ({}, 3),  # 3/4 takes two of six bits in each
+        ({"membrane_keep": np.array([2048])}, 6),
+        ({"membrane_keep": np.array([3686])}, 0),
+        ({"voltage_bias": np.array([16])}, 2),
+        ({"threshold": np.array([65])}, 0),
+        ({"current_keep": np.array([0]), "membrane_keep": np.array([4096])}, 100),
+    ],
+)
+def test_decays_of_few_bits_round_nothing_for_some_timesteps(fields, ticks):
+    assert exact_ticks(the_layer(**fields), WIDE.fixed) == ticks
