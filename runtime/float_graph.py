@@ -16,7 +16,7 @@ from runtime.errors import ArtifactError, ObservationError
 from runtime.float_delay import Delay
 from runtime.float_nodes import Array, Neurons, build
 from runtime.order import Edge, sources
-from runtime.ports import check, ports
+from runtime.ports import named, ports
 from runtime.timing import timing
 
 Trace = dict[str, NDArray[np.generic]]
@@ -106,15 +106,9 @@ class FloatGraph:
 
     def _checked(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
         if isinstance(raster, Mapping):
-            given = {name: np.asarray(rows, self.dtype) for name, rows in raster.items()}
-        elif len(self.inputs) == 1:
-            given = {self.inputs[0].name: np.asarray(raster, self.dtype)}
+            given = named(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
         else:
-            raise ObservationError(
-                f"the network has the inputs {', '.join(port.name for port in self.inputs)}, but "
-                "there is one raster without a name. Give one for each, by name."
-            )
-        check(self.inputs, given)
+            given = named(self.inputs, np.asarray(raster, self.dtype))
         if not all(np.isfinite(rows).all() for rows in given.values()):
             raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
         return given

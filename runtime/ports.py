@@ -39,6 +39,21 @@ def ports(nodes: Mapping[str, nir.NIRNode]) -> tuple[Port, ...]:
     )
 
 
+def named(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[str, Rows]:
+    """The raster (B, T, *shape) of each port; a single port's needs no name."""
+    if isinstance(rasters, Mapping):
+        given = dict(rasters)
+    elif len(all_) == 1:
+        given = {all_[0].name: rasters}
+    else:
+        raise ObservationError(
+            f"the network has the inputs {', '.join(port.name for port in all_)}, but there is one "
+            "raster without a name. Give one for each, by name."
+        )
+    check(all_, given)
+    return given
+
+
 def check(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
     """Refuse rasters (B, T, *shape) that are not those of the ports."""
     if names := sorted({port.name for port in all_} ^ set(rows)):

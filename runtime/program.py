@@ -1,5 +1,6 @@
 """The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,7 @@ from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.errors import RuleError
 from runtime.outlets import Outlet
-from runtime.ports import Port
+from runtime.ports import Port, joined
 
 Numbers = NDArray[Any]
 
@@ -137,6 +138,10 @@ class Program:
             for synapses in layer.synapses:
                 self._check(layer, synapses, heard)
             heard.add(layer.name)
+
+    def joined(self, rasters: Mapping[str, Numbers]) -> Numbers:
+        """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
+        return joined(self.inputs, rasters)
 
     def layer(self, name: str) -> Layer:
         """The layer called `name`."""
