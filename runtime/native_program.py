@@ -84,7 +84,7 @@ def _layers(program: Program, fixed: FixedPoint) -> Integers:
         careful = fixed.refractory > 1 or _too_much(layer, fixed, limits.drive)
         bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
         end = wires + len(layer.synapses)
-        output = layer.name == program.output
+        output = layer.name in program.to_host
         about = (layer.start, biases + neurons, layer.bias_fan_out, output)
         rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
         neurons, wires = neurons + layer.size, end

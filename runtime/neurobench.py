@@ -184,6 +184,11 @@ def _heard(
         for synapses, lag in zip(layer.synapses, lags, strict=True):
             rows = spikes[synapses.source]
             yield rows[:, : rows.shape[1] - lag], synapses.fan_out
+    for tap in (tap for outlet in program.outlets for tap in outlet.taps):
+        if tap.weight is not None:
+            rows = spikes[tap.layer]
+            fan_out = np.count_nonzero(tap.weight, axis=1).astype(np.int64)
+            yield rows[:, : max(rows.shape[1] - tap.lag, 0)], fan_out
     if program.readout is not None:
         rows = spikes[program.output]
         fan_out = np.count_nonzero(program.readout.weight, axis=1).astype(np.int64)

@@ -71,7 +71,10 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
 
 def page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
+    steps = [f"* {name}: {convention}" for name, convention in document["conventions"].items()]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
+    if steps:
+        lines += ["", "How the networks are stepped:", "", *steps]
     return "\n".join(lines)
 
 

@@ -73,12 +73,16 @@ def print_comparison(document: Mapping[str, Any]) -> None:
         heads = [column.title for column in columns]
         cells = [[column.cell(row) for column in columns] for row in rows]
         print_table(title, heads, cells, numbers=True)
+    for name, convention in document["conventions"].items():
+        console().print(f"{name} is stepped with {convention}", markup=False)
     if document["meaning"]:
         console().print(document["meaning"])
 
 
 def print_emulation(emulation: "Emulation") -> None:
     """Write how the network was stepped, what it did, and what that costs."""
+    from rich.markup import escape
+
     from spikedeploy.columns import bounded, scaled
 
     found = emulation.as_json()
@@ -88,15 +92,28 @@ def print_emulation(emulation: "Emulation") -> None:
     }
     counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
     lines = {
-        "convention": emulation.artifact.convention.describe(),
+        "convention": escape(emulation.artifact.convention.describe()),
         **{
             name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
         },
         **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **energies,
-        **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
+        **({"not counted": escape(emulation.uncounted)} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+    rows = [
+        (
+            escape(name),
+            f"{layer['neurons']:,}",
+            f"{layer['spikes']:,}",
+            f"{layer['rate']:.4g}",
+            "–" if layer["sops"] is None else f"{layer['sops']:,}",
+        )
+        for name, layer in found["layers"].items()
+    ]
+    if rows:
+        heads = ("layer", "neurons", "spikes", "rate", "SOPs")
+        print_table("Layers; rate per neuron and timestep", heads, rows, numbers=True)
 
 
 def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:

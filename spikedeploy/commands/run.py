@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Energy, EnvOptions, Json, Seed
+from spikedeploy.commands.options import Energy, EnvOptions, Json, PolicyChip, Seed
 
 
 def run(
@@ -16,12 +16,7 @@ def run(
     env: Annotated[
         str | None, typer.Option(help="Environment.", show_default="the one it was made for")
     ] = None,
-    chip: Annotated[
-        str | None,
-        typer.Option(
-            help="Chip of a spiking policy; 'float' for its float twin.", show_default="loihi1"
-        ),
-    ] = None,
+    chip: PolicyChip = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
     seed: Seed = seeds.EVALUATION,
     sampled: Annotated[
