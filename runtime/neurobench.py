@@ -133,8 +133,10 @@ def footprint(graph: nir.NIRGraph) -> int:
 
 
 def connection_sparsity(graph: nir.NIRGraph) -> float:
-    """Part of all weights that is 0; biases do not count."""
+    """Part of all weights that is 0, where there are any; biases do not count."""
     weights = [node.weight for node in _weighted(graph)]
+    if not weights:
+        return 0.0
     zeros = sum(weight.size - np.count_nonzero(weight) for weight in weights)
     # divided in float32 and rounded, as theirs is
     return round(float(np.float32(zeros) / np.float32(sum(w.size for w in weights))), 4)

@@ -53,6 +53,11 @@ def test_a_network_of_bytes_is_a_quarter_of_one_of_floats():
     assert connection_sparsity(floats) == connection_sparsity(whole) == round(2 / 6, 4)
 
 
+def test_a_network_without_weights_has_none_that_are_zero():
+    graph = chain(lif(3), width=3, act=3)
+    assert (connection_sparsity(graph), parameter_count(graph), dense(graph)) == (0.0, 0, 0)
+
+
 def test_packed_weights_take_the_bits_of_the_chip():
     weight = np.ones((10, 4), np.int16)
     assert packed_bytes(neurons_of(weight, threshold=9)) == 40
