@@ -19,6 +19,9 @@ from runtime.order import Edge, sources
 from runtime.ports import named, ports
 from runtime.timing import timing
 
+# bytes of everything that one run computes
+LARGEST = 1 << 32
+
 Trace = dict[str, NDArray[np.generic]]
 
 
@@ -67,6 +70,7 @@ class FloatGraph:
             self.reset()
         batch, timesteps = next(iter(x.values())).shape[:2]
         self._check_batch(batch)
+        self._check_room(batch, timesteps)
         parts = [_row(x, t) for t in range(timesteps)] if self.timing.loops else [x]
         with np.errstate(over="ignore", invalid="ignore"):
             steps = [self._advance(part) for part in parts]
@@ -122,6 +126,16 @@ class FloatGraph:
                     f"node {name!r}: its values became too large for {self.dtype}. Give a smaller "
                     "raster, or correct the weights that lead to it."
                 )
+
+    def _check_room(self, batch: int, timesteps: int) -> None:
+        nodes = self.graph.nodes.values()
+        numbers = sum(int(np.prod(node.output_type["output"])) for node in nodes)
+        if (found := numbers * batch * timesteps * self.dtype.itemsize) > LARGEST:
+            raise ObservationError(
+                f"all nodes over {timesteps} timesteps and a batch of {batch} take {found} bytes; "
+                f"at most {LARGEST}. Run fewer timesteps at once with state 'kept', or a smaller "
+                "batch."
+            )
 
     def _check_batch(self, batch: int) -> None:
         held = len(next(iter(self.before.values()))) if self.before else batch

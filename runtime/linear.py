@@ -4,6 +4,7 @@ A chain without spikes in it is linear but for its biases. So what it does to a 
 source is a row of its matrix, and what it does to nothing is its bias.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
@@ -19,16 +20,21 @@ from runtime.float_nodes import build
 from runtime.order import sources
 from runtime.timing import Timing
 from runtime.windows import CONVOLUTIONS, POOLS
+from runtime.work import multiplications
 
 Floats: TypeAlias = NDArray[np.float64]
 # what arrives how many timesteps late, (R, *shape)
 Parts: TypeAlias = dict[int, Floats]
 
+# impulses are quick through these: most rows of their input are silent
+DENSE = (nir.Affine, nir.Linear)
 BIASED = (nir.Affine, *CONVOLUTIONS)
 LINEAR = (nir.Linear, *BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
 
-# bytes of matrices beyond which a network is a mistake on a chip: 67 million weights
-LARGEST = 1 << 29
+# bytes of matrices beyond which a network is a mistake on a chip: 33 million weights
+LARGEST = 1 << 28
+# multiplications that finding a matrix may take
+HARDEST = 1 << 34
 # numbers that the impulses sent at once may fill, and how many are sent at most
 ENOUGH = 1 << 22
 MOST = 256
@@ -75,6 +81,8 @@ class Linear:
     def matrices(self, region: Region, source: str) -> dict[int, Floats]:
         """(M, N) from a source to the target, by the timesteps that it takes."""
         size = self._size(source)
+        self._check_room(region.target, size)
+        self._check_work(region, source)
         found: dict[int, Floats] = {}
         for first, impulses in self._impulses(region, source):
             for lag, rows in self._respond(region, {source: {0: impulses}}).items():
@@ -98,19 +106,33 @@ class Linear:
         return np.asarray(parts.get(0, nothing).reshape(-1))
 
     def _room(self, target: str, size: int) -> Floats:
-        """Memory of a matrix; refused where all together would be too much."""
+        """Memory of a matrix."""
+        self._check_room(target, size)
         self._bytes += 8 * size * self._size(target)
-        if self._bytes > LARGEST:
+        return np.zeros((size, self._size(target)))
+
+    def _check_room(self, target: str, size: int) -> None:
+        if (found := self._bytes + 8 * size * self._size(target)) > LARGEST:
             raise RuleError(
                 f"node {target!r}: as one matrix for each pair of layers, which a chip's axons "
-                f"need, the weights take {self._bytes} bytes by here; the limit is {LARGEST}. Run "
-                "the network in float, or make its convolutions smaller."
+                f"need, the weights take {found} bytes by here; at most {LARGEST}. Run the network "
+                "in float, or make its convolutions smaller."
             )
-        return np.zeros((size, self._size(target)))
+
+    def _check_work(self, region: Region, source: str) -> None:
+        """Refuse windows so large that sending all impulses through them takes minutes."""
+        nodes = [n for n in region.names if not isinstance(self._graph.nodes[n], DENSE)]
+        each = sum(multiplications(n, self._graph.nodes[n], self._shape(n)) for n in nodes)
+        if (found := each * self._size(source)) > HARDEST:
+            raise RuleError(
+                f"node {region.target!r}: the matrix from {source!r} takes {found} "
+                f"multiplications; at most {HARDEST}. Run the network in float, or make its "
+                "convolutions smaller."
+            )
 
     def _impulses(self, region: Region, source: str) -> Iterator[tuple[int, Floats]]:
         """Rows of the identity as (R, *shape), a few at a time, and the number of the first."""
-        shape = self._graph.nodes[source].output_type["output"]
+        shape = self._shape(source)
         names = (source, *region.names, region.target)
         some = min(max(1, ENOUGH // max(map(self._size, names))), MOST)
         size = self._size(source)
@@ -149,14 +171,17 @@ class Linear:
 
     def _bias(self, name: str) -> Floats:
         node = self._graph.nodes[name]
-        shape = tuple(int(n) for n in node.output_type["output"])
+        shape = self._shape(name)
         bias = node.bias.astype(np.float64)
         if isinstance(node, CONVOLUTIONS):
             bias = bias.reshape(-1, *(1 for _ in shape[1:]))
         return np.broadcast_to(bias, shape)[None]
 
+    def _shape(self, name: str) -> tuple[int, ...]:
+        return tuple(int(n) for n in self._graph.nodes[name].output_type["output"])
+
     def _size(self, name: str) -> int:
-        return int(np.prod(self._graph.nodes[name].output_type["output"]))
+        return math.prod(self._shape(name))
 
     def _ordered(self, inside: set[str]) -> list[str]:
         """The nodes, each after those that it hears; a loop of them would echo for ever."""

@@ -21,7 +21,7 @@ CONVOLUTIONS = (nir.Conv1d, nir.Conv2d)
 POOLS = (nir.SumPool2d, nir.AvgPool2d)
 
 # numbers of one timestep beyond which a node is a mistake, and would only exhaust the memory
-LARGEST = 1 << 27
+LARGEST = 1 << 24
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
         if zipfile.is_zipfile(path):
             return {name: _checked(f"{path}: {name}", a) for name, a in _archive(path).items()}
         # mapped, a file that claims more than it holds takes no memory
-        return _checked(str(path), np.load(path, mmap_mode="r", allow_pickle=False))
+        return _checked(str(path), np.lib.format.open_memmap(path, mode="r"))
     except ObservationError:
         raise
     # zipfile, zlib and numpy each have their own for a broken file
@@ -43,7 +43,8 @@ def _archive(path: Path) -> dict[str, Raster]:
             f"{path} would be {claimed} bytes when unpacked; the limit is {LARGEST}. Play a part "
             "of it after the other."
         )
-    with np.load(path, allow_pickle=False) as arrays:
+    # a file of our own, which numpy leaves open where the archive is broken
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
 
 

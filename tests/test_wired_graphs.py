@@ -203,7 +203,7 @@ def test_matrices_beyond_the_limit_are_refused_before_they_are_made():
     shape = (8, 128, 128)
     cells = nir.IF(*(np.full(shape, v) for v in (1000.0, 1.0, 0.0)))
     network = graph("input->c, c->l, l->output", **ends([1, 128, 128], shape), c=wide, l=cells)
-    with pytest.raises(RuleError, match=r"node 'l': as one matrix .* 17179869184 bytes"):
+    with pytest.raises(RuleError, match=r"node 'l': as one matrix .* 17179869184 bytes by here"):
         compile(artifact(network), chip("ideal"))
 
 
