@@ -204,6 +204,21 @@ OPERATIONS = (
         number("macs_dense", ",.0f"),
     ),
     Column(
+        "bytes",
+        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
+        number("footprint", ",.0f"),
+    ),
+    Column(
+        "packed",
+        "bytes of all weights and biases on the chip, in its widths",
+        number("footprint_packed", ",.0f"),
+    ),
+    Column(
+        "zero weights",
+        "NeuroBench ConnectionSparsity: weights of the file that are 0",
+        number("connection_sparsity", ".1%"),
+    ),
+    Column(
         "sat.",
         "numbers that did not fit a register of the chip, in all episodes",
         number("saturations", ",.0f"),
