@@ -204,6 +204,15 @@ OPERATIONS = (
         number("macs_dense", ",.0f"),
     ),
     Column(
+        "sat.",
+        "numbers that did not fit a register of the chip, in all episodes",
+        number("saturations", ",.0f"),
+    ),
+)
+
+
+SIZE = (
+    Column(
         "bytes",
         "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
         number("footprint", ",.0f"),
@@ -218,11 +227,6 @@ OPERATIONS = (
         "NeuroBench ConnectionSparsity: weights of the file that are 0",
         number("connection_sparsity", ".1%"),
     ),
-    Column(
-        "sat.",
-        "numbers that did not fit a register of the chip, in all episodes",
-        number("saturations", ",.0f"),
-    ),
 )
 
 
@@ -235,6 +239,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
             else {"Does the robot still walk?": _filled(WALK, rows)}
         ),
         "Does it act like its reference?": _filled(AGREEMENT, rows),
+        "How large is the network?": _filled(SIZE, rows),
         "What does an inference take?": _filled(OPERATIONS, rows),
         COST: _filled(_prices(rows), rows),
     }
