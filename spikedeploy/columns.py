@@ -211,6 +211,25 @@ OPERATIONS = (
 )
 
 
+SIZE = (
+    Column(
+        "bytes",
+        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
+        number("footprint", ",.0f"),
+    ),
+    Column(
+        "packed",
+        "bytes of all weights and biases on the chip, in its widths",
+        number("footprint_packed", ",.0f"),
+    ),
+    Column(
+        "zero weights",
+        "NeuroBench ConnectionSparsity: weights of the file that are 0",
+        number("connection_sparsity", ".1%"),
+    ),
+)
+
+
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns, as far as some row has something to say in them."""
     found = {
@@ -220,6 +239,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
             else {"Does the robot still walk?": _filled(WALK, rows)}
         ),
         "Does it act like its reference?": _filled(AGREEMENT, rows),
+        "How large is the network?": _filled(SIZE, rows),
         "What does an inference take?": _filled(OPERATIONS, rows),
         COST: _filled(_prices(rows), rows),
     }

@@ -10,6 +10,9 @@ effective_acs, effective_macs, dense
                      weight matrix, counted as accumulates where all inputs are spikes and as
                      multiply-accumulates elsewhere; dense counts all inputs x all weights. The
                      readout counts here, though it runs on the host; biases do not
+footprint, footprint_packed
+                     NeuroBench's Footprint [bytes] of the file; the weights in the chip's bits
+connection_sparsity  NeuroBench's, of the file
 energy_j, latency_s  by each table that prices the events, with the interval that it lies in;
                      latency as if one core did everything
 """
@@ -34,6 +37,9 @@ class Costs:
     effective_acs: float | None = None
     effective_macs: float | None = None
     dense: float | None = None
+    footprint: float | None = None
+    footprint_packed: float | None = None
+    connection_sparsity: float | None = None
     saturations: int | None = None
     energy_j: Mapping[str, Estimate] = field(default_factory=dict)
     latency_s: Mapping[str, Estimate] = field(default_factory=dict)
@@ -79,4 +85,7 @@ _MEANS = (
     "effective_acs",
     "effective_macs",
     "dense",
+    "footprint",
+    "footprint_packed",
+    "connection_sparsity",
 )

@@ -12,6 +12,7 @@ from runtime.energy import TABLES, Estimate, mac_energy
 from spikedeploy import costs
 from spikedeploy.costs import Costs
 from spikedeploy.formats.nir import NirController
+from spikedeploy.formats.nir import costs as nir_costs
 from spikedeploy.formats.onnx import OnnxController
 from spikedeploy.formats.onnx import costs as onnx_costs
 from spikedeploy.spiking_costs import priced_by, spiking_costs
@@ -72,6 +73,18 @@ def test_the_ledger_begins_anew_with_each_episode(snn):
         player.act(observation)
     assert (first.inferences, player.ledger.inferences) == (7, 3)
     assert 0 < player.ledger.total("sop") < first.total("sop")
+
+
+def test_the_size_of_a_network_is_that_of_its_file_and_of_its_weights_on_the_chip(snn):
+    player = NirController(str(snn), "loihi1")
+    player.act(OBSERVATIONS[0])
+    found = nir_costs(player, played(OBSERVATIONS))
+    weights, biases, readout = 30 * 16 + 16 * 12 + 12 * 20, 16 + 12 + 20, 20 * 2 + 2
+    # on the chip one byte each; in the file four, and three constants of a layer, 4 bytes, and 12
+    assert found.footprint_packed == weights + biases
+    assert found.footprint == 4 * (weights + biases + readout) + 3 * (3 * 4 + 12)
+    # the readout is block-diagonal: 20 of 40 are 0
+    assert found.connection_sparsity == round(20 / (weights + 40), 4)
 
 
 def test_a_chip_is_priced_by_its_own_tables_and_one_that_float_networks_share():

@@ -2,14 +2,17 @@
 
 import nir
 import numpy as np
+import pytest
 
 from runtime.artifact import Artifact
+from runtime.chip import chip
 from runtime.compile import compile
 from runtime.convention import Convention
+from runtime.machine import Machine
 from runtime.memory import packed_bytes
 from runtime.neurobench import connection_sparsity, dense, footprint, neurobench, parameter_count
-from tests.measuring import DT, IDEAL, convolutions, measured, network, neurons_of
-from tests.networks import chain, lif
+from tests.measuring import DT, IDEAL, convolutions, measured, network, neurons_of, raster
+from tests.networks import chain, lif, popsan
 
 
 def test_two_neurons_are_counted_by_hand():
@@ -85,3 +88,18 @@ def test_dense_counts_zero_weights_too():
 def test_a_convolution_has_no_operations_with_its_padding():
     # four places of three taps, less one at each end
     assert dense(nir.NIRGraph.from_list(convolutions()[0])) == 4 * 3 - 2
+
+
+@pytest.mark.parametrize("name", ["ideal", "loihi1"])
+def test_the_ledger_of_the_same_run_agrees(name):
+    file = popsan()
+    program = compile(file, chip(name))
+    machine = Machine(program, 4, trace=True)
+    spikes = raster(width=30)
+    machine.infer(spikes)
+    found, ledger = measured(program, file.graph, spikes), machine.ledger
+    readout = machine.recordings[program.output].spikes.sum() / 4  # each hears one number
+    assert found.effective_acs == ledger.per_inference("sop") + readout
+    assert found.activation_sparsity == ledger.sparsity
+    # what changed had something to add up
+    assert 0 < found.membrane_updates <= ledger.per_inference("neuron_update") + sum(ledger.neurons)

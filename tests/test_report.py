@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 
 from spikedeploy import report
-from spikedeploy.columns import scaled, tables
+from spikedeploy.columns import ABSENT, price, scaled, tables
 from spikedeploy.compare import compare
 from spikedeploy.lineup import line_up
 from spikedeploy.meaning import meaning
@@ -121,3 +121,26 @@ def test_a_policy_alone_needs_no_sentence():
 )
 def test_prices_are_readable_at_any_size(value, text):
     assert scaled(value) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (2e-6, None, "≥ 2.00 µJ"),
+        (2e-6, float("inf"), "≥ 2.00 µJ"),
+        (0.0, None, "2.00 µJ"),
+        (2e-6, 2e-6, "2.00 µJ"),
+        (1.8e-6, 2.2e-6, "2.00 µJ ± 10 %"),
+        (0.0, 2.5e-6, "≤ 2.50 µJ"),
+        (1e-6, 8e-6, "1.00 µJ to 8.00 µJ"),
+    ],
+)
+def test_a_price_is_printed_with_what_is_known_of_it(low, high, text):
+    row = {"j": {"table": 2e-6}, "interval": {"table": [low, high]}}
+    assert price("j", "table", "J", "interval")(row) == text
+
+
+def test_a_price_of_a_report_from_before_is_printed_as_it_is():
+    row = {"j": {"table": 2e-6}}
+    assert price("j", "table", "J", "interval")(row) == "2.00 µJ"
+    assert price("j", "other", "J", "interval")(row) == ABSENT
