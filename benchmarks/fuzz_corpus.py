@@ -151,7 +151,7 @@ def population() -> Artifact:
 
 
 def rate() -> Artifact:
-    """A policy with a rate code."""
+    """A policy with a rate code, and no origin whose digest would show that it was changed."""
     rng = np.random.default_rng(3)
     layers = {
         "in": nir.Affine(rng.normal(size=(5, 4)), np.zeros(5)),
@@ -160,7 +160,7 @@ def rate() -> Artifact:
     }
     code = RateEncoder(np.full(4, -1.0), np.ones(4))
     codec = Codec(Normaliser(np.zeros(4), np.ones(4), 1.0), code, 8, "argmax")
-    return Artifact(chain([4], [3], **layers), codec, Convention(1e-3), ORIGIN)
+    return Artifact(chain([4], [3], **layers), codec, Convention(1e-3))
 
 
 def loihi_trace(source: str) -> dict[str, object]:

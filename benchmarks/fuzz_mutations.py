@@ -111,6 +111,26 @@ def strange_value(path: Path, rng: Rng) -> None:
         replace(file, name, value)
 
 
+def other_value(path: Path, rng: Rng) -> None:
+    """Numbers are others that might be meant: turned, scaled, or small whole ones."""
+    with h5py.File(path, "r+") as file:
+        name = a_dataset(file, rng)
+        value = np.asarray(file[name][()])
+        if value.dtype.kind in "iu":
+            replace(file, name, rng.integers(0, 5, value.shape).astype(value.dtype))
+        elif value.dtype.kind == "f":
+            forms = [
+                -value,
+                value * 10 ** rng.uniform(-6, 6),
+                rng.normal(size=value.shape),
+                value * (rng.random(value.shape) < 0.5),
+                np.rint(value),
+            ]
+            replace(file, name, forms[rng.integers(len(forms))])
+        else:
+            strange_value(path, rng)
+
+
 def strange_shape(path: Path, rng: Rng) -> None:
     """An array without axes, empty, longer, turned, or with another axis."""
     with h5py.File(path, "r+") as file:
@@ -333,6 +353,7 @@ def _walk(tree: Any, places: list[tuple[Any, Any]]) -> None:  # noqa: ANN401
 HDF5 = [
     strange_value, strange_shape, strange_type, missing, renamed, stray, other_kind, other_edges,
     huge_claim, huge_shape, link, elsewhere, deep, many, attribute, strange_value, strange_shape,
+    *[other_value] * 12, huge_shape,
 ]  # fmt: skip
 STRUCTURED: dict[str, list[Callable[[Path, Rng], None]]] = {
     ".nir": HDF5,

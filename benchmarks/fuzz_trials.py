@@ -22,21 +22,21 @@ TIMESTEPS = 3
 OURS = (SpikedeployError, EnvError)
 
 
-def attempt(path: Path, rng: np.random.Generator) -> tuple[str, ...]:
-    """Names of the errors that were raised on purpose; anything else comes through.
+def attempt(path: Path, rng: np.random.Generator) -> tuple[bool, tuple[str, ...]]:
+    """Whether the file was read, and names of errors that were raised on purpose.
 
-    Empty where everything was accepted.
+    Anything else comes through.
     """
     refused: list[str] = []
     with warnings.catch_warnings():
         # a warning would be a wrong result that somebody scrolls past
         warnings.simplefilter("error")
         kinds = {".nir": _network, ".npy": _raster, ".npz": _raster}
-        kinds.get(path.suffix, _text)(path, rng, refused)
-    return tuple(refused)
+        read = kinds.get(path.suffix, _text)(path, rng, refused)
+    return read, tuple(refused)
 
 
-def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> None:
+def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
     try:
         artifact = load(path)
     except ConventionError as error:
@@ -46,10 +46,10 @@ def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> None:
             artifact = load(path, dt=1e-3)
         except OURS as again:
             refused.append(type(again).__name__)
-            return
+            return False
     except OURS as error:
         refused.append(type(error).__name__)
-        return
+        return False
     options = {"dt": artifact.convention.dt}
     rasters = {
         port.name: (rng.random((TIMESTEPS, *port.shape)) < 0.3).astype(np.uint8)
@@ -63,6 +63,7 @@ def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> None:
     for work in (_read_like, _kept, _driven):
         with _ours(refused):
             work(path, artifact, rng)
+    return True
 
 
 @contextmanager
@@ -93,13 +94,15 @@ def _driven(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
     artifact.codec.encode(observation)
 
 
-def _text(path: Path, _: np.random.Generator, refused: list[str]) -> None:
+def _text(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
     """A trace file is verified; any may be taken for a track."""
     for read in (verify, track.load):
         with _ours(refused):
             read(path)
+    return len(refused) < 2
 
 
-def _raster(path: Path, _: np.random.Generator, refused: list[str]) -> None:
+def _raster(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
     with _ours(refused):
         read_rasters(path)
+    return not refused

@@ -18,11 +18,16 @@ from runtime.float_machine import FloatMachine
 from runtime.ledger import Ledger
 from runtime.machine import Machine
 from runtime.ports import Port, named, parted, ports
+from runtime.program import Program
 from spikedeploy.files import replacing
 from spikedeploy.measures import Measures, measured, measured_again
 from spikedeploy.policies import FLOAT
 from spikedeploy.rasters import Raster, in_batch
 from spikedeploy.spiking_costs import priced_by
+
+# bytes that a neuron takes in a timestep: current, membrane and spike, while running and recorded
+STATE = 48
+LARGEST = 1 << 32
 
 
 @dataclass(frozen=True)
@@ -155,6 +160,7 @@ def _on_chip(
                 "or 1. Encode them, or play them into --chip float."
             )
     program = compiled(artifact, datasheet(chip))
+    _check_room(program, rows)
     # the machine refuses names that it does not know
     given: dict[str, Any] = {} if backend is None else {"backend": backend}
     machine = Machine(program, trace=True, **given)
@@ -168,6 +174,17 @@ def _on_chip(
     }
     measures = measured(artifact, machine, raster, machine.ledger)
     return Emulation(artifact, chip, spikes, outputs, machine.ledger, "", measures)
+
+
+def _check_room(program: Program, rows: Mapping[str, Raster]) -> None:
+    """Refuse a raster over which currents, membranes and spikes would fill the memory."""
+    timesteps = next(iter(rows.values())).shape[1]
+    found = STATE * sum(program.sizes.values()) * program.steps(timesteps)
+    if found > LARGEST:
+        raise ObservationError(
+            f"{timesteps} timesteps of {sum(program.sizes.values())} neurons and inputs take "
+            f"{found} bytes; at most {LARGEST}. Play the raster in parts."
+        )
 
 
 def _outputs(all_: tuple[Port, ...], rows: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:

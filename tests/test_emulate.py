@@ -203,6 +203,17 @@ def test_a_backend_is_for_chips(emulate):
         assert message in err
 
 
+@pytest.mark.parametrize("chip", ["float", "ideal"])
+def test_a_raster_that_would_fill_the_memory_is_refused(chip, emulate, monkeypatch):
+    monkeypatch.setattr("spikedeploy.emulate.LARGEST", 1000)
+    monkeypatch.setattr("runtime.float_graph.LARGEST", 1000)
+    assert emulate(single(), np.ones((5, 1)), "--chip", chip)[0] == 0
+    code, _, _, err = emulate(single(), np.ones((50, 1)), "--chip", chip)
+    assert code == 1
+    assert "50 timesteps" in err
+    assert "at most 1000" in err
+
+
 @pytest.mark.parametrize("name", ["file", "arr_0", "a b", "[red]", "..", "ü"])
 def test_a_node_may_have_any_name(name, emulate):
     ends = {"input": nir.Input(np.array([1])), "end": nir.Output(np.array([1]))}

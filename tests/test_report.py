@@ -11,6 +11,7 @@ from spikedeploy.columns import ABSENT, price, scaled, tables
 from spikedeploy.compare import compare
 from spikedeploy.lineup import line_up
 from spikedeploy.meaning import meaning
+from spikedeploy.terminal import print_comparison
 from tests import strolling
 
 
@@ -52,6 +53,18 @@ def test_the_report_is_whole_and_stands_alone(document, tmp_path):
     assert len(Links(page).found) == 3  # two plots and the film
     assert all(link.startswith("data:") for link in Links(page).found)
     assert json.loads((tmp_path / "out/report.json").read_text())["rows"][0]["policy"] == "sac"
+
+
+def test_every_report_says_how_each_network_is_stepped(document, tmp_path, capsys):
+    report.write(document, tmp_path)
+    print_comparison(document)
+    printed = capsys.readouterr().out
+    assert document["conventions"]
+    for name, convention in document["conventions"].items():
+        assert convention.startswith("dt=0.001 s, reset=zero")
+        for file in ("report.html", "report.md", "report.json"):
+            assert convention in (tmp_path / file).read_text(encoding="utf-8")
+        assert f"{name} is stepped with {convention}" in " ".join(printed.split())
 
 
 def test_the_page_holds_every_cell_of_every_table(document, tmp_path):
