@@ -125,7 +125,7 @@ def _read(path: Path, changed: int) -> Track:
 
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RecursionError) as error:
         raise EnvError(f"track {path}: not a JSON file ({error})") from error
     track = parse(tree, f"track {path}")
     check(track, f"track {path}")
@@ -188,7 +188,7 @@ def _numbers(value: object, shape: Sequence[int | None], where: str) -> FloatArr
     wanted = "a number" if not shape else f"numbers of shape {tuple(n or 'n' for n in shape)}"
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise EnvError(f"{where}: must be {wanted}, found {str(value)[:60]}") from None
     fits = len(array.shape) == len(shape) and all(
         wish in (None, size) for wish, size in zip(shape, array.shape, strict=True)

@@ -11,11 +11,13 @@ from envs.track import Track
 FloatArray = NDArray[np.float64]
 RADIUS = 19.2  # [px] of a kart
 CELL = 6.0  # [px] of the map that reachability is looked up in; far narrower than a kart
+LARGEST = 20_000.0  # [px] from end to end; the map of a wider track would fill the memory
 RIM = RADIUS + 2 * CELL  # [px] from a barrier to the cells next to it, at most
 
 
 def check(track: Track, where: str) -> None:
     """Refuse a track that is open, or whose gates or start nobody can reach."""
+    _is_of_a_size(track, where)
     _start_is_free(track, where)
     free, origin = free_map(track)
     reached = flooded(free, _cell(track.start, origin))
@@ -34,6 +36,13 @@ def check(track: Track, where: str) -> None:
         swayed = track.gates[-1] + (0.0, shift)
         _gate_is_clear(track, swayed, len(track.gates), f"{where}, swayed by {shift:g} px")
         _gate_is_reached(swayed, len(track.gates), f"{where}, swayed by {shift:g} px", cells, RIM)
+
+
+def _is_of_a_size(track: Track, where: str) -> None:
+    points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
+    widest = float(np.ptp(points, axis=0).max())
+    if widest > LARGEST:
+        raise EnvError(f"{where}: it is {widest:g} px wide; at most {LARGEST:g}. Scale it down")
 
 
 def distances(points: FloatArray, segments: FloatArray) -> FloatArray:

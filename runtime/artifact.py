@@ -229,6 +229,12 @@ def _check_digest(artifact: Artifact, origin: Origin) -> None:
 
 
 def _check_width(graph: nir.NIRGraph, codec: Codec) -> None:
+    if len(graph.inputs) != 1 or len(graph.outputs) != 1:
+        raise ArtifactError(
+            f"the codec is for one raster and one output; the graph has the inputs "
+            f"{', '.join(sorted(graph.inputs))} and the outputs "
+            f"{', '.join(sorted(graph.outputs))}. Join them, or store the graph without a codec."
+        )
     for name, node in graph.inputs.items():
         width = int(np.prod(node.input_type["input"]))
         if width != codec.encoder.width:

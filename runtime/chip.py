@@ -105,6 +105,11 @@ class FixedPoint:
         """The decay that leaves nothing."""
         return 1 << self.decay_bits
 
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]."""
+        return self.current.bits, self.membrane.bits
+
 
 @dataclass(frozen=True)
 class Chip:

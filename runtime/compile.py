@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import nir
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +12,7 @@ from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
 from runtime.errors import ConfigError, RuleError
 from runtime.event_point import EventPoint
+from runtime.outlets import Outlet
 from runtime.program import Layer, Program, Readout, Synapses
 from runtime.quantised import quantised
 from runtime.quantize_xylo import Granularity, quantise_xylo
@@ -49,7 +49,7 @@ def compile(
     _check_reset(artifact.convention, chip)
     if not limits:
         chip = replace(chip, delay_max=ENDLESS)
-    wires = wiring(artifact.graph)
+    wires = wiring(artifact.graph, artifact.convention)
     if limits:
         refuse(artifact, chip, ROOM)
     if chip.events is not None:
@@ -79,8 +79,7 @@ def _layered(
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
-    delay = max(chip.delay, 0 if stagger else artifact.convention.delay)
-    layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
+    layers = [_layer(artifact, wires, name, starts, chip.delay) for name in wires.layers]
     return _program(artifact, chip, wires, quantised(layers, chip, rounding, limits))
 
 
@@ -103,14 +102,19 @@ def _program(
     layers: Sequence[Layer],
     remarks: Sequence[str] = (),
 ) -> Program:
+    """What the layers become together."""
+    output, readout, outlets = _ways_out(wires, artifact.convention)
     return Program(
         chip=chip,
         convention=artifact.convention,
         input=wires.input,
         width=wires.width,
         layers=tuple(layers),
-        output=wires.output,
-        readout=_readout(wires.readout, artifact.convention.delay),
+        output=output,
+        readout=readout,
+        inputs=wires.inputs,
+        outputs=tuple(outlet.port for outlet in wires.outlets),
+        outlets=outlets,
         remarks=tuple(remarks),
     )
 
@@ -138,8 +142,11 @@ def _starts(wires: Wiring, delay: int) -> dict[str, int]:
     """Timestep at which each layer can first hear of the input; slower paths decide."""
     starts = {wires.input: 0}
     for name in wires.layers:
-        ahead = [wire.source for wire in wires.wires[name] if not wire.late]
-        starts[name] = max((starts[source] for source in ahead), default=0) + delay
+        # sources that come later, or the layer itself, are feedback
+        ahead = [wire for wire in wires.wires[name] if wire.source in starts]
+        starts[name] = max(
+            (starts[wire.source] + max(0, delay - wire.lag) for wire in ahead), default=0
+        )
     return starts
 
 
@@ -147,7 +154,7 @@ def _layer(
     artifact: Artifact, wires: Wiring, name: str, starts: dict[str, int], delay: int
 ) -> Layer:
     """A layer in floats; gains of the neuron are folded into the weights, which is exact."""
-    neuron = discretise(name, artifact.graph.nodes[name], artifact.convention)
+    neuron = discretise(name, artifact.graph.nodes[name], artifact.convention).in_a_row()
     threshold = _threshold(name, neuron)
     keep = neuron.current_decay
     return Layer(
@@ -180,22 +187,30 @@ def _threshold(name: str, neuron: Discrete) -> NDArray[np.float64]:
 
 
 def _delay(wire: Wire, target: str, starts: dict[str, int], delay: int) -> int:
-    """Delay of a connection: skips wait for the layers they skip, feedback takes one row more."""
-    ahead = starts[target] - starts.get(wire.source, 0)
-    if not wire.late:
-        return max(delay, ahead)
-    if ahead + 1 < delay:
+    """Delay of a connection: skips wait for the layers they skip, feedback takes its lag more."""
+    due = starts[target] - starts[wire.source] + wire.lag
+    if due < delay and any(starts.values()):
         raise RuleError(
             f"layers {wire.source!r} -> {target!r}: the feedback would have to arrive "
-            f"{delay - ahead - 1} timesteps before it can. Compile with stagger=False, which "
+            f"{delay - due} timesteps before it can. Compile with stagger=False, which "
             "lengthens every loop by the delays of its layers."
         )
-    return max(ahead + 1, delay)
+    return max(due, delay)
 
 
-def _readout(node: nir.NIRNode | None, lag: int) -> Readout | None:
-    if node is None:
-        return None
-    weight = np.ascontiguousarray(node.weight.T, dtype=np.float64)
-    bias = node.bias if isinstance(node, nir.Affine) else np.zeros(weight.shape[1])
-    return Readout(weight, bias.astype(np.float64), lag)
+def _ways_out(
+    wires: Wiring, convention: Convention
+) -> tuple[str, Readout | None, tuple[Outlet, ...]]:
+    """The layer that leaves the chip and its readout; outlets where there is more than that."""
+    taps = [tap for outlet in wires.outlets for tap in outlet.taps]
+    first, outlet = taps[0], wires.outlets[0]
+    if len(taps) == 1:
+        plain = first.weight is None and not first.lag
+        weight = np.eye(outlet.port.size) if first.weight is None else first.weight
+        return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
+    if convention.state == "kept" and any(tap.lag for tap in taps):
+        raise RuleError(
+            f"node {outlet.port.name!r}: it hears several layers, some of them late, while states "
+            "are kept. Remove the delay before it, or choose state 'reset'."
+        )
+    return first.layer, None, wires.outlets

@@ -51,6 +51,17 @@ class Discrete:
     threshold: Array | None
     v_reset: Array
 
+    def in_a_row(self) -> "Discrete":
+        """The same neurons, whatever their shape was, as (N,)."""
+        return Discrete(
+            current_decay=None if self.current_decay is None else self.current_decay.ravel(),
+            membrane_decay=self.membrane_decay.ravel(),
+            gain=self.gain.ravel(),
+            leak=self.leak.ravel(),
+            threshold=None if self.threshold is None else self.threshold.ravel(),
+            v_reset=self.v_reset.ravel(),
+        )
+
 
 @np.errstate(over="ignore", invalid="ignore")
 def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete:

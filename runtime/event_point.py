@@ -46,3 +46,8 @@ class EventPoint:
     def weight_max(self) -> int:
         """Largest weight of either sign that quantising makes."""
         return int((1 << (self.weight_bits - 1)) - 1)
+
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]: its currents and its membrane."""
+        return (self.state.bits,) * (self.currents + 1)

@@ -4,6 +4,8 @@ This is the reference that quantised programs are compared with. It knows nothin
 walks the edges, sums what arrives at a node, and calls the node.
 """
 
+from collections.abc import Mapping
+
 import nir
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -11,10 +13,14 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from runtime.artifact import Artifact
 from runtime.discrete import SPIKING
 from runtime.errors import ArtifactError, ObservationError
-from runtime.float_delay import Delay, delay_timesteps
+from runtime.float_delay import Delay
 from runtime.float_nodes import Array, Neurons, build
-from runtime.order import Edge, has_loop, order, sources
-from runtime.windows import CONVOLUTIONS
+from runtime.order import Edge, sources
+from runtime.ports import named, ports
+from runtime.timing import timing
+
+# bytes of everything that one run computes
+LARGEST = 1 << 32
 
 Trace = dict[str, NDArray[np.generic]]
 
@@ -30,26 +36,17 @@ class FloatGraph:
         self.graph = artifact.graph
         self.convention = artifact.convention
         self.dtype = np.dtype(dtype)
-        self.input = _only(self.graph.inputs, "Input")
-        self.output = _only(self.graph.outputs, "Output")
+        self.inputs, self.outputs = ports(self.graph.inputs), ports(self.graph.outputs)
         self.spiking = _spiking(self.graph)
-        waiting = self._waiting()
-        into = {edge for edge in self.graph.edges if edge[1] in waiting}
-        if self.convention.delay:
-            into |= _into_weights(self.graph)
-        in_steps = order(self.graph, into)
-        self.loops = has_loop(self.graph)
-        self.late = in_steps.late
-        # a late edge may come from a later node of the same timestep, but not of all timesteps
-        self.names = in_steps.names if self.loops else order(self.graph).names
-        self.sources = {name: sources(self.graph, name) for name in self.names}
+        self.timing = timing(self.graph, self.convention)
+        self.sources = {name: sources(self.graph, name) for name in self.timing.names}
         self.nodes = {
             name: build(name, self.graph.nodes[name], self.convention, self.dtype)
-            for name in self.names
+            for name in self.timing.names
         }
-        for name in waiting:
-            # its late edges are the first of its timesteps
-            self.nodes[name] = Delay(name, waiting[name] - 1)
+        for name, timesteps in self.timing.delays.items():
+            # without the timestep that its late edges take
+            self.nodes[name] = Delay(name, timesteps)
         # what each node put out in the timestep before, (B, 1, *shape)
         self.before: dict[str, Array] = {}
 
@@ -60,73 +57,65 @@ class FloatGraph:
             if isinstance(node, (Neurons, Delay)):
                 node.reset()
 
-    def run(self, raster: ArrayLike) -> Trace:
-        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, act).
+    def run(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> Trace:
+        """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, *act).
 
         Where the convention lets a neuron send many in a timestep they are counted in int64.
+
+        raster: (B, T, *shape); of several Input nodes one for each, by name. Several Output nodes
+            are in the trace by their names, and then there is no "output".
         """
         x = self._checked(raster)
         if self.convention.state == "reset":
             self.reset()
-        self._check_batch(len(x))
-        parts = np.split(x, x.shape[1], axis=1) if self.loops else [x]
+        batch, timesteps = next(iter(x.values())).shape[:2]
+        self._check_batch(batch)
+        self._check_room(batch, timesteps)
+        parts = [_row(x, t) for t in range(timesteps)] if self.timing.loops else [x]
         with np.errstate(over="ignore", invalid="ignore"):
             steps = [self._advance(part) for part in parts]
         self._check_finite()
         values = {
             name: np.concatenate([step[name] for step in steps], axis=1)
-            for name in (*self.spiking, self.output)
+            for name in (*self.spiking, *(port.name for port in self.outputs))
         }
         kind = np.int64 if self.convention.spikes == "many" else np.uint8
         trace: Trace = {name: values[name].astype(kind) for name in self.spiking}
-        trace["output"] = values[self.output]
+        for port in self.outputs:
+            trace["output" if len(self.outputs) == 1 else port.name] = values[port.name]
         return trace
 
-    def _waiting(self) -> dict[str, NDArray[np.int64]]:
-        """Timesteps of the Delay nodes that hold every value back for at least one timestep.
-
-        Such a node opens a loop by itself, so that its delay counts once: I[t] = w z[t - delay].
-        """
-        delays = {
-            name: delay_timesteps(name, node, self.convention)
-            for name, node in self.graph.nodes.items()
-            if isinstance(node, nir.Delay)
-        }
-        return {name: timesteps for name, timesteps in delays.items() if timesteps.min() >= 1}
-
-    def _advance(self, x: Array) -> dict[str, Array]:
+    def _advance(self, x: Mapping[str, Array]) -> dict[str, Array]:
         """Output (B, T, *shape) of every node for the next T timesteps."""
-        values: dict[str, Array] = {}
-        for name in self.names:
-            arriving = [self._along((source, name), values, x) for source in self.sources[name]]
-            values[name] = self.nodes[name](sum(arriving[1:], arriving[0]) if arriving else x)
+        values: dict[str, Array] = dict(x)
+        timesteps = next(iter(x.values())).shape[1]
+        for name in self.timing.names:
+            if arriving := [self._along((s, name), values, timesteps) for s in self.sources[name]]:
+                values[name] = self.nodes[name](sum(arriving[1:], arriving[0]))
         self.before = {name: value[:, -1:] for name, value in values.items()}
         return values
 
-    def _along(self, edge: Edge, values: dict[str, Array], x: Array) -> Array:
+    def _along(self, edge: Edge, values: dict[str, Array], timesteps: int) -> Array:
         """What arrives over an edge: what its source puts out now, or what it did before."""
         source = edge[0]
-        if edge not in self.late:
+        if edge not in self.timing.late:
             return values[source]
-        shape = self.graph.nodes[source].output_type["output"]
-        nothing = np.zeros((len(x), 1, *shape), self.dtype)
-        before = self.before.get(source, nothing)
-        if x.shape[1] == 1:
+        if (before := self.before.get(source)) is None:
+            batch = len(values[self.inputs[0].name])
+            shape = self.graph.nodes[source].output_type["output"]
+            before = np.zeros((batch, 1, *shape), self.dtype)
+        if timesteps == 1:
             return before
         return np.concatenate([before, values[source][:, :-1]], axis=1)
 
-    def _checked(self, raster: ArrayLike) -> Array:
-        x = np.asarray(raster, dtype=self.dtype)
-        shape = tuple(int(n) for n in self.graph.nodes[self.input].input_type["input"])
-        if x.ndim < 2 or x.shape[2:] != shape or not x.size:
-            wanted = ", ".join(["B", "T", *map(str, shape)])
-            raise ObservationError(
-                f"the raster has shape {x.shape}; node {self.input!r} takes ({wanted}), with at "
-                "least one timestep. Add the missing axis or give the raster of this network."
-            )
-        if not np.isfinite(x).all():
+    def _checked(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
+        if isinstance(raster, Mapping):
+            given = named(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
+        else:
+            given = named(self.inputs, np.asarray(raster, self.dtype))
+        if not all(np.isfinite(rows).all() for rows in given.values()):
             raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
-        return x
+        return given
 
     def _check_finite(self) -> None:
         """Refuse to go on from sums that were too large for the type of numbers."""
@@ -138,22 +127,23 @@ class FloatGraph:
                     "raster, or correct the weights that lead to it."
                 )
 
+    def _check_room(self, batch: int, timesteps: int) -> None:
+        nodes = self.graph.nodes.values()
+        numbers = sum(int(np.prod(node.output_type["output"])) for node in nodes)
+        if (found := numbers * batch * timesteps * self.dtype.itemsize) > LARGEST:
+            raise ObservationError(
+                f"all nodes over {timesteps} timesteps and a batch of {batch} take {found} bytes; "
+                f"at most {LARGEST}. Run fewer timesteps at once with state 'kept', or a smaller "
+                "batch."
+            )
+
     def _check_batch(self, batch: int) -> None:
-        held = len(self.before[self.output]) if self.before else batch
+        held = len(next(iter(self.before.values()))) if self.before else batch
         if held != batch:
             raise ObservationError(
                 f"the graph holds the state of {held} networks, the raster is for {batch}. Call "
                 "reset() between batches of different size."
             )
-
-
-def _only(found: dict[str, nir.NIRNode], kind: str) -> str:
-    if len(found) != 1:
-        raise ArtifactError(
-            f"the graph has {len(found)} {kind} nodes ({', '.join(sorted(found))}); exactly one is "
-            "supported. Join them in the tool that wrote the file."
-        )
-    return next(iter(found))
 
 
 def _spiking(graph: nir.NIRGraph) -> list[str]:
@@ -164,6 +154,5 @@ def _spiking(graph: nir.NIRGraph) -> list[str]:
     return names
 
 
-def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
-    kinds = (nir.Affine, nir.Linear, *CONVOLUTIONS)
-    return {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], kinds)}
+def _row(x: Mapping[str, Array], t: int) -> dict[str, Array]:
+    return {name: rows[:, t : t + 1] for name, rows in x.items()}

@@ -1,5 +1,6 @@
 """The float twin with the manners of a Machine: the same calls, and a ledger."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from runtime.compile import compile
 from runtime.errors import RuleError
 from runtime.float_graph import FloatGraph
 from runtime.ledger import Ledger, count
+from runtime.ports import Port, named
 from runtime.program import Program
 from runtime.recorder import Recorder, Rows
 
@@ -25,6 +27,8 @@ class FloatMachine:
         self.graph = FloatGraph(artifact)
         self.spikes: dict[str, NDArray[Any]] = {}
         self._recorder: Recorder | None = None
+        # whether anything came in that is no spike
+        self._real = False
         try:
             self._program: Program | RuleError = compile(artifact, chip("ideal"))
         except RuleError as error:
@@ -37,20 +41,27 @@ class FloatMachine:
         """Forget every current, membrane and spike; the ledger stays."""
         self.graph.reset()
 
-    def infer(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
-        """Output (B, T, act) of the spikes (B, T, M); states as the convention says."""
-        trace = self.graph.run(spikes)
-        output = trace.pop("output").astype(np.float64)
+    def infer(self, spikes: NDArray[Any] | Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """Output (B, T, act) of the spikes (B, T, M); states as the convention says.
+
+        spikes: of several Input nodes one raster (B, T, *shape) for each, by name; any numbers,
+            but only spikes are counted. Several outputs come side by side.
+        """
+        rows = named(self.graph.inputs, spikes)
+        trace = self.graph.run(rows)
+        outputs = [trace.pop(self._key(port)) for port in self.graph.outputs]
         self.spikes = {name: np.asarray(rows) for name, rows in trace.items()}
         if self._recorder is not None and self._recorder.keeps:
-            self._count(self._recorder, spikes)
-        return output
+            self._count(self._recorder, rows)
+        flat = [each.reshape(*each.shape[:2], -1).astype(np.float64) for each in outputs]
+        return np.concatenate(flat, axis=2)
 
     @property
     def ledger(self) -> Ledger:
         """What happened since the machine was made; every neuron-timestep is an update."""
-        if self._recorder is None:
-            raise RuleError(f"events cannot be counted: {self._program}")
+        if self._recorder is None or self._real:
+            why = "the input were no spikes, 0 or 1." if self._real else self._program
+            raise RuleError(f"events cannot be counted: {why}")
         return self._recorder.ledger()
 
     @property
@@ -60,7 +71,16 @@ class FloatMachine:
             raise self._program
         return self._program
 
-    def _count(self, recorder: Recorder, spikes: NDArray[Any]) -> None:
-        timesteps = spikes.shape[1]
-        counts = count(self.program, {self.program.input: spikes, **self.spikes})
+    def _key(self, port: Port) -> str:
+        return "output" if len(self.graph.outputs) == 1 else port.name
+
+    def _count(self, recorder: Recorder, rows: Mapping[str, NDArray[Any]]) -> None:
+        if any(each.dtype.kind not in "bu" or each.max() > 1 for each in rows.values()):
+            self._real |= not all(np.isin(each, (0, 1)).all() for each in rows.values())
+        if self._real:
+            return
+        spikes = {name: each.reshape(*each.shape[:2], -1) for name, each in self.spikes.items()}
+        raster = self.program.joined(rows).astype(np.uint8)
+        timesteps = raster.shape[1]
+        counts = count(self.program, {self.program.input: raster, **spikes})
         recorder.add(counts, timesteps, self.program.steps(timesteps))

@@ -22,3 +22,8 @@ class FloatPoint:
     def weight_max(self) -> int:
         """Largest weight of either sign."""
         return (1 << (self.weight_bits - 1)) - 1
+
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]: its current and its membrane."""
+        return (32, 32)

@@ -57,8 +57,9 @@ class Ledger:
 
     @property
     def sparsity(self) -> float:
-        """Part of all neuron-timesteps without a spike (NeuroBench's activation sparsity)."""
-        return 1 - self.total("spike_out") / max(sum(self.neurons) * self.timesteps, 1)
+        """Part of all neuron-timesteps without a spike (NeuroBench's ActivationSparsity)."""
+        every = max(sum(self.neurons) * self.timesteps, 1)
+        return (every - self.total("spike_out")) / every
 
 
 def count(
@@ -80,7 +81,7 @@ def count(
         spike_in = sum(_each(spikes[s.source]) for s in layer.synapses)
         spike_out = _each(spikes[layer.name])
         update = _each(busy[layer.name]) if busy else timesteps * layer.size
-        to_host = spike_out if layer.name == program.output else 0
+        to_host = spike_out if layer.name in program.to_host else 0
         event = {
             "spike_in": spike_in,
             "sop": sum(_each(spikes[s.source] * s.fan_out) for s in layer.synapses),

@@ -9,6 +9,7 @@ from runtime.backend import Backend, compiles, interprets
 from runtime.errors import ConfigError, ObservationError
 from runtime.interpreted import InterpretedPipeline
 from runtime.ledger import EVENTS, Ledger
+from runtime.outlets import leaving
 from runtime.pipeline import Pipeline, Recording, Schedule, joined
 from runtime.program import Program
 from runtime.raster import not_spikes
@@ -55,7 +56,8 @@ class Machine:
             raise ConfigError(f"batch is {batch}; the least is 1.")
         self.program, self.batch = program, batch
         self.recordings: dict[str, Recording] = {}
-        self._trace = trace
+        # where several layers leave the chip, the host needs the spikes of all
+        self._trace = trace or bool(program.outlets)
         self._native = compiles(program, backend)
         self._interpreted = interprets(program, backend)
         # of these, a pipeline closes loops by itself
@@ -90,6 +92,11 @@ class Machine:
 
         out: memory (B, act) for the output, float64; with it the "numba" backend allocates nothing.
         """
+        if self.program.outlets:
+            raise ConfigError(
+                f"{len(self.program.to_host)} layers leave the chip, and a step gives the spikes "
+                "of one. Use infer, or give the network one Output that hears one layer."
+            )
         rows = self._checked(spikes, 2)[None]
         pipeline = self._prepared("step", 1)
         heard = pipeline.run(rows, self._step)
@@ -202,6 +209,9 @@ class Machine:
 
     def _output(self, heard: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the rows (T, B, N) that leave the chip."""
+        if self.program.outlets:
+            seen = {name: recording.spikes for name, recording in self.recordings.items()}
+            return leaving(self.program.outlets, seen)
         spikes = heard.astype(np.float64)
         output = self.program.readout(spikes) if self.program.readout else spikes
         return np.asarray(output.swapaxes(0, 1))

@@ -84,7 +84,7 @@ def _layers(program: Program, fixed: FixedPoint) -> Integers:
         careful = fixed.refractory > 1 or _too_much(layer, fixed, limits.drive)
         bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
         end = wires + len(layer.synapses)
-        output = layer.name == program.output
+        output = layer.name in program.to_host
         forgets = not layer.current_keep.any()
         proven = max(limits.current, limits.above, limits.below) <= min(_rooms(fixed)[1:])
         about = (layer.start, biases + neurons, layer.bias_fan_out, output, forgets, proven)

@@ -1,5 +1,6 @@
 """The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.errors import RuleError
+from runtime.outlets import Outlet
+from runtime.ports import Port, joined
 
 Numbers = NDArray[Any]
 
@@ -113,6 +116,10 @@ class Program:
     output: name of the layer that the readout or the host listens to.
     readout: None where the spikes themselves are the output.
     remarks: what of it is not as in the artifact, besides rounding and its convention; sentences.
+    inputs: the Input nodes side by side in the input; empty where there was no graph.
+    outputs: the Output nodes side by side in the output; likewise.
+    outlets: what the host makes of the spikes where several layers leave the chip; then it stands
+        for output and readout.
     """
 
     chip: Chip
@@ -123,6 +130,9 @@ class Program:
     output: str
     readout: Readout | None
     remarks: tuple[str, ...] = ()
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    outlets: tuple[Outlet, ...] = ()
 
     def __post_init__(self) -> None:
         heard = {self.input}
@@ -130,6 +140,10 @@ class Program:
             for synapses in layer.synapses:
                 self._check(layer, synapses, heard)
             heard.add(layer.name)
+
+    def joined(self, rasters: Mapping[str, Numbers]) -> Numbers:
+        """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
+        return joined(self.inputs, rasters)
 
     def layer(self, name: str) -> Layer:
         """The layer called `name`."""
@@ -154,6 +168,13 @@ class Program:
     def sizes(self) -> dict[str, int]:
         """Neurons of the input and of each layer."""
         return {self.input: self.width, **{layer.name: layer.size for layer in self.layers}}
+
+    @cached_property
+    def to_host(self) -> frozenset[str]:
+        """Names of the layers whose spikes leave the chip."""
+        return frozenset({tap.layer for outlet in self.outlets for tap in outlet.taps}) or (
+            frozenset({self.output})
+        )
 
     @cached_property
     def feed_forward(self) -> bool:
@@ -191,7 +212,7 @@ class Program:
         if synapses.delay > self.chip.delay_max:
             raise RuleError(
                 f"{edge} need a delay of {synapses.delay} timesteps; {self.chip.name} has at most "
-                f"{self.chip.delay_max}. Shorten the skip connection."
+                f"{self.chip.delay_max}. Shorten the delay, or the skip connection."
             )
         if self.lag(layer, synapses) < 0 or (synapses.delay == 0 and synapses.source not in heard):
             raise RuleError(

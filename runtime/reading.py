@@ -13,14 +13,10 @@ import nir
 import numpy as np
 from nir.serialization import hdf2dict
 
+from runtime.container import check_container
 from runtime.errors import ArtifactError
-from runtime.heap import check_heaps, check_texts
+from runtime.heap import check_heaps
 
-# bytes of parameters beyond which a file is a mistake, and would only exhaust the memory
-LARGEST = 1 << 31
-# and what a stored byte can become: deflate packs 1032 zeros into it
-PACKED = 1100
-FREE = 1 << 20
 REMEDY = "Export the network again, or correct the node."
 
 
@@ -29,7 +25,7 @@ def read_graph(path: Path) -> nir.NIRGraph:
     check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
-            _check_size(file, path)
+            check_container(file, path)
             tree = hdf2dict(file["node"])
         if tree["type"] != "NIRGraph":
             raise ValueError(f"it holds a single {tree['type']} and no graph")
@@ -42,30 +38,6 @@ def read_graph(path: Path) -> nir.NIRGraph:
             f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
             "truncated, damaged or something else; copy or export it again."
         ) from error
-
-
-def _check_size(file: h5py.File, path: Path) -> None:
-    """Refuse sizes that a compressed file claims and no memory can hold."""
-    sizes: dict[str, int] = {}
-
-    def note(name: str, thing: object) -> None:
-        if isinstance(thing, h5py.Dataset):
-            sizes[name] = int(thing.nbytes)
-            if sizes[name] > FREE + PACKED * thing.id.get_storage_size():
-                raise ArtifactError(
-                    f"{name} is {sizes[name]} bytes, for which too few are in the file. It is "
-                    "damaged; copy or export it again."
-                )
-            if thing.dtype.kind == "O":
-                check_texts(name, thing, path)
-
-    file.visititems(note)
-    if sum(sizes.values()) > LARGEST:
-        largest = max(sizes, key=lambda name: sizes[name])
-        raise ArtifactError(
-            f"{largest} is {sizes[largest]} bytes; all parameters together may be {LARGEST}. The "
-            "file is damaged, or the network too large for one machine: divide it."
-        )
 
 
 def _graph(tree: Mapping[str, Any], path: str) -> nir.NIRGraph:

@@ -21,6 +21,7 @@ from runtime.windows import (
     pool_window,
     whole_numbers,
 )
+from runtime.work import check_work
 
 DENSE = (nir.Affine, nir.Linear)
 
@@ -31,6 +32,7 @@ def infer_shapes(graph: nir.NIRGraph) -> None:
     for source, target in graph.edges:
         before[target].append(source)
     shapes = _shapes(graph, before)
+    check_work(graph, shapes)
     for source, target in sorted(graph.edges):
         puts, takes = shapes[source][1], shapes[target][0]
         if puts != takes:

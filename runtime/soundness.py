@@ -144,7 +144,7 @@ def _check_ends(graph: nir.NIRGraph) -> None:
             raise ArtifactError(f"the graph has no {kind} node. Add one and an edge to it.")
     for name, node in {**graph.inputs, **graph.outputs}.items():
         shape = np.asarray(node.output_type["output"])
-        if shape.dtype.kind not in "iu" or shape.ndim != 1 or not (shape > 0).all():
+        if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
             raise ArtifactError(
                 f"node {name!r}: shape is {shape.tolist()}; it must be whole numbers above 0. "
                 f"{REMEDY}"

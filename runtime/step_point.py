@@ -116,6 +116,11 @@ class StepPoint:
         """Largest amount or shift."""
         return min((1 << self.leak_bits) - 1, self.membrane.limit)
 
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]: its membrane."""
+        return (self.membrane.bits,)
+
 
 def _signed(bits: int) -> tuple[int, int]:
     half = 1 << (bits - 1)

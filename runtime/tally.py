@@ -80,7 +80,7 @@ class Tally:
         spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in heard)
         spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)
         always_on = self.timesteps * running
-        to_host = spike_out * (layer.name == self._program.output)
+        to_host = spike_out * (layer.name in self._program.to_host)
         return {
             "spike_in": spike_in,
             # float64 is exact up to 2**53, and has the matrix product that int64 lacks

@@ -21,7 +21,7 @@ CONVOLUTIONS = (nir.Conv1d, nir.Conv2d)
 POOLS = (nir.SumPool2d, nir.AvgPool2d)
 
 # numbers of one timestep beyond which a node is a mistake, and would only exhaust the memory
-LARGEST = 1 << 27
+LARGEST = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def placed(name: str, window: Window, extents: Shape) -> Shape:
 def whole_numbers(name: str, field: str, value: object, axes: int, least: int) -> Shape:
     """One whole number for each axis, given for each or once for all."""
     found = np.asarray(value)
-    if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)}:
+    if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)} or not found.size:
         raise ArtifactError(
             f"node {name!r}: {field} is {_short(value)}; it must be whole numbers, one or {axes}. "
             "Correct the node."

@@ -1,20 +1,23 @@
 """The wiring of a graph: which spiking node hears which, and in what order they run."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import nir
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.convention import Convention
 from runtime.discrete import SPIKING
 from runtime.errors import RuleError
-from runtime.order import Edge, order, sources
+from runtime.linear import LINEAR, Linear, Region
+from runtime.outlets import Outlet, Tap
+from runtime.ports import Port, ports
+from runtime.timing import timing
 
 Floats = NDArray[np.float64]
 
-WEIGHTED = (nir.Affine, nir.Linear)
-KNOWN = (nir.Input, nir.Output, *WEIGHTED, *SPIKING)
+KNOWN = (nir.Input, nir.Output, *LINEAR, *SPIKING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,51 +26,56 @@ class Wire:
 
     source: the spiking node or the input that it comes from.
     weight: (M, N) axon-major, float.
-    late: whether it closes a loop, and so delivers one timestep later.
+    lag: [timesteps] from a spike to its arrival, as the graph and its convention say.
     """
 
     source: str
     weight: Floats
-    late: bool
+    lag: int
 
 
 @dataclass(frozen=True, eq=False)
 class Wiring:
-    """A graph as layers of spiking nodes.
+    """A graph as layers of spiking nodes; neurons of any shape in a row, in C order.
 
-    input: name of the input.
-    width: M of the input.
-    layers: names of the spiking nodes, each after those that it hears without feedback.
+    input: name of the input; those of several Input nodes, joined.
+    inputs: the Input nodes, side by side in the input's axons.
+    layers: names of the spiking nodes, each after those that it hears in the same timestep.
     wires: of each layer.
     bias: (N,) of each layer.
-    output: the spiking node that the output listens to.
-    readout: the affine node between them, or None.
+    outlets: the Output nodes.
     """
 
     input: str
-    width: int
+    inputs: tuple[Port, ...]
     layers: tuple[str, ...]
     wires: dict[str, tuple[Wire, ...]]
     bias: dict[str, Floats]
-    output: str
-    readout: nir.NIRNode | None
+    outlets: tuple[Outlet, ...]
+
+    @property
+    def width(self) -> int:
+        """M of the input."""
+        return sum(port.size for port in self.inputs)
 
 
-def wiring(graph: nir.NIRGraph) -> Wiring:
-    """The wiring of a graph of weights and spiking nodes; others are refused."""
+def wiring(graph: nir.NIRGraph, convention: Convention) -> Wiring:
+    """The wiring of a graph; nodes that neither spike nor are linear are refused."""
     _check_kinds(graph)
-    source, sink = _only(graph, nir.Input), _only(graph, nir.Output)
-    ordered = order(graph)
-    layers = tuple(name for name in ordered.names if _is_spiking(graph, name))
-    output, readout = _end(graph, sink)
+    when = timing(graph, convention)
+    linear, inputs = Linear(graph, when, convention), ports(graph.inputs)
+    layers = tuple(name for name in when.names if isinstance(graph.nodes[name], SPIKING))
+    regions = {name: linear.region(name) for name in (*layers, *sorted(graph.outputs))}
+    name = ", ".join(port.name for port in inputs)
+    while name in layers:
+        name = f"{name}, inputs"
     return Wiring(
-        input=source,
-        width=int(np.prod(graph.nodes[source].input_type["input"])),
+        input=name,
+        inputs=inputs,
         layers=layers,
-        wires={name: tuple(_wires(graph, name, ordered.late)) for name in layers},
-        bias={name: _bias(graph, name) for name in layers},
-        output=output,
-        readout=readout,
+        wires={layer: _wires(linear, regions[layer], name, inputs) for layer in layers},
+        bias={layer: linear.bias(regions[layer]) for layer in layers},
+        outlets=tuple(_outlet(graph, linear, regions[p.name], p) for p in ports(graph.outputs)),
     )
 
 
@@ -76,75 +84,50 @@ def _check_kinds(graph: nir.NIRGraph) -> None:
         node = graph.nodes[name]
         if not isinstance(node, KNOWN):
             raise RuleError(
-                f"node {name!r}: {type(node).__name__} has no place on a chip yet; possible are "
-                f"{', '.join(kind.__name__ for kind in KNOWN)}. Run it in float."
+                f"node {name!r}: {type(node).__name__} has no place on a chip, whose neurons send "
+                f"spikes and whose synapses are linear; possible are "
+                f"{', '.join(kind.__name__ for kind in KNOWN)}. Replace it, or run it in float."
             )
-        if isinstance(node, SPIKING) and node.v_threshold.ndim != 1:
+
+
+def _wires(linear: Linear, region: Region, name: str, inputs: Sequence[Port]) -> tuple[Wire, ...]:
+    """What a layer hears of each source and how late; what all Inputs send in one matrix."""
+    rows = _rows(inputs)
+    heard: dict[tuple[str, int], Floats] = {}
+    for source in region.sources:
+        for lag, matrix in linear.matrices(region, source).items():
+            if source not in rows:
+                heard[source, lag] = matrix
+            elif len(rows) == 1:
+                heard[name, lag] = matrix
+            else:
+                width = sum(port.size for port in inputs)
+                all_ = heard.setdefault((name, lag), np.zeros((width, matrix.shape[1])))
+                all_[rows[source]] = matrix
+    return tuple(Wire(source, matrix, lag) for (source, lag), matrix in heard.items())
+
+
+def _rows(inputs: Sequence[Port]) -> dict[str, slice]:
+    """The axons of each Input node among those of the input."""
+    rows, first = {}, 0
+    for port in inputs:
+        rows[port.name] = slice(first, first + port.size)
+        first += port.size
+    return rows
+
+
+def _outlet(graph: nir.NIRGraph, linear: Linear, region: Region, port: Port) -> Outlet:
+    """What an Output node hears of the layers; the host computes it."""
+    for source in region.sources:
+        if not isinstance(graph.nodes[source], SPIKING):
             raise RuleError(
-                f"node {name!r}: neurons have shape {node.v_threshold.shape}; a chip needs them in "
-                "one row. Flatten the layer."
+                f"node {port.name!r}: the output must come from a spiking node; it hears the input "
+                f"{source!r} with none between. Put neurons there, or run the graph in float."
             )
-
-
-def _only(graph: nir.NIRGraph, kind: type[nir.NIRNode]) -> str:
-    found = [name for name in sorted(graph.nodes) if isinstance(graph.nodes[name], kind)]
-    if len(found) != 1:
-        raise RuleError(
-            f"the graph has {len(found)} {kind.__name__} nodes ({', '.join(found)}); a chip needs "
-            "one. Join them, or run the graph in float."
-        )
-    return str(found[0])
-
-
-def _is_spiking(graph: nir.NIRGraph, name: str) -> bool:
-    return isinstance(graph.nodes[name], SPIKING)
-
-
-def _wires(graph: nir.NIRGraph, name: str, late: Collection[Edge]) -> Iterator[Wire]:
-    """Every path of at most one weighted node into a spiking node."""
-    for before in sources(graph, name):
-        node = graph.nodes[before]
-        if not isinstance(node, WEIGHTED):
-            size = graph.nodes[name].v_threshold.size
-            yield Wire(before, np.eye(size), (before, name) in late)
-            continue
-        for source in sources(graph, before):
-            if isinstance(graph.nodes[source], WEIGHTED):
-                raise RuleError(
-                    f"nodes {source!r} and {before!r}: two maps in a row without spikes between. "
-                    "Multiply them into one."
-                )
-            weight = np.ascontiguousarray(node.weight.T, dtype=np.float64)
-            yield Wire(source, weight, (source, before) in late or (before, name) in late)
-
-
-def _bias(graph: nir.NIRGraph, name: str) -> Floats:
-    total = np.zeros(graph.nodes[name].v_threshold.size)
-    for before in sources(graph, name):
-        if isinstance(graph.nodes[before], nir.Affine):
-            total += graph.nodes[before].bias
-    return total
-
-
-def _end(graph: nir.NIRGraph, sink: str) -> tuple[str, nir.NIRNode | None]:
-    """The spiking node before the output and the map between them, if any."""
-    last = _single(graph, sink)
-    if _is_spiking(graph, last):
-        return last, None
-    layer = _single(graph, last)
-    if not isinstance(graph.nodes[last], WEIGHTED) or not _is_spiking(graph, layer):
-        raise RuleError(
-            f"node {sink!r}: the output must come from a spiking node, or from one through one "
-            f"map; found {layer!r} -> {last!r}. Run the graph in float."
-        )
-    return layer, graph.nodes[last]
-
-
-def _single(graph: nir.NIRGraph, name: str) -> str:
-    before = sources(graph, name)
-    if len(before) != 1:
-        raise RuleError(
-            f"node {name!r}: {len(before)} nodes lead to it ({', '.join(before)}); on the way out "
-            "of a chip there must be one. Join them, or run the graph in float."
-        )
-    return str(before[0])
+    alone = not region.names
+    taps = [
+        Tap(source, None if alone else matrix, lag)
+        for source in region.sources
+        for lag, matrix in linear.matrices(region, source).items()
+    ]
+    return Outlet(port, tuple(taps), linear.bias(region))

@@ -63,7 +63,7 @@ def _held(
     keep, (current, membrane) = layer.current_keep, _dashes(layer, point, convention)
     return replace(
         layer,
-        synapses=tuple(_synapses(layer, wires, convention, _gain(keep, current))),
+        synapses=tuple(_synapses(layer, wires, _gain(keep, current))),
         bias=np.zeros(layer.size),
         # what the current adds in every timestep once it has settled
         voltage_bias=layer.voltage_bias + layer.bias / (1 - keep),
@@ -80,15 +80,13 @@ def _gain(keep: Floats, dash: NDArray[np.int64]) -> Floats:
     return np.asarray(left / (1 - left) / (1 - keep))
 
 
-def _synapses(
-    layer: Layer, wires: Wiring, convention: Convention, gain: Floats
-) -> Iterator[Synapses]:
+def _synapses(layer: Layer, wires: Wiring, gain: Floats) -> Iterator[Synapses]:
     """One matrix for each source, in the order in which the chip delivers events."""
-    heard = {synapses.source for synapses in layer.synapses}
     for source in (wires.input, *wires.layers):
-        if source in heard:
-            weights = [s.weight for s in layer.synapses if s.source == source]
-            delay = convention.delay if source == wires.input else 1
+        heard = [synapses for synapses in layer.synapses if synapses.source == source]
+        # the host may hold the input back; the chip takes one timestep
+        for delay in sorted({s.delay if source == wires.input else 1 for s in heard}):
+            weights = [s.weight for s in heard if source != wires.input or s.delay == delay]
             yield Synapses(source, gain * np.sum(weights, axis=0), delay)
 
 
@@ -143,8 +141,9 @@ def _depths(wires: Wiring) -> dict[str, int]:
     """Timestep in which each layer can first hear of the input, which itself arrives at once."""
     starts: dict[str, int] = {}
     for name in wires.layers:
-        ahead = [w.source for w in wires.wires[name] if not w.late and w.source != wires.input]
-        starts[name] = max((starts[source] + 1 for source in ahead), default=0)
+        # sources that come later, or the layer itself, are feedback
+        ahead = [wire for wire in wires.wires[name] if wire.source in starts]
+        starts[name] = max((starts[w.source] + max(0, 1 - w.lag) for w in ahead), default=0)
     return starts
 
 
@@ -155,9 +154,9 @@ def _obstacle(wires: Wiring, layers: list[Layer], starts: dict[str, int]) -> str
         if starts[name] and (layer.bias.any() or layer.voltage_bias.any()):
             return f"layer {name!r} has a bias, which Xylo adds from the first timestep on"
         for wire in wires.wires[name]:
-            ahead = starts[name] - starts.get(wire.source, 0) + wire.late
-            if ahead != (wire.source != wires.input):
-                return f"{wire.source!r} -> {name!r} would need a delay of {ahead} on Xylo"
+            due = starts[name] - starts.get(wire.source, 0) + wire.lag
+            if due != (wire.lag if wire.source == wires.input else 1):
+                return f"{wire.source!r} -> {name!r} would need a delay of {due} on Xylo"
     return None
 
 

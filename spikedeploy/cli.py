@@ -11,7 +11,17 @@ from spikedeploy.failures import one_line
 COMMANDS = {
     "Deploy": ("demo", "compare", "run", "emulate", "check", "verify"),
     "Make": ("train", "export", "publish", "experiment", "draw"),
-    "Look": ("play", "replay", "visualize", "policies", "chips", "envs", "recipes", "doctor"),
+    "Look": (
+        "play",
+        "replay",
+        "visualize",
+        "policies",
+        "chips",
+        "energy",
+        "envs",
+        "recipes",
+        "doctor",
+    ),
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -1,5 +1,6 @@
 """The tables of a comparison, the same ones on the terminal, in the HTML report and on cards."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -38,14 +39,32 @@ def number(field: str, form: str) -> Cell:
     return cell
 
 
-def price(field: str, table: str, unit: str) -> Cell:
-    """A cell with what an energy table says, in the unit or a thousandth part of it or less."""
+def price(field: str, table: str, unit: str, interval: str) -> Cell:
+    """A cell with what an energy table says, in the unit or a thousandth part of it or less.
+
+    interval: field with the bounds, which reports of before have not.
+    """
 
     def cell(row: Row) -> str:
         value = row[field].get(table)
-        return ABSENT if value is None else f"{scaled(value)}{unit}"
+        if value is None:
+            return ABSENT
+        low, high = row.get(interval, {}).get(table, (0, None))
+        return bounded(f"{scaled(value)}{unit}", value, low, high)
 
     return cell
+
+
+def bounded(text: str, value: float, low: float, high: float | None) -> str:
+    """A number with what is known of it: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
+    if high is None or math.isinf(high):
+        return f"≥ {text}" if low == value else text
+    if low == high:
+        return text
+    if math.isclose(value - low, high - value, rel_tol=1e-6):
+        return f"{text} ± {100 * (high - value) / value:.3g} %"
+    unit = text[-1]
+    return f"≤ {scaled(high)}{unit}" if low == 0 else f"{scaled(low)}{unit} to {scaled(high)}{unit}"
 
 
 def scaled(value: float) -> str:
@@ -194,6 +213,25 @@ OPERATIONS = (
 )
 
 
+SIZE = (
+    Column(
+        "bytes",
+        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
+        number("footprint", ",.0f"),
+    ),
+    Column(
+        "packed",
+        "bytes of all weights and biases on the chip, in its widths",
+        number("footprint_packed", ",.0f"),
+    ),
+    Column(
+        "zero weights",
+        "NeuroBench ConnectionSparsity: weights of the file that are 0",
+        number("connection_sparsity", ".1%"),
+    ),
+)
+
+
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns, as far as some row has something to say in them."""
     found = {
@@ -203,6 +241,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
             else {"Does the robot still walk?": _filled(WALK, rows)}
         ),
         "Does it act like its reference?": _filled(AGREEMENT, rows),
+        "How large is the network?": _filled(SIZE, rows),
         "What does an inference take?": _filled(OPERATIONS, rows),
         COST: _filled(_prices(rows), rows),
     }
@@ -213,14 +252,14 @@ def _prices(rows: Sequence[Row]) -> list[Column]:
     """Energies and latencies by every table that prices some row."""
     energy, latency = "energy_per_inference_j", "latency_per_inference_s"
     energies = [
-        Column(name, f"energy by table {name}", price(energy, name, "J"))
+        Column(name, f"energy by table {name}", price(energy, name, "J", "energy_interval_j"))
         for name in dict.fromkeys(name for row in rows for name in row[energy])
     ]
     latencies = [
         Column(
             f"{name} time",
             f"time by table {name}, as if one core did everything",
-            price(latency, name, "s"),
+            price(latency, name, "s", "latency_interval_s"),
         )
         for name in dict.fromkeys(name for row in rows for name in row[latency])
     ]

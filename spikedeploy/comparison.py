@@ -1,16 +1,19 @@
 """The comparison: what every row's episodes say, beside those of its reference."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from runtime.chip import chip as datasheet
+from runtime.energy import Estimate
 from spikedeploy import costs, zoo
 from spikedeploy.agreement import median_divergence, pooled_equality, pooled_rmse
 from spikedeploy.episodes import Episode
 from spikedeploy.lineup import Entry
-from spikedeploy.policies import BASELINES
+from spikedeploy.policies import BASELINES, FLOAT
+from spikedeploy.spiking_costs import priced_by
 from spikedeploy.statistics import bootstrap, iqm, paired_difference, share
 
 
@@ -48,11 +51,13 @@ class Comparison:
     env    id of the environment
     seeds  (n,)
     rows   in the order of the line-up
+    tables energy tables to price by; none are those of each row's chip
     """
 
     env: str
     seeds: Sequence[int]
     rows: Sequence[Row]
+    tables: Sequence[str] = ()
 
     def row(self, entry: Entry | None) -> Row | None:
         """The row of an entry."""
@@ -65,9 +70,37 @@ class Comparison:
     def as_json(self) -> list[dict[str, Any]]:
         """The rows as a report has them."""
         return [
-            _identity(row) | self._walk(row) | self._agreement(row) | _costs(row) | _metrics(row)
+            _identity(row)
+            | self._walk(row)
+            | self._agreement(row)
+            | self._costs(row)
+            | _metrics(row)
             for row in self.rows
         ]
+
+    def _costs(self, row: Row) -> dict[str, Any]:
+        """What an inference takes, and what that costs by the tables."""
+        found = costs.mean([e.costs for e in row.episodes], [e.steps for e in row.episodes])
+        tables = self.tables or _tables(row)
+        energy, latency = _priced(found.energy_j, tables), _priced(found.latency_s, tables)
+        return {
+            "sparsity": found.sparsity,
+            "spikes_per_inference": found.spikes,
+            "input_spikes_per_inference": found.input_spikes,
+            "sops_per_inference": found.sops,
+            "bias_sops_per_inference": found.bias_sops,
+            "effective_acs": found.effective_acs,
+            "effective_macs": found.effective_macs,
+            "macs_dense": found.dense,
+            "footprint": found.footprint,
+            "footprint_packed": found.footprint_packed,
+            "connection_sparsity": found.connection_sparsity,
+            "energy_per_inference_j": {name: each.value for name, each in energy.items()},
+            "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
+            "latency_per_inference_s": {name: each.value for name, each in latency.items()},
+            "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
+            "saturations": found.saturations,
+        }
 
     def _walk(self, row: Row) -> dict[str, Any]:
         """How well it walks or drives, alone and beside the float ANN and the baseline."""
@@ -147,21 +180,16 @@ def _score(row: Row, baseline: Row, ann: Row) -> float | None:
     return (row.mean - baseline.mean) / span if span > 0 else None
 
 
-def _costs(row: Row) -> dict[str, Any]:
-    found = costs.mean([e.costs for e in row.episodes], [e.steps for e in row.episodes])
-    return {
-        "sparsity": found.sparsity,
-        "spikes_per_inference": found.spikes,
-        "input_spikes_per_inference": found.input_spikes,
-        "sops_per_inference": found.sops,
-        "bias_sops_per_inference": found.bias_sops,
-        "effective_acs": found.effective_acs,
-        "effective_macs": found.effective_macs,
-        "macs_dense": found.dense,
-        "energy_per_inference_j": dict(found.energy_j),
-        "latency_per_inference_s": dict(found.latency_s),
-        "saturations": found.saturations,
-    }
+def _priced(prices: Mapping[str, Estimate], tables: Sequence[str]) -> dict[str, Estimate]:
+    """What the tables say; what nobody asked for is left out."""
+    return {name: prices[name] for name in tables if name in prices}
+
+
+def _tables(row: Row) -> tuple[str, ...]:
+    """The tables that belong to a row: those of its chip, or of a network without spikes."""
+    if row.entry.chip is None:
+        return tuple(row.episodes[0].costs.energy_j)
+    return priced_by(None if row.entry.chip == FLOAT else datasheet(row.entry.chip))
 
 
 def _metrics(row: Row) -> dict[str, float]:

@@ -10,13 +10,19 @@ effective_acs, effective_macs, dense
                      weight matrix, counted as accumulates where all inputs are spikes and as
                      multiply-accumulates elsewhere; dense counts all inputs x all weights. The
                      readout counts here, though it runs on the host; biases do not
-energy_j, latency_s  by each table that prices the events; latency as if one core did everything
+footprint, footprint_packed
+                     NeuroBench's Footprint [bytes] of the file; the weights in the chip's bits
+connection_sparsity  NeuroBench's, of the file
+energy_j, latency_s  by each table that prices the events, with the interval that it lies in;
+                     latency as if one core did everything
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from runtime.energy import Estimate
 
 
 @dataclass(frozen=True)
@@ -31,9 +37,12 @@ class Costs:
     effective_acs: float | None = None
     effective_macs: float | None = None
     dense: float | None = None
+    footprint: float | None = None
+    footprint_packed: float | None = None
+    connection_sparsity: float | None = None
     saturations: int | None = None
-    energy_j: Mapping[str, float] = field(default_factory=dict)
-    latency_s: Mapping[str, float] = field(default_factory=dict)
+    energy_j: Mapping[str, Estimate] = field(default_factory=dict)
+    latency_s: Mapping[str, Estimate] = field(default_factory=dict)
 
 
 NOTHING = Costs(effective_acs=0.0, effective_macs=0.0, dense=0.0)
@@ -55,12 +64,16 @@ def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
     )
 
 
-def _by_table(prices: Sequence[Mapping[str, float]], weights: Sequence[int]) -> dict[str, float]:
-    """The weighted mean of each table's price."""
-    return {
-        table: float(np.average([price[table] for price in prices], weights=weights))
-        for table in prices[0]
-    }
+def _by_table(
+    prices: Sequence[Mapping[str, Estimate]], weights: Sequence[int]
+) -> dict[str, Estimate]:
+    """The weighted mean of each table's price, and of its bounds."""
+    found = {}
+    for table in prices[0]:
+        of = [price[table] for price in prices]
+        bounds = [[each.value, each.low, each.high] for each in of]
+        found[table] = Estimate(*np.average(bounds, axis=0, weights=weights).tolist())
+    return found
 
 
 _MEANS = (
@@ -72,4 +85,7 @@ _MEANS = (
     "effective_acs",
     "effective_macs",
     "dense",
+    "footprint",
+    "footprint_packed",
+    "connection_sparsity",
 )

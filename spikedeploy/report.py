@@ -13,7 +13,7 @@ from typing import Any
 
 import envs
 from runtime.artifact import load
-from runtime.energy import energy_table
+from runtime.energy import described, energy_table
 from spikedeploy.columns import COST, Column, Row, markdown, tables
 from spikedeploy.comparison import Comparison
 from spikedeploy.files import as_text, write_text
@@ -52,7 +52,7 @@ def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
     """Where the numbers of each table come from, by the table's name."""
     names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     tables = [energy_table(name) for name in names]
-    return {table.name: f"{table.source}: {table.provenance}" for table in tables}
+    return {table.name: described(table) for table in tables}
 
 
 def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:
@@ -71,7 +71,10 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
 
 def page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
+    steps = [f"* {name}: {convention}" for name, convention in document["conventions"].items()]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
+    if steps:
+        lines += ["", "How the networks are stepped:", "", *steps]
     return "\n".join(lines)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from runtime.chip import Chip
-from runtime.energy import energy, energy_table, latency
+from runtime.energy import TABLES, energy_estimate, latency_estimate
 from runtime.ledger import Ledger
 from runtime.program import Program
 from spikedeploy.costs import Costs
@@ -12,7 +12,6 @@ from spikedeploy.costs import Costs
 def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
     """The mean inference of the ledger; `chip` None is the float twin."""
     sops = ledger.per_inference("sop")
-    tables = [energy_table(name) for name in priced_by(chip)]
     return Costs(
         sparsity=ledger.sparsity,
         spikes=ledger.per_inference("spike_out"),
@@ -21,10 +20,13 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         bias_sops=ledger.per_inference("bias_sop"),
         effective_acs=sops + _readout_acs(ledger, program),
         effective_macs=0.0,  # every weight matrix hears spikes
-        dense=dense(program) * ledger.timesteps / ledger.inferences,
+        dense=_weights(program) * ledger.timesteps / ledger.inferences,
         saturations=ledger.total("saturation") if chip else None,
-        energy_j={table.name: energy(ledger, table) for table in tables},
-        latency_s={table.name: latency(ledger, table) for table in tables if table.seconds},
+        # by all of them, so that a report can choose
+        energy_j={name: energy_estimate(ledger, table) for name, table in TABLES.items()},
+        latency_s={
+            n: latency_estimate(ledger, table) for n, table in TABLES.items() if table.timed
+        },
     )
 
 
@@ -35,8 +37,8 @@ def priced_by(chip: Chip | None) -> tuple[str, ...]:
     return (*chip.energy_tables, "horowitz45-int8")
 
 
-def dense(program: Program) -> int:
-    """Weights of all matrices, zeros included: the operations of a timestep without sparsity."""
+def _weights(program: Program) -> int:
+    """All weights of all matrices, zeros and the readout included."""
     weights = [s.weight.size for layer in program.layers for s in layer.synapses]
     return sum(weights) + (program.readout.weight.size if program.readout else 0)
 

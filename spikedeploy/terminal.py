@@ -73,26 +73,57 @@ def print_comparison(document: Mapping[str, Any]) -> None:
         heads = [column.title for column in columns]
         cells = [[column.cell(row) for column in columns] for row in rows]
         print_table(title, heads, cells, numbers=True)
+    for name, convention in document["conventions"].items():
+        console().print(f"{name} is stepped with {convention}", markup=False)
     if document["meaning"]:
         console().print(document["meaning"])
 
 
 def print_emulation(emulation: "Emulation") -> None:
     """Write how the network was stepped, what it did, and what that costs."""
+    from rich.markup import escape
+
+    from spikedeploy.columns import bounded, scaled
+
     found = emulation.as_json()
-    energies = {f"energy, {name}": f"{joules:.4g} J" for name, joules in found["energy_j"].items()}
+    energies = {
+        f"energy, {name}": bounded(f"{scaled(each.value)}J", each.value, each.low, each.high)
+        for name, each in emulation.energies.items()
+    }
     counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
     lines = {
-        "convention": emulation.artifact.convention.describe(),
+        "convention": escape(emulation.artifact.convention.describe()),
         **{
             name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
         },
+        **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **energies,
-        **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
+        **({"not counted": escape(emulation.uncounted)} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
     for remark in emulation.remarks:
         print(f"  {remark}")
+    rows = [
+        (
+            escape(name),
+            f"{layer['neurons']:,}",
+            f"{layer['spikes']:,}",
+            f"{layer['rate']:.4g}",
+            "–" if layer["sops"] is None else f"{layer['sops']:,}",
+        )
+        for name, layer in found["layers"].items()
+    ]
+    if rows:
+        heads = ("layer", "neurons", "spikes", "rate", "SOPs")
+        print_table("Layers; rate per neuron and timestep", heads, rows, numbers=True)
+
+
+def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
+    """Those of NeuroBench's numbers that are one each, by its names."""
+    if measures is None:
+        return {}
+    flat = {**measures, **measures["SynapticOperations"]}
+    return {name: value for name, value in flat.items() if isinstance(value, int | float)}
 
 
 def console(stderr: bool = False) -> "Console":

@@ -149,9 +149,9 @@ def test_emulate_in_float_equals_the_ideal_chip(command, tmp_path):
 @pytest.mark.parametrize(
     ("array", "message"),
     [
-        (np.zeros((2, 3, 4)), r"must hold one array \(T, N\), found shape \(2, 3, 4\)"),
+        (np.zeros((2, 3, 4)), r"shape \(1, 2, 3, 4\); node 'input' takes \(B, T, 30\)"),
         (np.full((5, 30), 2), "0 or 1"),
-        (np.array([{}], dtype=object), "not a .npy file with a plain array"),
+        (np.array([{}], dtype=object), "not a .npy or .npz file with plain arrays"),
     ],
 )
 def test_emulate_refuses_what_is_no_raster(array, message, command, tmp_path):

@@ -193,11 +193,6 @@ def reset_elsewhere():
     return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
 
 
-def two_maps():
-    nodes = [affine(8, 7), affine(7, 6), cuba(6)]
-    return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
-
-
 def leaky_readout():
     nodes = [affine(8, 6), nir.LI(*(np.full(6, v) for v in (0.01, 1.0, 0.0)))]
     return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
@@ -217,7 +212,6 @@ def no_neurons():
     ("build", "message"),
     [
         (reset_elsewhere, "layer 'n2': v_reset"),
-        (two_maps, "nodes 'n1' and 'n2': two maps in a row"),
         (leaky_readout, "node 'n2': LI has no place on a chip"),
         (long_loop, "layers 'l2' -> 'l1': the feedback would have to arrive"),
         (no_neurons, "node 'output': the output must come from a spiking node"),

@@ -1,19 +1,21 @@
 """What an inference costs, against counts made by hand."""
 
+import math
+
 import numpy as np
 import pytest
 
 from envs.rollout import Rollout
 from runtime.artifact import load
 from runtime.chip import chip
-from runtime.compile import compile as compiled
-from runtime.energy import TABLES, mac_energy
+from runtime.energy import TABLES, Estimate, mac_energy
 from spikedeploy import costs
 from spikedeploy.costs import Costs
 from spikedeploy.formats.nir import NirController
+from spikedeploy.formats.nir import costs as nir_costs
 from spikedeploy.formats.onnx import OnnxController
 from spikedeploy.formats.onnx import costs as onnx_costs
-from spikedeploy.spiking_costs import dense, priced_by, spiking_costs
+from spikedeploy.spiking_costs import priced_by, spiking_costs
 from tests import strolling
 
 OBSERVATIONS = np.random.default_rng(5).normal(size=(7, 3))
@@ -73,8 +75,16 @@ def test_the_ledger_begins_anew_with_each_episode(snn):
     assert 0 < player.ledger.total("sop") < first.total("sop")
 
 
-def test_dense_counts_zero_weights_too(snn):
-    assert dense(compiled(load(snn), chip("ideal"))) == 30 * 16 + 16 * 12 + 12 * 20 + 20 * 2
+def test_the_size_of_a_network_is_that_of_its_file_and_of_its_weights_on_the_chip(snn):
+    player = NirController(str(snn), "loihi1")
+    player.act(OBSERVATIONS[0])
+    found = nir_costs(player, played(OBSERVATIONS))
+    weights, biases, readout = 30 * 16 + 16 * 12 + 12 * 20, 16 + 12 + 20, 20 * 2 + 2
+    # on the chip one byte each; in the file four, and three constants of a layer, 4 bytes, and 12
+    assert found.footprint_packed == weights + biases
+    assert found.footprint == 4 * (weights + biases + readout) + 3 * (3 * 4 + 12)
+    # the readout is block-diagonal: 20 of 40 are 0
+    assert found.connection_sparsity == round(20 / (weights + 40), 4)
 
 
 def test_a_chip_is_priced_by_its_own_tables_and_one_that_float_networks_share():
@@ -88,11 +98,13 @@ def test_energy_per_inference_is_the_mean_of_single_inferences(snn):
     for observation in OBSERVATIONS:
         player.reset(0)
         player.act(observation)
-        alone.append(spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"])
+        alone.append(
+            spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"].value
+        )
     player.reset(0)
     player.replay(OBSERVATIONS)
     found = spiking_costs(player.ledger, player.program, player.chip)
-    assert found.energy_j["sanafe"] == pytest.approx(np.mean(alone))
+    assert found.energy_j["sanafe"].value == pytest.approx(np.mean(alone))
 
 
 def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
@@ -108,14 +120,14 @@ def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
     player = OnnxController(strolling.ann(tmp_path / "ann.onnx", hidden=(8,)))
     found = onnx_costs(player, played(OBSERVATIONS))
     assert found.dense == 3 * 8 + 8 * 2
-    assert found.energy_j["horowitz45"] == mac_energy(40, TABLES["horowitz45"])
+    assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])
 
 
 def test_means_are_weighted_by_inferences_and_saturations_are_summed():
-    one = Costs(sops=10.0, saturations=1, energy_j={"a": 1.0})
-    other = Costs(sops=40.0, saturations=2, energy_j={"a": 4.0})
+    one = Costs(sops=10.0, saturations=1, energy_j={"a": Estimate(1.0, 0.5, 2.0)})
+    other = Costs(sops=40.0, saturations=2, energy_j={"a": Estimate(4.0, 2.0, math.inf)})
     found = costs.mean([one, other], weights=[2, 1])
     assert found.sops == pytest.approx(20)
-    assert found.energy_j == {"a": pytest.approx(2.0)}
+    assert found.energy_j == {"a": Estimate(2.0, 1.0, math.inf)}
     assert found.saturations == 3
     assert found.spikes is None

@@ -7,11 +7,23 @@ import pytest
 
 from runtime.chip import chip
 from runtime.convention import Convention
-from runtime.energy import TABLES, energy, energy_table, latency, mac_energy
+from runtime.energy import (
+    STATIC,
+    TABLES,
+    energy,
+    energy_estimate,
+    energy_table,
+    latency,
+    latency_estimate,
+    mac_energy,
+    static_energy,
+)
+from runtime.energy_table import Uncertainty
 from runtime.errors import ConfigError
 from runtime.ledger import EVENTS, Ledger
 from runtime.machine import Machine
 from runtime.program import Program, Synapses
+from runtime.traffic import Traffic
 from tests.programs import GOLDEN, layer
 
 
@@ -104,8 +116,65 @@ def test_every_table_says_where_it_comes_from_and_prices_known_events(name):
     assert table.name == name
     assert table.source
     assert table.provenance
-    assert set(table.joules) | set(table.seconds) <= {*EVENTS, "mac"}
+    assert set(table.joules) | set(table.seconds) <= {*EVENTS, "mac", "hop_x", "hop_y"}
+    assert table.most.keys() <= table.joules.keys()
+    assert all(table.most[event] > table.joules[event] for event in table.most)
+    for uncertainty in (table.uncertainty, table.time_uncertainty):
+        assert uncertainty.why
+        assert uncertainty.low <= 1 <= uncertainty.high
     assert all(price > 0 for price in [*table.joules.values(), *table.seconds.values()])
+
+
+def test_an_energy_says_between_what_it_lies():
+    fitted = energy_estimate(ledger(sop=1000), TABLES["sanafe"])
+    assert fitted.value == pytest.approx(35.5e-9)
+    # 11.7 % each way
+    assert (fitted.low, fitted.high) == pytest.approx((31.3465e-9, 39.6535e-9))
+    least = energy_estimate(ledger(sop=1000), TABLES["davies2018"])
+    assert (least.low, least.high) == (least.value, float("inf"))
+
+
+def test_where_sources_disagree_an_energy_is_an_interval():
+    found = energy_estimate(ledger(sop=1000, neuron_update=10), TABLES["spinnaker2"])
+    # 450 and 1500 pJ a synaptic event, 2.19 nJ an update in both
+    assert (found.low, found.high) == pytest.approx((471.9e-9, 1521.9e-9))
+
+
+def test_an_all_in_price_has_nothing_added_to_it():
+    events = ledger(sop=100, bias_sop=10, neuron_update=5, neuron_idle=5, spike_out=3, message=9)
+    assert energy(events, TABLES["truenorth"]) == pytest.approx(110 * 26e-12)
+
+
+def test_a_chip_with_a_clock_takes_a_tick_per_timestep():
+    found = latency_estimate(ledger(steps=8, sop=1000), TABLES["truenorth"])
+    assert (found.low, found.value, found.high) == pytest.approx((8e-3, 8e-3, 8e-3))
+
+
+def test_static_power_is_a_line_of_its_own():
+    # 104 mW for a millisecond
+    assert static_energy(1e-3, STATIC["loihi1"]) == pytest.approx(104e-6)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ((1, 1), "exact"),
+        ((1, float("inf")), "at least"),
+        ((0, 1), "at most"),
+        ((0, 1.25), "at most 1.25 times"),
+        ((0.9, 1.1), "± 10 %"),
+        ((0.5, 3), "0.5 to 3 times"),
+        ((0, float("inf")), "no bound known"),
+    ],
+)
+def test_an_uncertainty_is_said_in_a_few_words(bounds, words):
+    assert Uncertainty(*bounds, "why").describe() == words
+
+
+def test_hops_cost_what_their_direction_costs():
+    # three packets; two steps along a row, one along a column, instead of the ledger's message
+    found = energy(ledger(message=9), TABLES["sanafe"], Traffic(message=3, hop_x=2, hop_y=1))
+    assert found == pytest.approx((3 * 111 + 2 * 3.0 + 4.2) * 1e-12)
 
 
 def test_an_unknown_table_is_refused_with_a_suggestion():

@@ -402,10 +402,33 @@ def test_float32_computes_in_float32():
 # what is refused
 
 
-def test_two_inputs_are_refused_by_name():
-    nodes = graph("input->output, other->output", **ends(2, 2), other=nir.Input(np.array([2])))
-    with pytest.raises(ArtifactError, match=r"2 Input nodes \(input, other\)"):
-        network(nodes)
+def two_inputs():
+    """The sum of two inputs at one output, the second twice at another."""
+    nodes = {"a": nir.Input(np.array([2])), "b": nir.Input(np.array([2]))}
+    outputs = {"sum": nir.Output(np.array([2])), "more": nir.Output(np.array([2]))}
+    edges = "a->sum, b->sum, b->twice, twice->more"
+    return graph(edges, **nodes, **outputs, twice=nir.Scale(np.full(2, 2.0)))
+
+
+def test_several_inputs_and_outputs_go_by_their_names():
+    found = network(two_inputs()).run({"a": [[[1, 2]]], "b": [[[10, 20]]]})
+    assert {name: rows.tolist() for name, rows in found.items()} == {
+        "sum": [[[11, 22]]],
+        "more": [[[20, 40]]],
+    }
+
+
+@pytest.mark.parametrize(
+    ("raster", "message"),
+    [
+        (np.zeros((1, 2, 2)), "inputs a, b, but there is one raster without a name"),
+        ({"a": np.zeros((1, 2, 2))}, r"rasters for a\. Give one for each; b has no pair"),
+        ({"a": np.zeros((1, 2, 2)), "b": np.zeros((1, 3, 2))}, "Make all rasters equally long"),
+    ],
+)
+def test_rasters_that_are_not_those_of_the_inputs_are_refused(raster, message):
+    with pytest.raises(ObservationError, match=message):
+        network(two_inputs()).run(raster)
 
 
 def test_a_spiking_node_must_leave_the_name_output_to_the_readout():

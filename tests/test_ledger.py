@@ -121,7 +121,7 @@ def test_means_and_parts_of_a_ledger_agree():
     assert ledger.per_inference("sop") == ledger.total("sop") / 4
     neurons = 16 + 12 + 20
     assert ledger.neurons == (16, 12, 20)
-    assert ledger.sparsity == 1 - ledger.total("spike_out") / (4 * 5 * neurons)
+    assert ledger.sparsity == (4 * 5 * neurons - ledger.total("spike_out")) / (4 * 5 * neurons)
     assert ledger.total("neuron_update") + ledger.total("neuron_idle") == 4 * 8 * neurons
 
 

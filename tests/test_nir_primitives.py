@@ -248,9 +248,10 @@ def test_a_file_comes_back_and_computes_the_same(node, shape, tmp_path):
 @pytest.mark.parametrize(
     "node",
     [
-        nir.Conv2d((4, 4), np.ones((1, 1, 3, 3)), 1, (1, 1), 1, 1, np.zeros(1)),
-        nir.SumPool2d(np.array([1, 1]), np.array([1, 1]), np.array([0, 0])),
-        nir.Delay(np.full((1, 4, 4), 1e-3)),
+        nir.Threshold(np.ones((1, 4, 4))),
+        nir.I(np.ones((1, 4, 4))),
+        nir.LI(*(np.full((1, 4, 4), v) for v in (1.0, 1.0, 0.0))),
+        nir.CubaLI(*(np.full((1, 4, 4), v) for v in (1.0, 1.0, 1.0, 0.0))),
     ],
     ids=lambda node: type(node).__name__,
 )

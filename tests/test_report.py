@@ -7,10 +7,11 @@ from html.parser import HTMLParser
 import pytest
 
 from spikedeploy import report
-from spikedeploy.columns import scaled, tables
+from spikedeploy.columns import ABSENT, price, scaled, tables
 from spikedeploy.compare import compare
 from spikedeploy.lineup import line_up
 from spikedeploy.meaning import meaning
+from spikedeploy.terminal import print_comparison
 from tests import strolling
 
 
@@ -52,6 +53,18 @@ def test_the_report_is_whole_and_stands_alone(document, tmp_path):
     assert len(Links(page).found) == 3  # two plots and the film
     assert all(link.startswith("data:") for link in Links(page).found)
     assert json.loads((tmp_path / "out/report.json").read_text())["rows"][0]["policy"] == "sac"
+
+
+def test_every_report_says_how_each_network_is_stepped(document, tmp_path, capsys):
+    report.write(document, tmp_path)
+    print_comparison(document)
+    printed = capsys.readouterr().out
+    assert document["conventions"]
+    for name, convention in document["conventions"].items():
+        assert convention.startswith("dt=0.001 s, reset=zero")
+        for file in ("report.html", "report.md", "report.json"):
+            assert convention in (tmp_path / file).read_text(encoding="utf-8")
+        assert f"{name} is stepped with {convention}" in " ".join(printed.split())
 
 
 def test_the_page_holds_every_cell_of_every_table(document, tmp_path):
@@ -121,3 +134,26 @@ def test_a_policy_alone_needs_no_sentence():
 )
 def test_prices_are_readable_at_any_size(value, text):
     assert scaled(value) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (2e-6, None, "≥ 2.00 µJ"),
+        (2e-6, float("inf"), "≥ 2.00 µJ"),
+        (0.0, None, "2.00 µJ"),
+        (2e-6, 2e-6, "2.00 µJ"),
+        (1.8e-6, 2.2e-6, "2.00 µJ ± 10 %"),
+        (0.0, 2.5e-6, "≤ 2.50 µJ"),
+        (1e-6, 8e-6, "1.00 µJ to 8.00 µJ"),
+    ],
+)
+def test_a_price_is_printed_with_what_is_known_of_it(low, high, text):
+    row = {"j": {"table": 2e-6}, "interval": {"table": [low, high]}}
+    assert price("j", "table", "J", "interval")(row) == text
+
+
+def test_a_price_of_a_report_from_before_is_printed_as_it_is():
+    row = {"j": {"table": 2e-6}}
+    assert price("j", "table", "J", "interval")(row) == "2.00 µJ"
+    assert price("j", "other", "J", "interval")(row) == ABSENT

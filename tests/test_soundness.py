@@ -57,7 +57,7 @@ def conv2d(**change):
         ({"padding": (1, 1, 1)}, "padding is"),
         ({"padding": -1}, "padding holds -1"),
         ({"padding": "same", "stride": 2}, "'same' with stride .* means different things"),
-        ({"padding": 10**6}, "is more than 134217728 numbers"),
+        ({"padding": 10**6}, "is more than 16777216 numbers"),
         ({"input_shape": (6, 5)}, r"'input' puts out \(2, 6, 6\), 'n' takes \(2, 6, 5\)"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",

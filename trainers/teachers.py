@@ -111,7 +111,7 @@ def _from_nir(path: str) -> Teacher:
         output = graph.run(codec.encode(observation))["output"].astype(np.float64)
         return codec.decode(output).astype(np.float64)
 
-    actions = int(np.prod(artifact.graph.outputs[graph.output].output_type["output"]))
+    actions = graph.outputs[0].size
     env = artifact.origin.env if artifact.origin else ""
     return Teacher(act_all, codec.encoder.observed, actions, env)
 

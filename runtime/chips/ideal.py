@@ -8,13 +8,13 @@ IDEAL = Chip(
     arithmetic=None,
     resets=("zero", "subtract"),
     delay=0,
-    delay_max=1,
+    delay_max=4096,
     energy_tables=(),
     sources={
         "arithmetic": "by definition",
         "resets": "by definition: both that a convention can name",
         "delay": "by definition: the convention decides",
-        "delay_max": "by definition: recurrent connections take one timestep",
+        "delay_max": "by choice: so many timesteps of spikes fit any memory",
     },
     evidence="equal to the float graph in every spike",
 )

@@ -62,7 +62,7 @@ ODIN = Chip(
     resets=("zero",),
     delay=0,
     delay_max=1,
-    energy_tables=(),  # one number for everything, at one voltage
+    energy_tables=("odin",),  # one number for everything, at one voltage
     limits=LIMITS,
     sources={
         "weight_bits": f"{VERILOG}: magnitude",

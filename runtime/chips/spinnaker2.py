@@ -36,7 +36,7 @@ SPINNAKER2 = Chip(
     resets=("subtract", "zero"),
     delay=1,
     delay_max=1,
-    energy_tables=(),  # published figures disagree, and none is primary
+    energy_tables=("spinnaker2",),  # two secondary sources that disagree: an interval
     limits=LIMITS,
     sources={
         "weight_bits": f"{S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",

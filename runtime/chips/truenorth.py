@@ -64,7 +64,7 @@ TRUENORTH = Chip(
     resets=("zero", "subtract"),
     delay=1,
     delay_max=15,
-    energy_tables=(),  # published all-in only: energy of the whole chip per synaptic event
+    energy_tables=("truenorth",),  # all-in: energy of the whole chip per synaptic event
     limits=LIMITS,
     sources={
         "weight_bits": f"{ASSUMED}; a review says 8 ({REVIEW})",

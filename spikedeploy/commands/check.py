@@ -4,8 +4,17 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.emulate import Integrator, Reset
-from spikedeploy.commands.options import Json
+from spikedeploy.commands.options import (
+    Delay,
+    Dt,
+    Floor,
+    Integrator,
+    Json,
+    Like,
+    Reset,
+    Spikes,
+    State,
+)
 
 
 def check(
@@ -16,21 +25,14 @@ def check(
         list[str] | None,
         typer.Option(help="Chip; give it several times, or 'all'.", show_default="all"),
     ] = None,
-    dt: Annotated[
-        float | None, typer.Option(help="Timestep [s].", show_default="from the file")
-    ] = None,
-    reset: Annotated[Reset | None, typer.Option(show_default="from the file")] = None,
-    integrator: Annotated[Integrator | None, typer.Option(show_default="from the file")] = None,
-    delay: Annotated[
-        int | None,
-        typer.Option(min=0, max=1, help="Timesteps between layers.", show_default="from the file"),
-    ] = None,
-    like: Annotated[
-        str | None,
-        typer.Option(
-            help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
-        ),
-    ] = None,
+    dt: Dt = None,
+    reset: Reset = None,
+    integrator: Integrator = None,
+    delay: Delay = None,
+    spikes: Spikes = None,
+    floor: Floor = None,
+    state: State = None,
+    like: Like = None,
     json: Json = False,
 ) -> None:
     """Say whether a network fits on chips, rule by rule and node by node.
@@ -42,14 +44,18 @@ def check(
     from spikedeploy.check_tables import print_report
     from spikedeploy.terminal import print_json
 
-    given = {
-        "dt": dt,
-        "reset": reset and reset.value,
-        "integrator": integrator and integrator.value,
-        "delay": delay,
-        "like": like,
-    }
-    report = judged(file, chip or [ALL], **given)
+    report = judged(
+        file,
+        chip or [ALL],
+        dt=dt,
+        reset=reset and reset.value,
+        integrator=integrator and integrator.value,
+        delay=delay,
+        spikes=spikes and spikes.value,
+        floor=floor and floor.value,
+        state=state and state.value,
+        like=like,
+    )
     if json:
         print_json(report.as_json())
     else:

@@ -6,7 +6,15 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Limits, LimitsOption, Seed, Workers
+from spikedeploy.commands.options import (
+    Energy,
+    EnvOptions,
+    Json,
+    Limits,
+    LimitsOption,
+    Seed,
+    Workers,
+)
 
 
 def compare(
@@ -24,6 +32,7 @@ def compare(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
+    energy: Energy = None,
     workers: Workers = None,
     output: Annotated[
         Path | None,
@@ -33,16 +42,20 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
+    from dataclasses import replace
+
     from runtime.chip_options import listed
+    from runtime.energy import energy_tables
     from spikedeploy import report
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
+    tables = energy_tables(energy or ())
     entries = line_up(env, files or (), listed(chips), limits is Limits.on)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
-    document = report.document(comparison)
+    document = report.document(replace(comparison, tables=tables))
     if output:
         report.write(document, output)
     if json:

@@ -1,26 +1,24 @@
-"""`spikedeploy emulate`: spikes into a network, open loop."""
+"""`spikedeploy emulate`: rasters into a network, open loop."""
 
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json, Limits, LimitsOption
-
-
-class Reset(str, Enum):
-    """What a spike does to the membrane."""
-
-    zero = "zero"
-    subtract = "subtract"
-
-
-class Integrator(str, Enum):
-    """How decays follow from time constants."""
-
-    euler = "euler"
-    exponential = "exponential"
+from spikedeploy.commands.options import (
+    Delay,
+    Dt,
+    Energy,
+    Floor,
+    Integrator,
+    Json,
+    Like,
+    Limits,
+    LimitsOption,
+    Reset,
+    Spikes,
+    State,
+)
 
 
 def emulate(
@@ -28,43 +26,63 @@ def emulate(
     chip: Annotated[str, typer.Option(help="Chip, or 'float'.")],
     input_: Annotated[
         Path,
-        typer.Option("--input", exists=True, dir_okay=False, help="Spikes (T, N), 0 or 1, .npy."),
+        typer.Option(
+            "--input",
+            exists=True,
+            dir_okay=False,
+            help="Spikes (T, *shape), 0 or 1, .npy; several inputs by name, .npz. In float any "
+            "numbers.",
+        ),
     ],
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help="Spikes of each node and `output`, .npz."),
+        typer.Option(
+            "-o", "--output", help="Spikes of each node and `output`, or each Output, .npz."
+        ),
     ],
-    dt: Annotated[
-        float | None, typer.Option(help="Timestep [s].", show_default="from the file")
-    ] = None,
-    reset: Annotated[Reset | None, typer.Option(show_default="from the file")] = None,
-    integrator: Annotated[Integrator | None, typer.Option(show_default="from the file")] = None,
-    delay: Annotated[
-        int | None,
-        typer.Option(min=0, max=1, help="Timesteps between layers.", show_default="from the file"),
-    ] = None,
-    like: Annotated[
+    backend: Annotated[
         str | None,
         typer.Option(
-            help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
+            help="What computes a chip: auto, numpy, numba or interpreter.", show_default="numpy"
         ),
     ] = None,
     limits: LimitsOption = Limits.on,
+    energy: Energy = None,
+    dt: Dt = None,
+    reset: Reset = None,
+    integrator: Integrator = None,
+    delay: Delay = None,
+    spikes: Spikes = None,
+    floor: Floor = None,
+    state: State = None,
+    like: Like = None,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
+    from dataclasses import replace
+
+    from runtime.energy import energy_tables
     from spikedeploy.emulate import emulate as play
-    from spikedeploy.emulate import read_raster
+    from spikedeploy.rasters import read_rasters
     from spikedeploy.terminal import print_emulation, print_json
 
-    given = {
-        "dt": dt,
-        "reset": reset and reset.value,
-        "integrator": integrator and integrator.value,
-        "delay": delay,
-        "like": like,
-    }
-    result = play(file, chip, read_raster(input_), limits is Limits.on, **given)
+    tables = energy_tables(energy or ())
+    result = play(
+        file,
+        chip,
+        read_rasters(input_),
+        backend,
+        limits is Limits.on,
+        dt=dt,
+        reset=reset and reset.value,
+        integrator=integrator and integrator.value,
+        delay=delay,
+        spikes=spikes and spikes.value,
+        floor=floor and floor.value,
+        state=state and state.value,
+        like=like,
+    )
+    result = replace(result, tables=tables)
     result.save(output)
     if json:
         print_json(result.as_json())

@@ -32,6 +32,101 @@ EnvOptions = Annotated[
         "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
     ),
 ]
+Energy = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--energy",
+        metavar="TABLE",
+        help="Energy table to price by, as often as you like; `energy` lists them.",
+        show_default="the chip's own",
+    ),
+]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
+]
+PolicyChip = Annotated[
+    str | None,
+    typer.Option(
+        "--chip",
+        help="Chip of a spiking policy; 'float' for its float twin.",
+        show_default="loihi1",
+    ),
+]
+
+# what NIR leaves open: these go before what a file says
+
+
+class ResetChoice(str, Enum):
+    """What a spike does to the membrane."""
+
+    zero = "zero"
+    subtract = "subtract"
+
+
+class IntegratorChoice(str, Enum):
+    """How decays follow from time constants."""
+
+    euler = "euler"
+    exponential = "exponential"
+
+
+class StateChoice(str, Enum):
+    """Whether states go on from one inference to the next."""
+
+    reset = "reset"
+    kept = "kept"
+
+
+class SpikesChoice(str, Enum):
+    """How many spikes a neuron sends in a timestep, and when."""
+
+    above = "above"
+    reached = "reached"
+    many = "many"
+
+
+class FloorChoice(str, Enum):
+    """Below which no membrane stays."""
+
+    none = "none"
+    zero = "zero"
+    threshold = "threshold"
+
+
+FROM_FILE = "from the file"
+Dt = Annotated[float | None, typer.Option(help="Timestep [s].", show_default=FROM_FILE)]
+Reset = Annotated[
+    ResetChoice | None,
+    typer.Option(
+        help="Membrane after a spike: v_reset, or less that distance.", show_default=FROM_FILE
+    ),
+]
+Integrator = Annotated[
+    IntegratorChoice | None,
+    typer.Option(help="Decays: 1 - dt/tau, or exp(-dt/tau).", show_default=FROM_FILE),
+]
+Delay = Annotated[
+    int | None,
+    typer.Option(min=0, max=1, help="Timesteps between layers.", show_default=FROM_FILE),
+]
+State = Annotated[
+    StateChoice | None,
+    typer.Option(help="States at the next inference.", show_default=FROM_FILE),
+]
+Spikes = Annotated[
+    SpikesChoice | None,
+    typer.Option(
+        help="One above the threshold, one when it is reached, or as many as fit.",
+        show_default=FROM_FILE,
+    ),
+]
+Floor = Annotated[
+    FloorChoice | None,
+    typer.Option(help="Lowest membrane: none, 0, or -threshold.", show_default=FROM_FILE),
+]
+Like = Annotated[
+    str | None,
+    typer.Option(
+        help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
+    ),
 ]

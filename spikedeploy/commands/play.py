@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Json, Seed
+from spikedeploy.commands.options import EnvOptions, Json, PolicyChip, Seed
 
 
 def play(
@@ -19,19 +19,11 @@ def play(
         str | None,
         typer.Option(metavar="FILE", help="Policy to watch.", show_default="you drive a kart"),
     ] = None,
-    chip: Annotated[
-        str | None,
-        typer.Option(
-            help="Chip of a spiking policy; 'float' for its float twin.", show_default="loihi1"
-        ),
-    ] = None,
+    chip: PolicyChip = None,
     record: Annotated[
         Path | None, typer.Option(dir_okay=False, help=".npz for `replay`, one for each drive.")
     ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="An option of the environment."),
-    ] = None,
+    set_: EnvOptions = None,
     seed: Seed = seeds.EVALUATION,
     json: Json = False,
 ) -> None:

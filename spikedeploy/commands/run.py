@@ -6,7 +6,15 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Limits, LimitsOption, Seed
+from spikedeploy.commands.options import (
+    Energy,
+    EnvOptions,
+    Json,
+    Limits,
+    LimitsOption,
+    PolicyChip,
+    Seed,
+)
 
 
 def run(
@@ -16,12 +24,7 @@ def run(
     env: Annotated[
         str | None, typer.Option(help="Environment.", show_default="the one it was made for")
     ] = None,
-    chip: Annotated[
-        str | None,
-        typer.Option(
-            help="Chip of a spiking policy; 'float' for its float twin.", show_default="loihi1"
-        ),
-    ] = None,
+    chip: PolicyChip = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
     seed: Seed = seeds.EVALUATION,
     sampled: Annotated[
@@ -33,19 +36,24 @@ def run(
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
     limits: LimitsOption = Limits.on,
+    energy: Energy = None,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
+    from dataclasses import replace
+
+    from runtime.energy import energy_tables
     from spikedeploy import report
     from spikedeploy.run import run as play
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
+    tables = energy_tables(energy or ())
     numbers = range(seed, seed + episodes)
     comparison = play(
         policy, env, chip, numbers, video, sampled, parsed(set_ or ()), limits is Limits.on
     )
-    document = report.document(comparison)
+    document = report.document(replace(comparison, tables=tables))
     if json:
         print_json(document)
     else:

@@ -15,6 +15,8 @@ from runtime.compile import compile as compiled
 from runtime.controllers import SpikingController
 from runtime.errors import ArtifactError
 from runtime.ledger import Ledger
+from runtime.memory import packed_bytes
+from runtime.neurobench import connection_sparsity, footprint
 from spikedeploy.costs import Costs
 from spikedeploy.policies import FLOAT, Candidate, env_id
 from spikedeploy.spiking_costs import spiking_costs
@@ -28,11 +30,13 @@ class NirController:
     chip     it runs on; None is the float twin
     limits   whether the chip refuses what breaks its design rules
     sampled  actions are drawn, as in SpikingController
+    graph    of the file
     program  whose operations are counted; the float twin's is the one without rounding
     """
 
     def __init__(self, path: str, chip: str, sampled: bool = False, limits: bool = True) -> None:
         artifact = load(path)
+        self.graph = artifact.graph
         self.chip = None if chip == FLOAT else datasheet(chip)
         self._controller = SpikingController(artifact, self.chip, "total", sampled, limits=limits)
         self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
@@ -94,5 +98,10 @@ def controller(
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:
-    """What the ledger of the episode says."""
-    return spiking_costs(controller.ledger, controller.program, controller.chip)
+    """What the ledger of the episode says, and the size of the file and of the chip's weights."""
+    return replace(
+        spiking_costs(controller.ledger, controller.program, controller.chip),
+        footprint=footprint(controller.graph),
+        footprint_packed=packed_bytes(controller.program) if controller.chip else None,
+        connection_sparsity=connection_sparsity(controller.graph),
+    )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.rollout import Rollout
-from runtime.energy import energy_table, mac_energy
+from runtime.energy import energy_table, mac_estimate
 from runtime.errors import ArtifactError, ObservationError
 from runtime.sampler import Sampler
 from spikedeploy.costs import Costs
@@ -124,7 +124,7 @@ def costs(controller: OnnxController, played: Rollout) -> Costs:
         effective_acs=0.0,
         effective_macs=controller.effective_macs(played.observation[:-1]),
         dense=macs,
-        energy_j={name: mac_energy(macs, energy_table(name)) for name in ENERGY_TABLES},
+        energy_j={name: mac_estimate(macs, energy_table(name)) for name in ENERGY_TABLES},
     )
 
 

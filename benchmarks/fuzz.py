@@ -1,0 +1,42 @@
+"""Damaged files into everything that reads files: only our own errors, bounded time and memory.
+
+    python benchmarks/fuzz.py [--files 10000] [--seed 0] [--keep FOLDER] [--json]
+
+Sound files of every primitive, with and without our metadata, traces, tracks and rasters are
+damaged: bytes; values, shapes, types, links and edges of the HDF5 tree; values of JSON. Each is
+loaded, written again, read as another tool would, compiled for chips and run for three timesteps;
+traces are verified. It happens in a process of its own with a limit of memory; one that dies or
+takes too long is a violation like any error that is not ours, and a new one goes on behind it.
+The same seed and version damage the same way. The exit code is 1 where anything was violated.
+"""
+
+import prepare  # isort: skip  # noqa: F401 - before all others
+
+import argparse
+import json
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from benchmarks.fuzz_runs import fuzz, summary
+
+
+def main() -> None:
+    """Try the files and print what came of them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--files", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first file")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder for files that violate")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = range(options.first, options.first + options.files)
+        outcomes = fuzz(numbers, options.seed, Path(folder), options.keep)
+    print(json.dumps([asdict(o) for o in outcomes]) if options.json else summary(outcomes))
+    sys.exit(any(outcome.violation for outcome in outcomes))
+
+
+if __name__ == "__main__":
+    main()

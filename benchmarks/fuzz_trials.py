@@ -1,0 +1,108 @@
+"""What is done with each file of a fuzzing run: all that the product does with such a file."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from envs import track
+from envs.errors import EnvError
+from runtime.artifact import Artifact, load, save
+from runtime.chip import CHIPS
+from runtime.errors import ConventionError, SpikedeployError
+from runtime.ports import ports
+from runtime.presets import PRESETS
+from runtime.verify import verify
+from spikedeploy.emulate import emulate
+from spikedeploy.rasters import read_rasters
+
+TIMESTEPS = 3
+OURS = (SpikedeployError, EnvError)
+
+
+def attempt(path: Path, rng: np.random.Generator) -> tuple[bool, tuple[str, ...]]:
+    """Whether the file was read, and names of errors that were raised on purpose.
+
+    Anything else comes through.
+    """
+    refused: list[str] = []
+    with warnings.catch_warnings():
+        # a warning would be a wrong result that somebody scrolls past
+        warnings.simplefilter("error")
+        kinds = {".nir": _network, ".npy": _raster, ".npz": _raster}
+        read = kinds.get(path.suffix, _text)(path, rng, refused)
+    return read, tuple(refused)
+
+
+def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
+    try:
+        artifact = load(path)
+    except ConventionError as error:
+        # the usual remedy: a dt
+        refused.append(type(error).__name__)
+        try:
+            artifact = load(path, dt=1e-3)
+        except OURS as again:
+            refused.append(type(again).__name__)
+            return False
+    except OURS as error:
+        refused.append(type(error).__name__)
+        return False
+    options = {"dt": artifact.convention.dt}
+    rasters = {
+        port.name: (rng.random((TIMESTEPS, *port.shape)) < 0.3).astype(np.uint8)
+        for port in ports(artifact.graph.inputs)
+    }
+    for chip in ("float", "ideal", str(rng.choice(list(CHIPS)))):
+        with _ours(refused):
+            emulation = emulate(path, chip, rasters, **options)
+            emulation.as_json()
+            emulation.save(path.with_suffix(".out"))
+    for work in (_read_like, _kept, _driven):
+        with _ours(refused):
+            work(path, artifact, rng)
+    return True
+
+
+@contextmanager
+def _ours(refused: list[str]) -> Iterator[None]:
+    """Note an error that was raised on purpose."""
+    try:
+        yield
+    except OURS as error:
+        refused.append(type(error).__name__)
+
+
+def _read_like(path: Path, _: Artifact, rng: np.random.Generator) -> None:
+    load(path, like=str(rng.choice(list(PRESETS))))
+
+
+def _kept(path: Path, artifact: Artifact, _: np.random.Generator) -> None:
+    """Write it, and read what was written."""
+    copy = path.with_suffix(".copy")
+    save(artifact, copy)
+    load(copy)
+
+
+def _driven(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
+    """An observation through the codec."""
+    if artifact.codec is None:
+        return
+    observation = rng.normal(size=(1, artifact.codec.encoder.observed))
+    artifact.codec.encode(observation)
+
+
+def _text(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
+    """A trace file is verified; any may be taken for a track."""
+    for read in (verify, track.load):
+        with _ours(refused):
+            read(path)
+    return len(refused) < 2
+
+
+def _raster(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
+    with _ours(refused):
+        read_rasters(path)
+    return not refused

@@ -1,0 +1,124 @@
+"""Random networks on SANA-FE's Loihi, whose chip is its own arch/loihi.yaml, and on ours."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.chip import chip
+from runtime.convention import Convention
+from runtime.ledger import Ledger
+from runtime.machine import Machine
+from runtime.program import Layer, Program, Synapses
+from runtime.traffic import Placement
+
+Weights = NDArray[Any]
+CHIP = chip("loihi1")
+
+# sizes, density, threshold, part of the membrane and of the current kept [/4096], loops, bias
+NETWORKS = {
+    "dense": ([20, 30, 10], 1.0, 200, 4096, 0, False, 0),
+    "sparse": ([20, 30, 10], 0.3, 200, 3000, 0, False, 0),
+    "large": ([64, 200, 100, 10], 0.2, 400, 3500, 0, False, 0),
+    "recurrent": ([64, 100, 40, 10], 0.2, 300, 3500, 0, True, 0),
+    "current": ([20, 30, 10], 0.5, 300, 3072, 2048, False, 0),
+    "current-recurrent-biased": ([20, 30, 10], 0.5, 300, 3072, 2048, True, 20),
+}
+
+
+def program(case: str, seed: int) -> Program:
+    """The network of that name with random weights."""
+    sizes, density, threshold, membrane, current, loops, bias = NETWORKS[case]
+    rng = np.random.default_rng(seed)
+
+    def weights(rows: int, columns: int, most: int) -> Weights:
+        drawn = rng.integers(-most * 2 // 3, most, (rows, columns))
+        return (drawn * (rng.random((rows, columns)) < density)).astype(np.int16)
+
+    names = ["input", *(f"layer{k}" for k in range(1, len(sizes)))]
+    layers = []
+    for k, size in enumerate(sizes[1:], start=1):
+        synapses = [Synapses(names[k - 1], weights(sizes[k - 1], size, 120), delay=1)]
+        if loops:
+            synapses.append(Synapses(names[k], weights(size, size, 40), delay=1))
+        ones = np.ones(size, np.int64)
+        layers.append(
+            Layer(
+                name=names[k],
+                synapses=tuple(synapses),
+                bias=0 * ones,
+                voltage_bias=(bias << 6) * (rng.random(size) < 0.2),
+                threshold=(threshold << 6) * ones,
+                current_keep=current * ones,
+                membrane_keep=membrane * ones,
+                scale=1.0,
+                start=0,
+            )
+        )
+    return Program(CHIP, Convention(1e-3), "input", sizes[0], tuple(layers), names[-1], None)
+
+
+def scattered(network: Program, seed: int, cores: int = 12) -> Placement:
+    """Neurons thrown onto twelve cores of three tiles, of which each has four."""
+    rng = np.random.default_rng(seed)
+    where = {name: rng.integers(0, cores, size) for name, size in network.sizes.items()}
+    # their tiles are numbered along columns, of four each
+    tiles = np.array([divmod(core // 4, 4) for core in range(cores)])
+    return Placement(where, tiles)
+
+
+def run(network: Program, raster: Weights) -> tuple[Ledger, dict[str, Weights]]:
+    """Our machine after the raster, and the spikes of every neuron."""
+    machine = Machine(network, trace=True)
+    machine.infer(raster[None])
+    seen = {name: rows.spikes[0].sum(axis=0) for name, rows in machine.recordings.items()}
+    return machine.ledger, {"input": raster.sum(axis=0), **seen}
+
+
+def simulated(network: Program, raster: Weights, placement: Placement) -> dict[str, Any]:
+    """What SANA-FE says of the same network on the same cores."""
+    # an extra of the tests
+    import sanafe
+
+    architecture, net = sanafe.load_loihi(), sanafe.Network()
+    groups = {"input": net.create_neuron_group("input", network.width)}
+    for k, neuron in enumerate(groups["input"].neurons):
+        spikes = {"spikes": raster[:, k].astype(int).tolist()}
+        neuron.set_attributes(soma_hw_name=f"loihi_inputs[{k}]", model_attributes=spikes)
+    for layer in network.layers:
+        groups[layer.name] = neurons(net, layer)
+    for layer in network.layers:
+        for synapses in layer.synapses:
+            pairs = np.argwhere(synapses.weight)
+            weights = {"weight": synapses.weight[tuple(pairs.T)].astype(float).tolist()}
+            source, target = groups[synapses.source], groups[layer.name]
+            source.connect_neurons_sparse(target, weights, [tuple(p) for p in pairs.tolist()])
+    cores = architecture.cores()
+    for name, group in groups.items():
+        for neuron, core in zip(group.neurons, placement.cores[name].tolist(), strict=True):
+            neuron.map_to_core(cores[core])
+    simulator = sanafe.SpikingChip(architecture)
+    simulator.load(net)
+    return simulator.sim(len(raster), perf_trace=True)
+
+
+def neurons(net: Any, layer: Layer) -> Any:  # noqa: ANN401
+    """A group of SANA-FE's neurons, in units of weights: 64 of our state units."""
+    constants = {
+        "threshold": float(layer.threshold[0] / 64),
+        "reset_mode": "hard",
+        "reset": 0.0,
+        "leak_decay": float(layer.membrane_keep[0] / 4096),
+        "input_decay": float(layer.current_keep[0] / 4096),
+    }
+    group = net.create_neuron_group(
+        layer.name,
+        layer.size,
+        soma_hw_name="loihi_lif",
+        default_synapse_hw_name="loihi_dense_synapse",
+        model_attributes=constants,
+    )
+    for neuron, bias in zip(group.neurons, (layer.voltage_bias / 64).tolist(), strict=True):
+        if bias:
+            neuron.set_attributes(model_attributes={"bias": bias})
+    return group

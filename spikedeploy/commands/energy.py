@@ -1,0 +1,26 @@
+"""`spikedeploy energy`: the energy tables."""
+
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import Json
+
+
+def energy(
+    json: Json = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the table of docs/energy.md.")
+    ] = False,
+) -> None:
+    """List the energy tables: what events cost, who says so, and how sure that is."""
+    from spikedeploy import price_list
+    from spikedeploy.terminal import print_json, print_table
+
+    if json:
+        print_json(price_list.price_list())
+    elif markdown:
+        typer.echo("\n".join(price_list.markdown()))
+    else:
+        print_table("Energy tables", price_list.HEADS, price_list.rows())
+        print_table("Where the numbers come from", ("table", "source"), price_list.sources())
