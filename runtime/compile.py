@@ -9,17 +9,22 @@ from runtime.chip import Chip
 from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
 from runtime.errors import RuleError
+from runtime.headroom import with_headroom
 from runtime.program import Layer, Program, Readout, Synapses
-from runtime.quantize import Rounding, quantise
+from runtime.quantisation import PLAIN, Quantisation
+from runtime.quantize import quantise
 from runtime.wiring import Wire, Wiring, wiring
 
 
 def compile(
-    artifact: Artifact, chip: Chip, rounding: Rounding = "nearest", stagger: bool | None = None
+    artifact: Artifact,
+    chip: Chip,
+    quantisation: Quantisation = PLAIN,
+    stagger: bool | None = None,
 ) -> Program:
     """The artifact as a program of the chip.
 
-    rounding: of weights, biases, thresholds and decays, as in quantise.
+    quantisation: of weights, biases, thresholds and decays.
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay.
@@ -35,10 +40,11 @@ def compile(
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
     delay = max(chip.delay, 0 if stagger else artifact.convention.delay)
-    layers = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
-    if chip.fixed is not None:
-        layers = [quantise(layer, chip.fixed, rounding) for layer in layers]
-    return Program(
+    floats = [_layer(artifact, wires, name, starts, delay) for name in wires.layers]
+    fixed, layers = chip.fixed, floats
+    if fixed is not None:
+        layers = [quantise(layer, fixed, quantisation) for layer in floats]
+    program = Program(
         chip=chip,
         convention=artifact.convention,
         input=wires.input,
@@ -47,6 +53,9 @@ def compile(
         output=wires.output,
         readout=_readout(wires.readout, artifact.convention.delay),
     )
+    if fixed is not None and quantisation.headroom == "proven":
+        return with_headroom(program, floats, fixed, quantisation, _window(artifact))
+    return program
 
 
 def _check_reset(convention: Convention, chip: Chip) -> None:
@@ -120,6 +129,12 @@ def _delay(wire: Wire, target: str, starts: dict[str, int], delay: int) -> int:
             "lengthens every loop by the delays of its layers."
         )
     return max(ahead + 1, delay)
+
+
+def _window(artifact: Artifact) -> int | None:
+    """T of an inference; None where it is not known or states go on from one to the next."""
+    reset = artifact.convention.state == "reset"
+    return artifact.codec.timesteps if artifact.codec is not None and reset else None
 
 
 def _readout(node: nir.NIRNode | None, lag: int) -> Readout | None:

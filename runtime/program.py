@@ -40,7 +40,7 @@ class Synapses:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """One population of neurons; on integer chips every array but `scale` holds integers.
+    """One population of neurons; on integer chips everything but `scale` holds integers.
 
     name: of the NIR node.
     synapses: what it listens to.
@@ -50,7 +50,7 @@ class Layer:
     current_keep: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
     membrane_keep: (N,) likewise of the membrane. Where decays are shifts, both hold the shift, that
         of K currents as (K, N).
-    scale: float units of current and membrane per state unit.
+    scale: float units of current and membrane per state unit: one for all, or (N,).
     start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     """
@@ -62,7 +62,7 @@ class Layer:
     threshold: Numbers
     current_keep: Numbers
     membrane_keep: Numbers
-    scale: float
+    scale: float | NDArray[np.float64]
     start: int
     aliases: tuple[tuple[int, ...], ...] = ()
 

@@ -1,0 +1,76 @@
+"""How a float network becomes integers: which neurons share a scale, rounding, headroom, tuning."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal, get_args
+
+from runtime.errors import ConfigError
+
+Granularity = Literal["layer", "channel"]
+Rounding = Literal["nearest", "truncate"]
+Headroom = Literal["none", "proven"]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What calibration found for a layer (runtime.calibration).
+
+    reach: largest mantissa that the largest weight would take, as a part of what the chip holds;
+        below 1 leaves headroom, above 1 clips the largest weights so that the others keep more.
+    threshold: the thresholds are multiplied by this before they are rounded.
+    """
+
+    reach: float = 1.0
+    threshold: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("reach", self.reach), ("threshold", self.threshold)):
+            if not 0 < value < float("inf"):
+                raise ConfigError(f"tuning: {name} is {value}; it must be above 0 and finite.")
+
+
+UNTUNED = Tuning()
+
+
+@dataclass(frozen=True)
+class Quantisation:
+    """The choices of runtime.quantize.
+
+    granularity: "layer", one scale for all neurons of a layer (Tang et al. 2020, PopSAN);
+        "channel", one for each neuron.
+    rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did.
+    headroom: "none", the largest weight, threshold or bias fills what the chip holds; "proven", the
+        largest scale at which no spikes whatever can overflow a register.
+    tuned: layer -> what calibration found.
+    """
+
+    granularity: Granularity = "layer"
+    rounding: Rounding = "nearest"
+    headroom: Headroom = "none"
+    tuned: Mapping[str, Tuning] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        for option, allowed in (
+            ("granularity", get_args(Granularity)),
+            ("rounding", get_args(Rounding)),
+            ("headroom", get_args(Headroom)),
+        ):
+            if (found := getattr(self, option)) not in allowed:
+                choices = " or ".join(map(repr, allowed))
+                raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
+
+    def of(self, layer: str) -> Tuning:
+        """The tuning of a layer."""
+        return self.tuned.get(layer, UNTUNED)
+
+    def describe(self) -> str:
+        """The choices in words."""
+        tuned = f", tuned: {', '.join(sorted(self.tuned))}" if self.tuned else ""
+        return (
+            f"a scale for each {self.granularity}, rounding {self.rounding!r}, "
+            f"headroom {self.headroom!r}{tuned}"
+        )
+
+
+PLAIN = Quantisation()
