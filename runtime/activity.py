@@ -1,0 +1,141 @@
+"""The activity of a network: spikes and membranes of every layer, in the units of the float twin.
+
+The float twin and every chip are seen through the same glass, so that they can be compared.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.artifact import Artifact
+from runtime.chip import FixedPoint
+from runtime.errors import RuleError
+from runtime.fixed import decay
+from runtime.float_graph import FloatGraph
+from runtime.float_nodes import Neurons
+from runtime.interpreter import LayerTrace, trace
+from runtime.machine import Machine
+from runtime.pipeline import Recording
+from runtime.program import Layer, Program
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Activity:
+    """What a network did with a raster.
+
+    spikes: layer -> (B, T, N).
+    reached: layer -> (B, T, N) membranes before a spike resets them [float units]; NaN where the
+        recording cannot tell, since they were reset to 0.
+    output: (B, T, act) of the readout, or the spikes of the last layer.
+    saturations: layer -> numbers that did not fit a register.
+    """
+
+    spikes: Mapping[str, NDArray[Any]]
+    reached: Mapping[str, Floats]
+    output: Floats
+    saturations: Mapping[str, int]
+
+
+def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
+    """What the float twin does with the raster (B, T, M), from zero states."""
+    # one timestep after another, so that the membranes between them can be read
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    graph = FloatGraph(kept)
+    shape = graph.graph.nodes[graph.input].input_type["input"]
+    x = raster.reshape(*raster.shape[:2], *map(int, shape))
+    nodes = {
+        name: node
+        for name, node in graph.nodes.items()
+        if isinstance(node, Neurons) and name in graph.spiking
+    }
+    before: dict[str, NDArray[Any] | None] = dict.fromkeys(nodes)
+    steps, reached = [], []
+    for t in range(x.shape[1]):
+        steps.append(graph.run(x[:, t : t + 1]))
+        reached.append({name: _reached(node, before[name]) for name, node in nodes.items()})
+        before = {name: node.membrane for name, node in nodes.items()}
+    return Activity(
+        spikes={name: _joined([step[name][:, 0] for step in steps]) for name in nodes},
+        reached={name: _joined([step[name] for step in reached]) for name in nodes},
+        output=_joined([step["output"][:, 0] for step in steps]).astype(np.float64),
+        saturations=dict.fromkeys(nodes, 0),
+    )
+
+
+def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
+    """What the program does with the raster (B, T, M), from zero states."""
+    seen, output, saturations = _recorded(program, raster)
+    return Activity(
+        spikes={name: ran.spikes for name, ran in seen.items()},
+        reached={
+            layer.name: layer.scale * _before_reset(program, layer, seen[layer.name])
+            for layer in program.layers
+        },
+        output=output,
+        saturations=saturations,
+    )
+
+
+def _reached(node: Neurons, before: NDArray[Any] | None) -> NDArray[Any]:
+    """The membrane (B, *N) of the last timestep before its reset."""
+    # V = b V + I + leak
+    kept = 0.0 if before is None else node.b * before
+    return np.asarray(kept + node.current + node.leak)
+
+
+def _joined(rows: list[NDArray[Any]]) -> NDArray[Any]:
+    """Rows (B, T, N) of the timesteps (B, *N)."""
+    return np.stack([row.reshape(len(row), -1) for row in rows], axis=1)
+
+
+def _recorded(
+    program: Program, raster: NDArray[Any]
+) -> tuple[dict[str, Recording | LayerTrace], Floats, dict[str, int]]:
+    """What every layer did, the output, and saturations of every layer."""
+    try:
+        machine = Machine(program, len(raster), "total", trace=True)
+        output = machine.infer(raster)
+    except RuleError:  # only the interpreter knows this arithmetic
+        traces = trace(program, raster)
+        output = _read_out(program, traces[program.output].spikes)
+        lost = {name: int(ran.overflows.sum()) for name, ran in traces.items()}
+        return dict(traces), output, lost
+    return dict(machine.recordings), output, machine.ledger.by_layer("saturation")
+
+
+def _read_out(program: Program, spikes: NDArray[Any]) -> Floats:
+    """Output (B, T, act) of the last layer's spikes (B, T, N)."""
+    if program.readout is None:
+        return spikes.astype(np.float64)
+    heard = np.zeros(spikes.shape)
+    lag = program.readout.lag
+    heard[:, lag:] = spikes[:, : spikes.shape[1] - lag]
+    return program.readout(heard)
+
+
+def _before_reset(program: Program, layer: Layer, seen: Recording | LayerTrace) -> NDArray[Any]:
+    """Membranes (B, T, N) before a spike reset them [state units]."""
+    current, membrane = seen.current, seen.membrane
+    fixed, numbers = program.chip.fixed, program.chip.arithmetic
+    before = np.concatenate([np.zeros_like(membrane[:, :1]), membrane[:, :-1]], axis=1)
+    if numbers is None:
+        return np.asarray(layer.membrane_keep * before + current + layer.voltage_bias)
+    if fixed is not None:
+        return _fixed_before_reset(fixed, layer, before, current)
+    if program.convention.reset == "subtract":
+        return np.asarray(membrane + layer.threshold * seen.spikes)
+    return np.where(seen.spikes > 0, np.nan, membrane)
+
+
+def _fixed_before_reset(
+    fixed: FixedPoint, layer: Layer, before: NDArray[Any], current: NDArray[Any]
+) -> NDArray[Any]:
+    # v = keep_v v + (u + bias)      each as its register holds it
+    push = fixed.push.fit(current + layer.voltage_bias)
+    kept = decay(before, layer.membrane_keep.astype(np.int64), fixed.decay_bits)
+    return fixed.membrane.fit(kept + push)
