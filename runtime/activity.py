@@ -31,14 +31,29 @@ class Activity:
     spikes: layer -> (B, T, N).
     reached: layer -> (B, T, N) membranes before a spike resets them [float units]; NaN where the
         recording cannot tell, since they were reset to 0.
+    thresholds: layer -> (N,) above which a membrane spikes [float units].
     output: (B, T, act) of the readout, or the spikes of the last layer.
     saturations: layer -> numbers that did not fit a register.
     """
 
     spikes: Mapping[str, NDArray[Any]]
     reached: Mapping[str, Floats]
+    thresholds: Mapping[str, Floats]
     output: Floats
     saturations: Mapping[str, int]
+
+    def parted(self, batch: int) -> "Activity":
+        """The same with its timesteps as B inferences, one after another."""
+
+        def part(rows: NDArray[Any]) -> NDArray[Any]:
+            return rows.reshape(batch, -1, rows.shape[2])
+
+        return replace(
+            self,
+            spikes={name: part(rows) for name, rows in self.spikes.items()},
+            reached={name: part(rows) for name, rows in self.reached.items()},
+            output=part(self.output),
+        )
 
 
 def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
@@ -62,6 +77,7 @@ def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
     return Activity(
         spikes={name: _joined([step[name][:, 0] for step in steps]) for name in nodes},
         reached={name: _joined([step[name] for step in reached]) for name in nodes},
+        thresholds={name: np.asarray(node.threshold).ravel() for name, node in nodes.items()},
         output=_joined([step["output"][:, 0] for step in steps]).astype(np.float64),
         saturations=dict.fromkeys(nodes, 0),
     )
@@ -76,6 +92,7 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
             layer.name: layer.scale * _before_reset(program, layer, seen[layer.name])
             for layer in program.layers
         },
+        thresholds={layer.name: layer.threshold * layer.scale for layer in program.layers},
         output=output,
         saturations=saturations,
     )
@@ -84,8 +101,8 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
 def _reached(node: Neurons, before: NDArray[Any] | None) -> NDArray[Any]:
     """The membrane (B, *N) of the last timestep before its reset."""
     # V = b V + I + leak
-    kept = 0.0 if before is None else node.b * before
-    return np.asarray(kept + node.current + node.leak)
+    kept = node.leak if before is None else node.b * before + node.leak
+    return np.asarray(node.current + kept)
 
 
 def _joined(rows: list[NDArray[Any]]) -> NDArray[Any]:
