@@ -16,8 +16,9 @@ Headroom = Literal["none", "proven"]
 class Tuning:
     """What calibration found for a layer (runtime.calibration).
 
-    reach: largest mantissa that the largest weight would take, as a part of what the chip holds;
-        below 1 leaves headroom, above 1 clips the largest weights so that the others keep more.
+    reach: below 1, the part of the largest scale that is used, which leaves headroom; above 1, how
+        far the largest weight reaches beyond what the chip holds: it is clipped, so that the others
+        keep more of their bits.
     threshold: the thresholds are multiplied by this before they are rounded.
     """
 
@@ -66,10 +67,14 @@ class Quantisation:
 
     def describe(self) -> str:
         """The choices in words."""
-        tuned = f", tuned: {', '.join(sorted(self.tuned))}" if self.tuned else ""
+        tuned = [
+            f"; {name!r}: reach {found.reach:.3g}, thresholds times {found.threshold:.3g}"
+            for name, found in self.tuned.items()
+            if found != UNTUNED
+        ]
         return (
             f"a scale for each {self.granularity}, rounding {self.rounding!r}, "
-            f"headroom {self.headroom!r}{tuned}"
+            f"headroom {self.headroom!r}{''.join(tuned)}"
         )
 
 

@@ -26,11 +26,11 @@ def mantissas_per_unit(
 ) -> Scale:
     """As many as the weights, the threshold and the bias allow.
 
-    reach: of the largest weight, as in Tuning.
+    reach: as in Tuning.
     """
     widest_bias = fixed.bias_mantissa_max << fixed.bias_exponent_max >> fixed.mantissa_shift
     limits = (
-        (fixed.weight_max * reach, [*(s.weight for s in layer.synapses), layer.bias]),
+        (fixed.weight_max * max(reach, 1.0), [*(s.weight for s in layer.synapses), layer.bias]),
         (fixed.threshold_max, [layer.threshold]),
         (widest_bias, [layer.voltage_bias]),
     )
@@ -40,7 +40,7 @@ def mantissas_per_unit(
         found = found if granularity == "channel" else np.full(layer.size, found.max(initial=0.0))
         scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
-    scale = np.where(np.isfinite(scale), scale, 1.0)
+    scale = np.where(np.isfinite(scale), scale, 1.0) * min(reach, 1.0)
     return scale if granularity == "channel" else float(scale.min(initial=np.inf))
 
 

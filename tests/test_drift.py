@@ -133,8 +133,8 @@ def test_kept_states_run_on_from_inference_to_inference():
 
 
 def test_choices_are_compared_as_choices_and_actions_as_actions():
-    chooses, acts = spiking_mlp(), popsan()
-    low = chip("loihi1", weight_bits=1)
+    chooses, acts = spiking_mlp(seed=1), popsan()
+    low = chip("loihi1", weight_bits=2)
     observations = np.random.default_rng(0).uniform(-1, 1, (200, 6))
     found = drift(chooses, low, chooses.codec.encode(observations))
     assert found.output.kind == "choice"
