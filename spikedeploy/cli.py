@@ -9,7 +9,7 @@ import typer
 from spikedeploy.failures import one_line
 
 COMMANDS = {
-    "Deploy": ("demo", "compare", "run", "emulate", "verify"),
+    "Deploy": ("demo", "compare", "run", "emulate", "drift", "verify"),
     "Make": ("train", "export", "publish", "experiment", "draw"),
     "Look": ("play", "replay", "visualize", "policies", "chips", "envs", "recipes", "doctor"),
 }

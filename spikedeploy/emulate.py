@@ -16,6 +16,7 @@ from runtime.errors import ObservationError, RuleError
 from runtime.float_machine import FloatMachine
 from runtime.ledger import Ledger
 from runtime.machine import Machine
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy.files import replacing
 from spikedeploy.policies import FLOAT
 from spikedeploy.spiking_costs import priced_by
@@ -73,13 +74,22 @@ class Emulation:
         return {name: energy(self.ledger, energy_table(name)) for name in priced_by(chip)}
 
 
-def emulate(path: Path, chip: str, raster: Raster, **convention: Any) -> Emulation:  # noqa: ANN401
+def emulate(
+    path: Path,
+    chip: str,
+    raster: Raster,
+    quantisation: Quantisation = PLAIN,
+    **convention: Any,  # noqa: ANN401
+) -> Emulation:
     """Play the raster (T, N) into the network once, from zero states.
 
+    quantisation  on a chip
     convention  options of runtime.artifact.load: go before what the file says, None leaves it
     """
     artifact = load(path, **convention)
-    return _in_float(artifact, raster) if chip == FLOAT else _on_chip(artifact, chip, raster)
+    if chip == FLOAT:
+        return _in_float(artifact, raster)
+    return _on_chip(artifact, chip, raster, quantisation)
 
 
 def read_raster(path: Path) -> Raster:
@@ -105,8 +115,10 @@ def _in_float(artifact: Artifact, raster: Raster) -> Emulation:
         return Emulation(artifact, FLOAT, spikes, _flat(output), None, str(error))
 
 
-def _on_chip(artifact: Artifact, chip: str, raster: Raster) -> Emulation:
-    machine = Machine(compiled(artifact, datasheet(chip)), trace=True)
+def _on_chip(
+    artifact: Artifact, chip: str, raster: Raster, quantisation: Quantisation
+) -> Emulation:
+    machine = Machine(compiled(artifact, datasheet(chip), quantisation), trace=True)
     output = machine.infer(raster[None])[0]
     spikes = {name: seen.spikes[0] for name, seen in machine.recordings.items()}
     return Emulation(artifact, chip, spikes, output, machine.ledger)

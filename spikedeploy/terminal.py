@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from exporters.check import Check
+    from spikedeploy.drift import DriftReport
     from spikedeploy.emulate import Emulation
     from spikedeploy.verify import Replay
 
@@ -91,6 +92,14 @@ def print_emulation(emulation: "Emulation") -> None:
         **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+
+
+def print_drift(report: "DriftReport") -> None:
+    """Write where a chip leaves the float twin, and what makes the difference."""
+    from spikedeploy.drift_tables import tables
+
+    for title, heads, rows in tables(report):
+        print_table(title, heads, rows)
 
 
 def console(stderr: bool = False) -> "Console":

@@ -6,7 +6,15 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json
+from spikedeploy.commands.options import (
+    Fraction,
+    Granularity,
+    Headroom,
+    Json,
+    Quantise,
+    Room,
+    Rounding,
+)
 
 
 class Reset(str, Enum):
@@ -49,9 +57,13 @@ def emulate(
             help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
         ),
     ] = None,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = Fraction.nearest,
+    headroom: Headroom = Room.none,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
+    from runtime.quantisation import Quantisation
     from spikedeploy.emulate import emulate as play
     from spikedeploy.emulate import read_raster
     from spikedeploy.terminal import print_emulation, print_json
@@ -63,7 +75,8 @@ def emulate(
         "delay": delay,
         "like": like,
     }
-    result = play(file, chip, read_raster(input_), **given)
+    quantisation = Quantisation(quantise.value, rounding.value, headroom.value)
+    result = play(file, chip, read_raster(input_), quantisation, **given)
     result.save(output)
     if json:
         print_json(result.as_json())

@@ -1,8 +1,31 @@
 """Options that several commands share, worded once."""
 
+from enum import Enum
 from typing import Annotated
 
 import typer
+
+
+class Granularity(str, Enum):
+    """Which neurons share a scale."""
+
+    layer = "layer"
+    channel = "channel"
+
+
+class Fraction(str, Enum):
+    """What becomes of fractions."""
+
+    nearest = "nearest"
+    truncate = "truncate"
+
+
+class Room(str, Enum):
+    """What is left free of the registers."""
+
+    none = "none"
+    proven = "proven"
+
 
 Json = Annotated[
     bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")
@@ -18,4 +41,14 @@ EnvOptions = Annotated[
 ]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
+]
+Quantise = Annotated[
+    Granularity, typer.Option("--quantise", help="A scale for each layer, or for each neuron.")
+]
+Rounding = Annotated[
+    Fraction, typer.Option("--rounding", help="Of weights, thresholds and decays, to integers.")
+]
+Headroom = Annotated[
+    Room,
+    typer.Option("--headroom", help="Fill the weights, or leave what no spikes can overflow."),
 ]
