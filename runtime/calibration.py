@@ -6,7 +6,6 @@ on a second one.
 """
 
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,4 +118,4 @@ def _overflowing(seen: Activity) -> list[str]:
 
 
 def _with(quantisation: Quantisation, layer: str, tuning: Tuning) -> Quantisation:
-    return replace(quantisation, tuned=MappingProxyType({**quantisation.tuned, layer: tuning}))
+    return replace(quantisation, tuned={**quantisation.tuned, layer: tuning})

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, get_args
 
 from runtime.errors import ConfigError
@@ -49,7 +48,7 @@ class Quantisation:
     granularity: Granularity = "layer"
     rounding: Rounding = "nearest"
     headroom: Headroom = "none"
-    tuned: Mapping[str, Tuning] = field(default_factory=lambda: MappingProxyType({}))
+    tuned: Mapping[str, Tuning] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         for option, allowed in (

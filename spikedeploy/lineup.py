@@ -6,6 +6,7 @@ from pathlib import Path
 
 import envs
 from runtime.errors import ConfigError
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy import zoo
 from spikedeploy.policies import FLOAT, Candidate, find
 
@@ -41,11 +42,14 @@ class Entry:
         return len(self.references)
 
 
-def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]:
+def line_up(
+    env: str, files: Sequence[str], chips: Sequence[str], quantisation: Quantisation = PLAIN
+) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
     env     short name or id of the environment
     files   policies to compare; none stands for all that are shipped for the environment
+    quantisation  of the SNNs on chips
     """
     spec = envs.spec(env)
     short = spec.short
@@ -62,6 +66,7 @@ def line_up(env: str, files: Sequence[str], chips: Sequence[str]) -> list[Entry]
     ann = entries[0] if entries else None
     entries[1:] = [Entry(entry.candidate, None, ann) for entry in entries[1:]]
     for candidate in _of_kind("snn", chosen):
+        candidate = replace(candidate, quantisation=quantisation)
         twin = Entry(candidate, FLOAT, ann)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         entries += [twin, *(Entry(candidate, chip, twin) for chip in chips if exported)]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from runtime.errors import ConfigError
+from runtime.quantisation import PLAIN, Quantisation
 
 if TYPE_CHECKING:
     import gymnasium
@@ -51,6 +52,7 @@ class Candidate:
     env       id of the environment it was made for; None fits any
     observed  numbers it observes; None fits any
     actions   numbers it puts out, or actions that it chooses from; None fits any
+    quantisation  of a spiking policy on a chip
     """
 
     path: str
@@ -60,6 +62,7 @@ class Candidate:
     env: str | None = None
     observed: int | None = None
     actions: int | None = None
+    quantisation: Quantisation = PLAIN
 
 
 class Player(Protocol):

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from envs.rollout import rollout
 from runtime.errors import ConfigError
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy.comparison import Comparison, Row
 from spikedeploy.episodes import summarise
 from spikedeploy.lineup import Entry
@@ -27,6 +29,7 @@ def run(
     video: Path | None = None,
     sampled: bool = False,
     options: Mapping[str, Any] = MappingProxyType({}),
+    quantisation: Quantisation = PLAIN,
 ) -> Comparison:
     """Play the policy on every seed.
 
@@ -37,8 +40,9 @@ def run(
     video      MP4 of the first episode
     sampled    draw one of several actions by its probability, instead of taking the likeliest
     options    of the environment
+    quantisation  of a spiking policy on a chip
     """
-    candidate = find(reference)
+    candidate = replace(find(reference), quantisation=quantisation)
     entry = Entry(candidate, chip or _default_chip(candidate))
     mode = "rgb_array" if video else None
     world: Any = made(env or _made_for(candidate), options, render_mode=mode)

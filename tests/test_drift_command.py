@@ -141,3 +141,17 @@ def test_kept_states_are_heard_from_the_first_step_on(stroll):
     all_of_them = observed(load(candidate.path), candidate, None, [10_000], 1000)
     first = observed(artifact, candidate, None, [10_000], 3)
     np.testing.assert_array_equal(first.raster, all_of_them.raster[:3])
+
+
+def test_run_and_compare_take_the_same_quantisation_and_report_it(command, stroll):
+    words = ("run", "stroll/popsan", "--json")
+    plain, channel = (json.loads(command(*words, *o)[1]) for o in ((), ("--quantise", "channel")))
+    assert plain["rows"][0]["returns"] != channel["rows"][0]["returns"]
+    assert "on chips" not in plain["conventions"]["popsan"]
+    said = channel["conventions"]["popsan"]
+    assert said.endswith("; on chips a scale for each channel, rounding 'nearest', headroom 'none'")
+    words = ("compare", "stroll", "stroll/popsan", "--episodes", 1, "--workers", 1, "--json")
+    found = json.loads(command(*words, "--quantise", "channel")[1])
+    (on_chip,) = [row for row in found["rows"] if row["chip"] == "loihi1"]
+    assert on_chip["returns"] == channel["rows"][0]["returns"]
+    assert found["conventions"]["popsan"] == said

@@ -6,7 +6,18 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed, Workers
+from spikedeploy.commands.options import (
+    EnvOptions,
+    Fraction,
+    Granularity,
+    Headroom,
+    Json,
+    Quantise,
+    Room,
+    Rounding,
+    Seed,
+    Workers,
+)
 
 
 def compare(
@@ -29,16 +40,21 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = Fraction.nearest,
+    headroom: Headroom = Room.none,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
+    from runtime.quantisation import Quantisation
     from spikedeploy import report
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
-    entries = line_up(env, files or (), _names(chips))
+    quantisation = Quantisation(quantise.value, rounding.value, headroom.value)
+    entries = line_up(env, files or (), _names(chips), quantisation)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(comparison)
     if output:

@@ -6,7 +6,17 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, Seed
+from spikedeploy.commands.options import (
+    EnvOptions,
+    Fraction,
+    Granularity,
+    Headroom,
+    Json,
+    Quantise,
+    Room,
+    Rounding,
+    Seed,
+)
 
 
 def run(
@@ -32,16 +42,21 @@ def run(
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = Fraction.nearest,
+    headroom: Headroom = Room.none,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
+    from runtime.quantisation import Quantisation
     from spikedeploy import report
     from spikedeploy.run import run as play
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
     numbers = range(seed, seed + episodes)
-    comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()))
+    quantisation = Quantisation(quantise.value, rounding.value, headroom.value)
+    comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()), quantisation)
     document = report.document(comparison)
     if json:
         print_json(document)

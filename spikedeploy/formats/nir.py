@@ -15,6 +15,7 @@ from runtime.compile import compile as compiled
 from runtime.controllers import SpikingController
 from runtime.errors import ArtifactError
 from runtime.ledger import Ledger
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy.costs import Costs
 from spikedeploy.policies import FLOAT, Candidate, env_id
 from spikedeploy.spiking_costs import spiking_costs
@@ -30,10 +31,14 @@ class NirController:
     program  whose operations are counted; the float twin's is the one without rounding
     """
 
-    def __init__(self, path: str, chip: str, sampled: bool = False) -> None:
+    def __init__(
+        self, path: str, chip: str, sampled: bool = False, quantisation: Quantisation = PLAIN
+    ) -> None:
         artifact = load(path)
         self.chip = None if chip == FLOAT else datasheet(chip)
-        self._controller = SpikingController(artifact, self.chip, "total", sampled)
+        self._controller = SpikingController(
+            artifact, self.chip, "total", sampled, quantisation=quantisation
+        )
         self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
         self._before = self._controller.ledger
 
@@ -89,7 +94,7 @@ def controller(
     candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
 ) -> NirController:
     """The network on the chip, or its float twin."""
-    return NirController(candidate.path, chip or FLOAT, sampled)
+    return NirController(candidate.path, chip or FLOAT, sampled, candidate.quantisation)
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:
