@@ -1,12 +1,13 @@
 """What quantisation costs the shipped policies: spikes, actions and returns on loihi1.
 
     python benchmarks/drift.py [-o results/drift.md] [--policies hexapod/popsan,kart-grid/snn]
-                               [--episodes 10] [--steps 400]
+                               [--episodes 10] [--steps 200]
 
 Every policy is quantised in every way: weights of 8 to 2 bits, a scale for each layer or for each
-neuron, rounded to nearest or truncated, as it is or tuned. Spikes and actions are compared with the
-float twin's on what that observed on seeds from 10,000 on, and tuning uses seeds from 5,000 on. The
-returns are those of closed loops on the chip, on the same seeds as the float twin's.
+neuron, rounded to nearest or truncated, as it is, tuned, or with few thresholds. Spikes and actions
+are compared with the float twin's on what that observed on seeds from 10,000 on, and tuning uses
+seeds from 5,000 on. The returns are those of closed loops on the chip, on the same seeds as the
+float twin's.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others
@@ -14,7 +15,7 @@ import prepare  # isort: skip  # noqa: F401 - before all others
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from spikedeploy.worlds import made
 
 POLICIES = "hexapod/popsan,kart-grid/snn,kart-gazebo/snn,kart-steer/snn"
 BITS = (8, 6, 4, 3, 2)
+FEW = 16  # thresholds that nengo-loihi lets a core hold
 PLAYED = 4  # episodes from which observations come
 
 
@@ -48,12 +50,15 @@ class Way:
     bits: int
     granularity: str
     rounding: str
-    tuned: bool
+    tuned: bool = False
+    thresholds: int | None = None
 
     @property
     def cells(self) -> tuple[str, ...]:
         """As a table names it."""
-        return str(self.bits), self.granularity, self.rounding, "yes" if self.tuned else ""
+        most = "" if self.thresholds is None else f", {self.thresholds} thresholds"
+        tuning = "yes" if self.tuned else ""
+        return str(self.bits), f"{self.granularity}{most}", self.rounding, tuning
 
 
 @dataclass(frozen=True)
@@ -89,7 +94,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--policies", default=POLICIES)
     parser.add_argument("--episodes", type=int, default=10)
-    parser.add_argument("--steps", type=int, default=400)
+    parser.add_argument("--steps", type=int, default=200)
     given = parser.parse_args()
     subjects = [subject(name, given.episodes, given.steps) for name in given.policies.split(",")]
     outcomes = [[outcome(each, way) for way in ways()] for each in subjects]
@@ -104,14 +109,19 @@ def main() -> None:
 
 def ways() -> list[Way]:
     """Every way to quantise; tuning is searched for where weights are rounded to nearest."""
-    plain = [
-        Way(bits, granularity, rounding, False)
+    return [
+        Way(bits, *choice)
         for bits in BITS
-        for granularity in ("layer", "channel")
-        for rounding in ("nearest", "truncate")
+        for choice in (
+            ("layer", "nearest"),
+            ("layer", "truncate"),
+            ("layer", "nearest", True),
+            ("channel", "nearest"),
+            ("channel", "truncate"),
+            ("channel", "nearest", True),
+            ("channel", "nearest", False, FEW),
+        )
     ]
-    tuned_too = [Way(w.bits, w.granularity, "nearest", True) for w in plain[::2]]
-    return sorted([*plain, *tuned_too], key=lambda way: -way.bits)
 
 
 def subject(name: str, episodes: int, steps: int) -> Subject:
@@ -147,7 +157,11 @@ def outcome(of: Subject, way: Way) -> Outcome:
     """Measure one way to quantise a policy."""
     say(f"{of.name}: {' '.join(way.cells)}")
     on = chip("loihi1", weight_bits=way.bits)
-    quantisation = Quantisation(way.granularity, way.rounding)  # type: ignore[arg-type]
+    quantisation = Quantisation(
+        way.granularity,  # type: ignore[arg-type]
+        way.rounding,  # type: ignore[arg-type]
+        thresholds=way.thresholds,
+    )
     try:
         if way.tuned:
             quantisation = tuned(of.artifact, on, of.tuning.raster, quantisation)
@@ -206,16 +220,11 @@ def rungs(outcomes: Iterable[Outcome]) -> str:
 
 def summary(all_of_them: Sequence[Sequence[Outcome]]) -> str:
     """How many times nearer or further a choice brings the spikes, everything else equal."""
-    choices: dict[str, Callable[[Way], Way | None]] = {
-        "channel / layer": lambda w: (
-            Way(w.bits, "layer", w.rounding, w.tuned) if w.granularity == "channel" else None
-        ),
-        "truncate / nearest": lambda w: (
-            Way(w.bits, w.granularity, "nearest", w.tuned) if w.rounding == "truncate" else None
-        ),
-        "tuned / as it is": lambda w: (
-            Way(w.bits, w.granularity, w.rounding, False) if w.tuned else None
-        ),
+    choices: dict[str, Callable[[Way], Way]] = {
+        "channel / layer": lambda w: w if w.thresholds else replace(w, granularity="layer"),
+        "truncate / nearest": lambda w: replace(w, rounding="nearest"),
+        "tuned / as it is": lambda w: replace(w, tuned=False),
+        f"{FEW} thresholds / any": lambda w: replace(w, thresholds=None),
     }
     rows = [
         [str(bits), *(ratio(all_of_them, bits, other) for other in choices.values())]
@@ -225,15 +234,15 @@ def summary(all_of_them: Sequence[Sequence[Outcome]]) -> str:
 
 
 def ratio(
-    all_of_them: Sequence[Sequence[Outcome]], bits: int, other: Callable[[Way], Way | None]
+    all_of_them: Sequence[Sequence[Outcome]], bits: int, without: Callable[[Way], Way]
 ) -> str:
     """Geometric mean over policies of the ratio of distances, with and without a choice."""
     logs = []
     for outcomes in all_of_them:
         by_way = {each.way: distance(each) for each in outcomes if each.drift is not None}
         for way, mine in by_way.items():
-            theirs = by_way.get(other(way)) if way.bits == bits else None  # type: ignore[arg-type]
-            if theirs:
+            theirs = by_way.get(without(way))
+            if theirs and way.bits == bits and without(way) != way:
                 logs.append(np.log(mine / theirs))
     return f"{np.exp(np.mean(logs)):.2f}" if logs else "–"
 

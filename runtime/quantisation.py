@@ -42,12 +42,15 @@ class Quantisation:
     rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did.
     headroom: "none", the largest weight, threshold or bias fills what the chip holds; "proven", the
         largest scale at which no spikes whatever can overflow a register.
+    thresholds: most distinct thresholds of a layer, for which scales of neurons shrink a little;
+        None is no limit. nengo-loihi 1.1.0 lets a core of Loihi 1 hold 16.
     tuned: layer -> what calibration found.
     """
 
     granularity: Granularity = "layer"
     rounding: Rounding = "nearest"
     headroom: Headroom = "none"
+    thresholds: int | None = None
     tuned: Mapping[str, Tuning] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -60,6 +63,14 @@ class Quantisation:
                 choices = " or ".join(map(repr, allowed))
                 raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
 
+        if self.thresholds is None:
+            return
+        if self.thresholds < 1 or self.granularity == "layer":
+            raise ConfigError(
+                f"thresholds is {self.thresholds} with a scale for each {self.granularity}; it "
+                "must be 1 or more, and needs a scale for each 'channel'."
+            )
+
     def of(self, layer: str) -> Tuning:
         """The tuning of a layer."""
         return self.tuned.get(layer, UNTUNED)
@@ -71,8 +82,9 @@ class Quantisation:
             for name, found in self.tuned.items()
             if found != UNTUNED
         ]
+        most = "" if self.thresholds is None else f" with at most {self.thresholds} thresholds"
         return (
-            f"a scale for each {self.granularity}, rounding {self.rounding!r}, "
+            f"a scale for each {self.granularity}{most}, rounding {self.rounding!r}, "
             f"headroom {self.headroom!r}{''.join(tuned)}"
         )
 

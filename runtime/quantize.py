@@ -11,6 +11,7 @@ from runtime.errors import RuleError
 from runtime.program import Layer, Synapses
 from runtime.quantisation import PLAIN, Quantisation, Rounding
 from runtime.scale import Scale, mantissas_per_unit
+from runtime.threshold_levels import levelled
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -27,6 +28,8 @@ def quantise(
     tuning, rounding = quantisation.of(layer.name), quantisation.rounding
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
     scale = mantissas_per_unit(tuned, fixed, quantisation.granularity, tuning.reach) * share
+    if quantisation.thresholds is not None:
+        scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << fixed.mantissa_shift
     quantised = replace(
         layer,
