@@ -45,7 +45,9 @@ def test_levels_are_few_whole_and_never_above(seed, most):
     assert len(np.unique(np.rint(mantissas))) <= most
     # no number of equal groups on a scale of ratios could lose more
     low, high = (scale * thresholds).min(), (scale * thresholds).max()
-    assert (scale / found).max() <= (high / np.floor(low)) ** (1 / most) * (1 + 2 / low) * (1 + 1e-8)
+    assert (scale / found).max() <= (high / np.floor(low)) ** (1 / most) * (1 + 2 / low) * (
+        1 + 1e-8
+    )
 
 
 @pytest.mark.parametrize("rounding", ["nearest", "truncate"])

@@ -16,7 +16,9 @@ from spikedeploy.commands.options import (
     Room,
     Rounding,
     Seed,
+    Thresholds,
     Workers,
+    quantisation,
 )
 
 
@@ -43,18 +45,18 @@ def compare(
     quantise: Quantise = Granularity.layer,
     rounding: Rounding = Fraction.nearest,
     headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
-    from runtime.quantisation import Quantisation
     from spikedeploy import report
     from spikedeploy.compare import compare as play
     from spikedeploy.lineup import line_up
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
-    quantisation = Quantisation(quantise.value, rounding.value, headroom.value)
-    entries = line_up(env, files or (), _names(chips), quantisation)
+    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    entries = line_up(env, files or (), _names(chips), rounded)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(comparison)
     if output:

@@ -16,6 +16,8 @@ from spikedeploy.commands.options import (
     Room,
     Rounding,
     Seed,
+    Thresholds,
+    quantisation,
 )
 
 
@@ -41,6 +43,7 @@ def drift(
     quantise: Quantise = Granularity.layer,
     rounding: Rounding = Fraction.nearest,
     headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Leave headroom for half of the inputs.")
     ] = False,
@@ -64,7 +67,6 @@ def drift(
     """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
     from runtime.artifact import load
     from runtime.chip import chip as datasheet
-    from runtime.quantisation import Quantisation
     from spikedeploy import drift_tables
     from spikedeploy.drift import drift_report
     from spikedeploy.inputs import chosen, path_of
@@ -81,7 +83,7 @@ def drift(
         artifact,
         datasheet(chip),
         inputs,
-        Quantisation(quantise.value, rounding.value, headroom.value),
+        quantisation(quantise, rounding, headroom, thresholds),
         calibrate,
         tune,
         tau,

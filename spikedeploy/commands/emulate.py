@@ -14,6 +14,8 @@ from spikedeploy.commands.options import (
     Quantise,
     Room,
     Rounding,
+    Thresholds,
+    quantisation,
 )
 
 
@@ -60,10 +62,10 @@ def emulate(
     quantise: Quantise = Granularity.layer,
     rounding: Rounding = Fraction.nearest,
     headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
-    from runtime.quantisation import Quantisation
     from spikedeploy.emulate import emulate as play
     from spikedeploy.emulate import read_raster
     from spikedeploy.terminal import print_emulation, print_json
@@ -75,8 +77,8 @@ def emulate(
         "delay": delay,
         "like": like,
     }
-    quantisation = Quantisation(quantise.value, rounding.value, headroom.value)
-    result = play(file, chip, read_raster(input_), quantisation, **given)
+    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    result = play(file, chip, read_raster(input_), rounded, **given)
     result.save(output)
     if json:
         print_json(result.as_json())

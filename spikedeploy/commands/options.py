@@ -1,9 +1,12 @@
 """Options that several commands share, worded once."""
 
 from enum import Enum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from runtime.quantisation import Quantisation
 
 
 class Granularity(str, Enum):
@@ -52,3 +55,18 @@ Headroom = Annotated[
     Room,
     typer.Option("--headroom", help="Fill the weights, or leave what no spikes can overflow."),
 ]
+Thresholds = Annotated[
+    int | None,
+    typer.Option(
+        "--thresholds", min=1, help="Most distinct thresholds of a layer, with --quantise channel."
+    ),
+]
+
+
+def quantisation(
+    quantise: Granularity, rounding: Fraction, headroom: Room, thresholds: int | None
+) -> "Quantisation":
+    """What the four options ask for."""
+    from runtime.quantisation import Quantisation
+
+    return Quantisation(quantise.value, rounding.value, headroom.value, thresholds)

@@ -16,6 +16,8 @@ from spikedeploy.commands.options import (
     Room,
     Rounding,
     Seed,
+    Thresholds,
+    quantisation,
 )
 
 
@@ -45,18 +47,18 @@ def run(
     quantise: Quantise = Granularity.layer,
     rounding: Rounding = Fraction.nearest,
     headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
-    from runtime.quantisation import Quantisation
     from spikedeploy import report
     from spikedeploy.run import run as play
     from spikedeploy.terminal import print_comparison, print_json
     from spikedeploy.worlds import parsed
 
     numbers = range(seed, seed + episodes)
-    quantisation = Quantisation(quantise.value, rounding.value, headroom.value)
-    comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()), quantisation)
+    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    comparison = play(policy, env, chip, numbers, video, sampled, parsed(set_ or ()), rounded)
     document = report.document(comparison)
     if json:
         print_json(document)
