@@ -61,7 +61,7 @@ def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
     # one timestep after another, so that the membranes between them can be read
     kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
     graph = FloatGraph(kept)
-    shape = graph.graph.nodes[graph.input].input_type["input"]
+    shape = next(iter(artifact.graph.inputs.values())).input_type["input"]
     x = raster.reshape(*raster.shape[:2], *map(int, shape))
     nodes = {
         name: node

@@ -39,7 +39,8 @@ class Quantisation:
 
     granularity: "layer", one scale for all neurons of a layer (Tang et al. 2020, PopSAN);
         "channel", one for each neuron.
-    rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did.
+    rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did; None is
+        what the chip's own tool does: on Loihi "nearest".
     headroom: "none", the largest weight, threshold or bias fills what the chip holds; "proven", the
         largest scale at which no spikes whatever can overflow a register.
     thresholds: most distinct thresholds of a layer, for which scales of neurons shrink a little;
@@ -48,7 +49,7 @@ class Quantisation:
     """
 
     granularity: Granularity = "layer"
-    rounding: Rounding = "nearest"
+    rounding: Rounding | None = None
     headroom: Headroom = "none"
     thresholds: int | None = None
     tuned: Mapping[str, Tuning] = field(default_factory=dict, hash=False)
@@ -56,11 +57,11 @@ class Quantisation:
     def __post_init__(self) -> None:
         for option, allowed in (
             ("granularity", get_args(Granularity)),
-            ("rounding", get_args(Rounding)),
+            ("rounding", (*get_args(Rounding), None)),
             ("headroom", get_args(Headroom)),
         ):
             if (found := getattr(self, option)) not in allowed:
-                choices = " or ".join(map(repr, allowed))
+                choices = " or ".join(repr(each) for each in allowed if each)
                 raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
 
         if self.thresholds is None:
@@ -82,11 +83,10 @@ class Quantisation:
             for name, found in self.tuned.items()
             if found != UNTUNED
         ]
+        rounding = f"rounding {self.rounding!r}" if self.rounding else "the chip's own rounding"
         most = "" if self.thresholds is None else f" with at most {self.thresholds} thresholds"
-        return (
-            f"a scale for each {self.granularity}{most}, rounding {self.rounding!r}, "
-            f"headroom {self.headroom!r}{''.join(tuned)}"
-        )
+        scales = f"a scale for each {self.granularity}{most}"
+        return f"{scales}, {rounding}, headroom {self.headroom!r}{''.join(tuned)}"
 
 
 PLAIN = Quantisation()

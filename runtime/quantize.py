@@ -25,7 +25,7 @@ def quantise(
     share: () or (N,) part of the largest scale that is used; runtime.headroom finds it.
     """
     _check_bias(layer, fixed)
-    tuning, rounding = quantisation.of(layer.name), quantisation.rounding
+    tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
     scale = mantissas_per_unit(tuned, fixed, quantisation.granularity, tuning.reach) * share
     if quantisation.thresholds is not None:

@@ -1,5 +1,7 @@
 """The float twin and every chip are recorded alike."""
 
+from dataclasses import replace
+
 import nir
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from runtime.chip import chip
 from runtime.compile import compile
 from runtime.convention import Convention
 from runtime.float_machine import FloatMachine
+from runtime.interpreter import trace
 from tests.networks import graph, lif, popsan, spiking_mlp
 
 
@@ -62,3 +65,19 @@ def test_the_ideal_chip_reaches_what_the_float_twin_reaches():
     ideal = chip_activity(compile(artifact, chip("ideal")), raster)
     for name, reached in float_activity(artifact, raster).reached.items():
         np.testing.assert_allclose(ideal.reached[name], reached, rtol=0, atol=1e-12)
+
+
+def test_what_only_the_interpreter_computes_is_recorded_alike():
+    program = compile(popsan(), chip("loihi1"))
+    layers = [
+        replace(a, synapses=tuple(replace(s, shift=1) for s in a.synapses)) for a in program.layers
+    ]
+    shifted = replace(program, layers=tuple(layers))
+    raster = raster_of(popsan())
+    seen, wanted = chip_activity(shifted, raster), trace(shifted, raster)
+    for name, ran in wanted.items():
+        np.testing.assert_array_equal(seen.spikes[name], ran.spikes)
+        assert seen.saturations[name] == 0
+    spikes = wanted[program.output].spikes
+    np.testing.assert_array_equal(seen.output, program.readout(spikes))
+    assert spikes.any()

@@ -1,13 +1,17 @@
 """Layers that are dead or saturated: each cause is found in a network that was built to have it."""
 
+from dataclasses import replace
+
 import nir
 import numpy as np
 import pytest
 
 from runtime.artifact import Artifact
 from runtime.chip import chip
+from runtime.compile import compile
 from runtime.convention import Convention
-from runtime.drift import drift
+from runtime.diagnosis import diagnose
+from runtime.drift import activity, drift
 from runtime.quantisation import Quantisation
 from tests.networks import chain, cuba
 from tests.test_headroom import crowd
@@ -110,3 +114,15 @@ def test_fractions_that_a_small_current_loses_in_every_timestep_are_named():
 def test_every_reading_of_the_chip_is_diagnosed(name):
     artifact = layers([[1000.0, 1.9, 1.9]], threshold=2.5)
     assert diagnosed(artifact, silent_first_axon(3), name)["n2"].cause == "weights"
+
+
+@pytest.mark.parametrize(("lost", "detail"), [(0, "numbers are rounded"), (7, "7 numbers overf")])
+def test_a_chip_without_rungs_is_said_to_round_or_to_overflow(lost, detail):
+    artifact = layers([[1.0]])
+    raster = np.ones((1, 20, 1), np.uint8)
+    program = compile(artifact, chip("ideal"))
+    twin = activity(artifact, None, raster)
+    dead = replace(twin, spikes={"n2": 0 * twin.spikes["n2"]}, saturations={"n2": lost})
+    (found,) = diagnose(None, program, raster, twin, {"chip": dead})
+    assert (found.health, found.cause) == ("dead", "rounding")
+    assert detail in found.detail

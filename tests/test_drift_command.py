@@ -149,7 +149,9 @@ def test_run_and_compare_take_the_same_quantisation_and_report_it(command, strol
     assert plain["rows"][0]["returns"] != channel["rows"][0]["returns"]
     assert "on chips" not in plain["conventions"]["popsan"]
     said = channel["conventions"]["popsan"]
-    assert said.endswith("; on chips a scale for each channel, rounding 'nearest', headroom 'none'")
+    assert said.endswith(
+        "; on chips a scale for each channel, the chip's own rounding, headroom 'none'"
+    )
     words = ("compare", "stroll", "stroll/popsan", "--episodes", 1, "--workers", 1, "--json")
     found = json.loads(command(*words, "--quantise", "channel")[1])
     (on_chip,) = [row for row in found["rows"] if row["chip"] == "loihi1"]

@@ -155,7 +155,7 @@ def test_a_layer_without_weights_is_no_reason_to_refuse():
 
 
 def test_an_unknown_rounding_is_refused():
-    with pytest.raises(ConfigError, match="rounding 'up'"):
+    with pytest.raises(ConfigError, match=r"rounding 'up' is unknown\. Choose 'nearest' or 't"):
         Quantisation(rounding="up")
 
 

@@ -8,7 +8,6 @@ import typer
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
     EnvOptions,
-    Fraction,
     Granularity,
     Headroom,
     Json,
@@ -43,7 +42,7 @@ def compare(
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
     quantise: Quantise = Granularity.layer,
-    rounding: Rounding = Fraction.nearest,
+    rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
     json: Json = False,

@@ -8,7 +8,6 @@ import typer
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
     EnvOptions,
-    Fraction,
     Granularity,
     Headroom,
     Json,
@@ -41,7 +40,7 @@ def drift(
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
     quantise: Quantise = Granularity.layer,
-    rounding: Rounding = Fraction.nearest,
+    rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
     calibrate: Annotated[

@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from spikedeploy.commands.options import (
-    Fraction,
     Granularity,
     Headroom,
     Json,
@@ -60,7 +59,7 @@ def emulate(
         ),
     ] = None,
     quantise: Quantise = Granularity.layer,
-    rounding: Rounding = Fraction.nearest,
+    rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
     json: Json = False,

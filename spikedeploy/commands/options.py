@@ -49,7 +49,12 @@ Quantise = Annotated[
     Granularity, typer.Option("--quantise", help="A scale for each layer, or for each neuron.")
 ]
 Rounding = Annotated[
-    Fraction, typer.Option("--rounding", help="Of weights, thresholds and decays, to integers.")
+    Fraction | None,
+    typer.Option(
+        "--rounding",
+        help="Of weights, thresholds and decays, to integers.",
+        show_default="the chip's own",
+    ),
 ]
 Headroom = Annotated[
     Room,
@@ -64,9 +69,11 @@ Thresholds = Annotated[
 
 
 def quantisation(
-    quantise: Granularity, rounding: Fraction, headroom: Room, thresholds: int | None
+    quantise: Granularity, rounding: Fraction | None, headroom: Room, thresholds: int | None
 ) -> "Quantisation":
     """What the four options ask for."""
     from runtime.quantisation import Quantisation
 
-    return Quantisation(quantise.value, rounding.value, headroom.value, thresholds)
+    return Quantisation(
+        quantise.value, rounding.value if rounding else None, headroom.value, thresholds
+    )

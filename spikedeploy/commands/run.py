@@ -8,7 +8,6 @@ import typer
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
     EnvOptions,
-    Fraction,
     Granularity,
     Headroom,
     Json,
@@ -45,7 +44,7 @@ def run(
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
     quantise: Quantise = Granularity.layer,
-    rounding: Rounding = Fraction.nearest,
+    rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
     json: Json = False,
