@@ -39,9 +39,9 @@ class Divergence:
         """The same in words."""
         return (
             f"inference {self.inference}, timestep {self.timestep}, layer {self.layer!r}, neuron "
-            f"{self.neuron}: {self.chip_spikes} spikes on the chip (membrane "
-            f"{self.chip_membrane:.6g}, threshold {self.chip_threshold:.6g}), "
-            f"{self.float_spikes} in float ({self.float_membrane:.6g}, {self.float_threshold:.6g})"
+            f"{self.neuron}; spikes on the chip: {self.chip_spikes} (membrane "
+            f"{self.chip_membrane:.6g}, threshold {self.chip_threshold:.6g}), in float: "
+            f"{self.float_spikes} ({self.float_membrane:.6g}, {self.float_threshold:.6g})"
         )
 
 

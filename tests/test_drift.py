@@ -53,8 +53,8 @@ def test_the_first_difference_is_found_by_inference_timestep_and_neuron():
     found = drift(artifact, chip("loihi1"), raster)
     # 255 mantissas of 1 - 1e-6 round to 255, which a weight of 255 does not exceed
     assert found.first.describe() == (
-        "inference 1, timestep 2, layer 'n2', neuron 1: 0 spikes on the chip (membrane 1, "
-        "threshold 1), 1 in float (1, 0.999999)"
+        "inference 1, timestep 2, layer 'n2', neuron 1; spikes on the chip: 0 (membrane 1, "
+        "threshold 1), in float: 1 (1, 0.999999)"
     )
     assert found.diverged == 1
     (layer,) = found.layers

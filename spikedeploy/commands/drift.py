@@ -50,10 +50,10 @@ def drift(
         bool, typer.Option("--tune", help="Search clipping and thresholds on half of the inputs.")
     ] = False,
     tau: Annotated[
-        float, typer.Option(min=0.01, help="Time constant of the spike distance [timesteps].")
+        float, typer.Option(min=0.01, help="Time constant of the spike distance, in timesteps.")
     ] = 5.0,
     dt: Annotated[
-        float | None, typer.Option(help="Timestep [s].", show_default="from the file")
+        float | None, typer.Option(help="Timestep, in seconds.", show_default="from the file")
     ] = None,
     like: Annotated[
         str | None, typer.Option(help="Read the file as another tool, as in emulate.")
