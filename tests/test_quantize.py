@@ -57,6 +57,21 @@ def test_truncation_drops_fractions_as_popsan_does():
     assert layer.current_keep.tolist() == [4096 - 409] * 3
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_truncation_is_the_formula_of_popsans_mapping(seed):
+    rng = np.random.default_rng(seed)
+    weight, bias = rng.normal(size=(8, 6)), rng.normal(size=6)
+    layer = quantise(replace(floats(weight), bias=bias), FIXED, TRUNCATE)
+    # k = 255 / max(|W|, |b|), int(clip(W k)), int(vth k)  (pop-spiking-deep-rl, utility.py)
+    k = 255 / max(np.abs(weight).max(), np.abs(bias).max())
+    assert layer.synapses[0].weight.tolist() == np.clip(weight * k, -255, 255).astype(int).tolist()
+    assert layer.bias.tolist() == np.clip(bias * k, -255, 255).astype(int).tolist()
+    assert layer.threshold.tolist() == [int(0.5 * k) * 64] * 6
+    # 1/2 and 1/4 of 4096, as there
+    assert (4096 - layer.current_keep).tolist() == [2048] * 6
+    assert (4096 - layer.membrane_keep).tolist() == [1024] * 6
+
+
 def test_decays_are_rounded_to_twelve_bits():
     layer = quantise(floats([[1.0]], alpha=0.9, beta=0.8), FIXED)
     assert layer.current_keep.tolist() == [4096 - 410]
