@@ -1,7 +1,7 @@
 """What quantisation costs the shipped policies: spikes, actions and returns on loihi1.
 
     python benchmarks/drift.py [-o results/drift.md] [--policies hexapod/popsan,kart-grid/snn]
-                               [--episodes 10] [--steps 200]
+                               [--episodes 5] [--steps 200]
 
 Every policy is quantised in every way: weights of 8 to 2 bits, a scale for each layer or for each
 neuron, rounded to nearest or truncated, as it is, tuned, or with few thresholds. Spikes and actions
@@ -58,7 +58,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--policies", default=POLICIES)
-    parser.add_argument("--episodes", type=int, default=10)
+    parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--steps", type=int, default=200)
     given = parser.parse_args()
     subjects = [subject(name, given.episodes, given.steps) for name in given.policies.split(",")]

@@ -13,7 +13,7 @@ from spikedeploy.inputs import Inputs
 from spikedeploy.policies import Candidate
 from spikedeploy.statistics import paired_difference
 
-BITS = (8, 6, 4, 3, 2)
+BITS = (8, 6, 4, 2)
 FEW = 16  # thresholds that nengo-loihi lets a core hold
 
 

@@ -12,7 +12,9 @@ from runtime.chip import FixedPoint
 from runtime.program import Layer, Program
 
 Health = Literal["dead", "saturated", ""]
-Cause = Literal["policy", "input", "weights", "thresholds", "decays", "states", "rounding"]
+Cause = Literal[
+    "policy", "input", "counts", "weights", "thresholds", "decays", "states", "rounding"
+]
 
 # a rate from which on a neuron says little more than that it is there
 SATURATED = 0.9
@@ -24,8 +26,9 @@ class Finding:
 
     layer: name.
     health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.
-    cause: "policy", it is so in float too; "input", nothing arrives; a rung of runtime.ablation,
-        the first on which it is so; "rounding", of a chip that has no rungs.
+    cause: "policy", it is so in float too; "input", nothing arrives; "counts", neurons send several
+        spikes in a timestep, and in float one; a rung of runtime.ablation, the first on which it is
+        so; "rounding", of a chip that has no rungs.
     detail: the same with numbers.
     """
 
@@ -78,6 +81,9 @@ def _cause(
         return "input", f"nothing arrives: {of} is silent and there is no bias{also}"
     if alike:
         return "policy", "it is so in float too: the policy itself, not the chip"
+    most, at_most = seen.spikes[name].max(), max(1, twin.spikes[name].max())
+    if found == "saturated" and most > at_most:
+        return "counts", f"neurons send up to {most} spikes in a timestep, in float {at_most}"
     if floats is None or program.chip.fixed is None:
         return "rounding", _unexplained(seen.saturations[name])
     rung = next(rung for rung, ran in rungs.items() if health(ran.spikes[name]) == found)

@@ -40,9 +40,13 @@ class Divergence:
         return (
             f"inference {self.inference}, timestep {self.timestep}, layer {self.layer!r}, neuron "
             f"{self.neuron}; spikes on the chip: {self.chip_spikes} (membrane "
-            f"{self.chip_membrane:.6g}, threshold {self.chip_threshold:.6g}), in float: "
-            f"{self.float_spikes} ({self.float_membrane:.6g}, {self.float_threshold:.6g})"
+            f"{_shown(self.chip_membrane)}, threshold {self.chip_threshold:.6g}), in float: "
+            f"{self.float_spikes} ({_shown(self.float_membrane)}, {self.float_threshold:.6g})"
         )
+
+
+def _shown(membrane: float) -> str:
+    return "not known before its reset" if np.isnan(membrane) else f"{membrane:.6g}"
 
 
 def first(twin: Activity, seen: Activity, layers: Iterable[str]) -> Divergence | None:

@@ -126,3 +126,14 @@ def test_a_chip_without_rungs_is_said_to_round_or_to_overflow(lost, detail):
     (found,) = diagnose(None, program, raster, twin, {"chip": dead})
     assert (found.health, found.cause) == ("dead", "rounding")
     assert detail in found.detail
+
+
+def test_a_chip_that_sends_several_spikes_where_float_sends_one_is_told_by_its_counts():
+    artifact = layers([[0.4]])
+    raster = np.ones((1, 20, 1), np.uint8)
+    program = compile(artifact, chip("ideal"))
+    twin = activity(artifact, None, raster)
+    several = replace(twin, spikes={"n2": 3 * twin.spikes["n2"]})
+    (found,) = diagnose(None, program, raster, twin, {"chip": several})
+    assert (found.health, found.cause) == ("saturated", "counts")
+    assert found.detail == "neurons send up to 3 spikes in a timestep, in float 1"

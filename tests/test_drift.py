@@ -72,6 +72,11 @@ def test_of_one_timestep_the_layer_that_hears_first_is_named():
         return Activity(spikes, zeros, one, np.zeros((1, 3, 1)), dict.fromkeys(spikes, 0))
 
     twin = ran(a=[0, 0, 0], b=[0, 0, 0])
+    reset = ran(a=[1, 0, 0])
+    reset = replace(reset, reached={"a": np.full((1, 3, 1), np.nan)})
+    assert (
+        "(membrane not known before its reset, threshold 1)" in first(twin, reset, ["a"]).describe()
+    )
     assert first(twin, ran(a=[0, 1, 0], b=[0, 1, 0]), ["b", "a"]).layer == "b"
     assert first(twin, ran(a=[0, 1, 0], b=[0, 0, 1]), ["b", "a"]).layer == "a"
 
