@@ -63,7 +63,6 @@ class Quantisation:
             if (found := getattr(self, option)) not in allowed:
                 choices = " or ".join(repr(each) for each in allowed if each)
                 raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
-
         if self.thresholds is None:
             return
         if self.thresholds < 1 or self.granularity == "layer":
