@@ -38,7 +38,8 @@ Written by `{command}`, which is what every number here comes from.
 Distance is van Rossum's (time constant 5 timesteps, mean over inferences and neurons), in which a
 spike more or less is 0.5; the float twin is 0. The chip is `loihi1`, with fewer stored bits of a
 weight where the table says so. Tuned ways clip the largest weights and shift thresholds as
-`runtime/calibration.py` finds best on other episodes.
+`runtime/calibration.py` finds best on other episodes. What was learnt from these tables stands in
+[docs/quantisation.md](../docs/quantisation.md#what-it-costs).
 
 ## All policies
 
