@@ -12,11 +12,12 @@ from runtime.convention import Convention
 from runtime.discrete import Discrete, discretise
 from runtime.errors import ConfigError, RuleError
 from runtime.event_point import EventPoint
+from runtime.headroom import with_headroom
 from runtime.outlets import Outlet
 from runtime.program import Layer, Program, Readout, Synapses
+from runtime.quantisation import PLAIN, Quantisation
 from runtime.quantised import quantised
-from runtime.quantize_xylo import Granularity, quantise_xylo
-from runtime.rounding import Rounding
+from runtime.quantize_xylo import quantise_xylo
 from runtime.rules import ARITHMETIC, ROOM, refuse
 from runtime.step_rules import check_convention
 from runtime.wiring import Wire, Wiring, wiring
@@ -29,19 +30,17 @@ ENDLESS = 1 << 30
 def compile(
     artifact: Artifact,
     chip: Chip,
-    rounding: Rounding | None = None,
+    quantisation: Quantisation = PLAIN,
     stagger: bool | None = None,
-    granularity: Granularity = "layer",
     weight_shift: int = 0,
     limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
 
-    rounding: of weights, biases, thresholds and decays, as in quantise; None is the chip's own.
+    quantisation: of weights, biases, thresholds and decays.
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay, and on Xylo where Xylo can.
-    granularity: on Xylo, whether a population or each neuron has a scale, as in quantise_xylo.
     weight_shift: on Xylo, as in quantise_xylo.
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip has no room for the network, and where it has not quite what the network asks for.
@@ -54,14 +53,14 @@ def compile(
         refuse(artifact, chip, ROOM)
     if chip.events is not None:
         held = for_xylo(artifact, chip, chip.events, wires, stagger)
-        program = quantise_xylo(held, chip.events, granularity, rounding or "nearest", weight_shift)
-    elif granularity != "layer" or weight_shift:
+        program = quantise_xylo(held, chip.events, quantisation, weight_shift)
+    elif weight_shift:
         raise ConfigError(
-            f"granularity {granularity!r} and weight_shift {weight_shift}: {chip.name} has one "
-            "scale for each layer, and no shift. Leave them out, or choose a Xylo."
+            f"weight_shift is {weight_shift}: {chip.name} has no shift. Leave it out, or choose a "
+            "Xylo."
         )
     else:
-        program = _layered(artifact, chip, wires, rounding, stagger, limits)
+        program = _layered(artifact, chip, wires, quantisation, stagger, limits)
     if limits:  # last: the compiler itself is more precise
         refuse(artifact, chip, ARITHMETIC)
     return program
@@ -71,7 +70,7 @@ def _layered(
     artifact: Artifact,
     chip: Chip,
     wires: Wiring,
-    rounding: Rounding | None,
+    quantisation: Quantisation,
     stagger: bool | None,
     limits: bool,
 ) -> Program:
@@ -79,8 +78,12 @@ def _layered(
     if stagger is None:
         stagger = artifact.convention.delay == 0
     starts = _starts(wires, chip.delay if stagger else 0)
-    layers = [_layer(artifact, wires, name, starts, chip.delay) for name in wires.layers]
-    return _program(artifact, chip, wires, quantised(layers, chip, rounding, limits))
+    floats = [_layer(artifact, wires, name, starts, chip.delay) for name in wires.layers]
+    layers = quantised(floats, chip, quantisation, limits)
+    program = _program(artifact, chip, wires, layers)
+    if chip.fixed is not None and quantisation.headroom == "proven":
+        return with_headroom(program, floats, chip.fixed, quantisation, _window(artifact))
+    return program
 
 
 def for_xylo(
@@ -196,6 +199,12 @@ def _delay(wire: Wire, target: str, starts: dict[str, int], delay: int) -> int:
             "lengthens every loop by the delays of its layers."
         )
     return max(due, delay)
+
+
+def _window(artifact: Artifact) -> int | None:
+    """T of an inference; None where it is not known or states go on from one to the next."""
+    reset = artifact.convention.state == "reset"
+    return artifact.codec.timesteps if artifact.codec is not None and reset else None
 
 
 def _ways_out(

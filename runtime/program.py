@@ -43,7 +43,7 @@ class Synapses:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """One population of neurons; on integer chips every array but `scale` holds integers.
+    """One population of neurons; on integer chips everything but `scale` holds integers.
 
     name: of the NIR node.
     synapses: what it listens to.

@@ -1,41 +1,43 @@
-"""Quantisation: a layer in floats becomes the integers that a chip can hold.
-
-Each layer has a scale of its own, so that its largest weight or bias is the chip's largest weight
-(Tang et al. 2020, PopSAN); thresholds follow it. A spike has no size, so scales of different layers
-never meet.
-"""
+"""Quantisation: a layer in floats becomes the integers that a chip can hold."""
 
 from dataclasses import replace
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.chip import FixedPoint
-from runtime.errors import ConfigError, RuleError
+from runtime.errors import RuleError
 from runtime.program import Layer, Synapses
+from runtime.quantisation import PLAIN, Quantisation
+from runtime.rounding import Rounding, rounded
+from runtime.scale import Scale, mantissas_per_unit
+from runtime.threshold_levels import levelled
 
-Rounding = Literal["nearest", "truncate"]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-def quantise(layer: Layer, fixed: FixedPoint, rounding: Rounding = "nearest") -> Layer:
+def quantise(
+    layer: Layer, fixed: FixedPoint, quantisation: Quantisation = PLAIN, share: Scale = 1.0
+) -> Layer:
     """The float layer as the chip's integers.
 
-    rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did.
+    share: () or (N,) part of the largest scale that is used; runtime.headroom finds it.
     """
-    if rounding not in get_args(Rounding):
-        raise ConfigError(f"rounding {rounding!r} is unknown. Choose 'nearest' or 'truncate'.")
     _check_bias(layer, fixed)
-    scale = _scale(layer, fixed)
+    tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
+    tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
+    scale = mantissas_per_unit(tuned, fixed, quantisation.granularity, tuning.reach) * share
+    if quantisation.thresholds is not None:
+        scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << fixed.mantissa_shift
     quantised = replace(
         layer,
         synapses=tuple(_synapses(s, scale, fixed, rounding) for s in layer.synapses),
         bias=_weights(layer.bias, scale, fixed, rounding),
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, fixed, rounding),
-        threshold=_threshold(layer, scale, fixed, rounding) * one,
+        threshold=_threshold(tuned, scale, fixed, rounding) * one,
         current_keep=_keep(layer, "current", fixed, rounding),
         membrane_keep=_keep(layer, "membrane", fixed, rounding),
         scale=layer.scale / (scale * one),
@@ -70,51 +72,34 @@ def _check_bias(layer: Layer, fixed: FixedPoint) -> None:
         )
 
 
-def _scale(layer: Layer, fixed: FixedPoint) -> float:
-    """Mantissas per float unit: as many as the weights, the threshold and the bias allow."""
-    widest_bias = fixed.bias_mantissa_max << fixed.bias_exponent_max >> fixed.mantissa_shift
-    limits = (
-        (fixed.weight_max, [*(s.weight for s in layer.synapses), layer.bias]),
-        (fixed.threshold_max, [layer.threshold]),
-        (widest_bias, [layer.voltage_bias]),
-    )
-    largest = [(limit, max(_magnitude(a) for a in arrays)) for limit, arrays in limits]
-    return min((limit / found for limit, found in largest if found > 0), default=1.0)
-
-
 def _magnitude(values: Floats) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
-def _synapses(synapses: Synapses, scale: float, fixed: FixedPoint, rounding: Rounding) -> Synapses:
+def _synapses(synapses: Synapses, scale: Scale, fixed: FixedPoint, rounding: Rounding) -> Synapses:
     weight = _weights(synapses.weight, scale, fixed, rounding).astype(np.int16)
     return replace(synapses, weight=weight)
 
 
-def _weights(weights: Floats, scale: float, fixed: FixedPoint, rounding: Rounding) -> Integers:
-    """Multiples of the chip's weight step; the clip only catches a last bit of the scale."""
-    steps = _rounded(weights * scale / fixed.weight_step, rounding)
+def _weights(weights: Floats, scale: Scale, fixed: FixedPoint, rounding: Rounding) -> Integers:
+    """Multiples of the chip's weight step; what a reach above 1 sends further is clipped."""
+    steps = rounded(weights * scale / fixed.weight_step, rounding)
     return np.clip(steps * fixed.weight_step, -fixed.weight_max, fixed.weight_max)
 
 
-def _rounded(values: Floats, rounding: Rounding) -> Integers:
-    # the product with the scale may fall a last bit short of the whole number that it means
-    whole = np.rint(values) if rounding == "nearest" else np.trunc(values * (1 + 1e-12))
-    return whole.astype(np.int64)
-
-
-def _threshold(layer: Layer, scale: float, fixed: FixedPoint, rounding: Rounding) -> Integers:
+def _threshold(layer: Layer, scale: Scale, fixed: FixedPoint, rounding: Rounding) -> Integers:
     if layer.threshold.min(initial=0.0) < 0:
         raise RuleError(
             f"layer {layer.name!r}: threshold {layer.threshold.min():g} is below 0; the chip's "
             "thresholds are unsigned. Train with positive thresholds."
         )
-    mantissa = _rounded(layer.threshold * scale, rounding)
+    exact = layer.threshold * scale
+    mantissa = rounded(exact, rounding)
     lost = (mantissa == 0) & (layer.threshold > 0)
     if lost.any():
         raise RuleError(
             f"layer {layer.name!r}: threshold {layer.threshold[lost].min():g} is "
-            f"{(layer.threshold[lost] * scale).min():.2g} of the smallest that the chip can hold "
+            f"{exact[lost].min():.2g} of the smallest that the chip can hold "
             "beside the largest weight. Clip the weights, or raise the threshold."
         )
     return np.minimum(mantissa, fixed.threshold_max)
@@ -125,7 +110,7 @@ def _voltage_bias(values: Floats, fixed: FixedPoint, rounding: Rounding) -> Inte
     over = np.maximum(np.abs(values) / max(fixed.bias_mantissa_max, 1), 1.0)
     exponent = np.ceil(np.log2(over)).astype(np.int64)
     exponent = np.minimum(exponent, fixed.bias_exponent_max)
-    mantissa = _rounded(values / 2.0**exponent, rounding)
+    mantissa = rounded(values / 2.0**exponent, rounding)
     limit = fixed.bias_mantissa_max
     return np.clip(mantissa, -limit, limit) << exponent
 
@@ -141,7 +126,7 @@ def _keep(layer: Layer, of: str, fixed: FixedPoint, rounding: Rounding) -> Integ
             f"is not possible; the chip takes away {least} to {most} of {fixed.decay_one} in each "
             "timestep. Choose another time constant."
         )
-    decays = _rounded((1 - keep) * fixed.decay_one, rounding)
+    decays = rounded((1 - keep) * fixed.decay_one, rounding)
     return fixed.decay_one - np.clip(decays, least, most)
 
 

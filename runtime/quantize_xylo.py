@@ -11,7 +11,7 @@ the hidden scale, and recurrent weights once more where the outputs' thresholds 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias, get_args
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,38 +19,31 @@ from numpy.typing import NDArray
 from runtime.errors import ConfigError, RuleError
 from runtime.event_point import EventPoint
 from runtime.program import Layer, Program, Synapses
-from runtime.quantize import Rounding
+from runtime.quantisation import PLAIN, Granularity, Quantisation
+from runtime.rounding import Rounding, rounded
 
-Granularity = Literal["layer", "channel"]
 Floats: TypeAlias = NDArray[np.float64]
 
 
 def quantise_xylo(
     program: Program,
     point: EventPoint,
-    granularity: Granularity = "layer",
-    rounding: Rounding = "nearest",
+    quantisation: Quantisation = PLAIN,
     weight_shift: int = 0,
 ) -> Program:
     """The float layers of the program as Xylo's integers.
 
-    granularity: "layer", one scale for all hidden neurons and one for all outputs; "channel", one
-        for each neuron, which a spike without size allows.
-    rounding: "nearest", half to even; "truncate" drops fractions.
+    quantisation: "layer" is one scale for all hidden neurons and one for all outputs, "channel" one
+        for each neuron, which a spike without size allows; rounding is to the nearest by itself.
     weight_shift: [bits] by which the chip shifts all weights to the left; thresholds and biases
         follow. States are then finer than weights, and decays lose less to rounding; they also
         saturate sooner.
     """
-    for option, found, known in (
-        ("granularity", granularity, get_args(Granularity)),
-        ("rounding", rounding, get_args(Rounding)),
-    ):
-        if found not in known:
-            choices = " or ".join(map(repr, known))
-            raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
+    quantisation.only(program.chip.name, "granularity", "rounding")
     if not 0 <= weight_shift <= point.shift_max:
         raise ConfigError(f"weight_shift is {weight_shift}; choose 0 to {point.shift_max} bits.")
-    scales = _scales(program, point, granularity, 1 << weight_shift)
+    scales = _scales(program, point, quantisation.granularity, 1 << weight_shift)
+    rounding = quantisation.rounding or "nearest"
     layers = (
         _layer(layer, scales[layer.name], point, rounding, 1 << weight_shift)
         for layer in program.layers
@@ -100,7 +93,7 @@ def _check_thresholds(layer: Layer) -> None:
 def _layer(layer: Layer, scale: Floats, point: EventPoint, rounding: Rounding, one: int) -> Layer:
     synapses = tuple(_synapses(s, scale, point, rounding, one) for s in layer.synapses)
     states = scale * one
-    threshold = _rounded(layer.threshold * states, rounding)
+    threshold = rounded(layer.threshold * states, rounding)
     if (lost := threshold < 1).any():
         raise RuleError(
             f"layer {layer.name!r}: threshold {layer.threshold[lost].min():g} becomes 0 beside "
@@ -112,7 +105,7 @@ def _layer(layer: Layer, scale: Floats, point: EventPoint, rounding: Rounding, o
         layer,
         synapses=synapses,
         bias=np.zeros(layer.size, np.int64),
-        voltage_bias=_rounded(layer.voltage_bias * states, rounding),
+        voltage_bias=rounded(layer.voltage_bias * states, rounding),
         threshold=threshold,
         scale=layer.scale / (states[0] if np.ptp(states) == 0 else states),
     )
@@ -122,14 +115,8 @@ def _synapses(
     synapses: Synapses, scale: Floats, point: EventPoint, rounding: Rounding, one: int
 ) -> Synapses:
     most = point.weight_max
-    weight = _rounded(synapses.weight * scale, rounding).clip(-most, most)
+    weight = rounded(synapses.weight * scale, rounding).clip(-most, most)
     return replace(synapses, weight=(weight * one).astype(np.int32))
-
-
-def _rounded(values: Floats, rounding: Rounding) -> NDArray[np.int64]:
-    # the product with the scale may fall a last bit short of the whole number that it means
-    whole = np.rint(values) if rounding == "nearest" else np.trunc(values * (1 + 1e-12))
-    return whole.astype(np.int64)
 
 
 def _check_alive(layer: Layer, quantised: Sequence[Synapses]) -> None:

@@ -9,7 +9,7 @@ import typer
 from spikedeploy.failures import one_line
 
 COMMANDS = {
-    "Deploy": ("demo", "compare", "run", "emulate", "check", "verify"),
+    "Deploy": ("demo", "compare", "run", "emulate", "check", "drift", "verify"),
     "Make": ("train", "export", "publish", "experiment", "draw"),
     "Look": (
         "play",

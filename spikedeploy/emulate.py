@@ -19,6 +19,7 @@ from runtime.ledger import Ledger
 from runtime.machine import Machine
 from runtime.ports import Port, named, parted, ports
 from runtime.program import Program
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy.files import replacing
 from spikedeploy.measures import Measures, measured, measured_again
 from spikedeploy.policies import FLOAT
@@ -121,6 +122,7 @@ def emulate(
     rasters: Raster | Mapping[str, Raster],
     backend: str | None = None,
     limits: bool = True,
+    quantisation: Quantisation = PLAIN,
     **convention: Any,  # noqa: ANN401
 ) -> Emulation:
     """Play the raster (T, *shape), or one for each Input node, into the network from zero states.
@@ -129,12 +131,15 @@ def emulate(
 
     backend     of runtime.backend; None takes the one that a Machine takes by itself
     limits      refuse what breaks a design rule of the chip
+    quantisation  on a chip
     convention  options of runtime.artifact.load: go before what the file says, None leaves it
     """
     artifact = load(path, **convention)
     rows = named(ports(artifact.graph.inputs), in_batch(rasters))
     if chip != FLOAT:
-        return _on_chip(artifact, chip, rows, backend, limits)
+        found = datasheet(chip)
+        program = compiled(artifact, found, quantisation, limits=limits)
+        return _on_chip(artifact, program, chip, rows, backend)
     if backend is not None:
         raise ConfigError(
             f"--backend {backend} is for programs of a chip; float runs in NumPy. Leave it out, or "
@@ -157,10 +162,10 @@ def _in_float(artifact: Artifact, rows: Mapping[str, Raster]) -> Emulation:
 
 def _on_chip(
     artifact: Artifact,
+    program: Program,
     chip: str,
     rows: Mapping[str, Raster],
     backend: str | None,
-    limits: bool,
 ) -> Emulation:
     for name, seen in rows.items():
         if seen.dtype.kind not in "bu":
@@ -168,7 +173,6 @@ def _on_chip(
                 f"the raster of node {name!r} holds {seen.dtype} values; a chip takes spikes, 0 "
                 "or 1. Encode them, or play them into --chip float."
             )
-    program = compiled(artifact, datasheet(chip), limits=limits)
     _check_room(program, rows)
     # the machine refuses names that it does not know
     given: dict[str, Any] = {} if backend is None else {"backend": backend}

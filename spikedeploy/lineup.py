@@ -6,6 +6,7 @@ from pathlib import Path
 
 import envs
 from runtime.errors import ConfigError
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy import zoo
 from spikedeploy.policies import FLOAT, Candidate, find
 
@@ -49,7 +50,11 @@ class Entry:
 
 
 def line_up(
-    env: str, files: Sequence[str], chips: Sequence[str], limits: bool = True
+    env: str,
+    files: Sequence[str],
+    chips: Sequence[str],
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
 ) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
@@ -57,6 +62,7 @@ def line_up(
     files   policies to compare; none stands for all that are shipped for the environment
     chips   for those that spike
     limits  refuse what breaks a design rule of a chip
+    quantisation  of the SNNs on chips
     """
     spec = envs.spec(env)
     short = spec.short
@@ -73,6 +79,7 @@ def line_up(
     ann = entries[0] if entries else None
     entries[1:] = [Entry(entry.candidate, None, ann) for entry in entries[1:]]
     for candidate in _of_kind("snn", chosen):
+        candidate = replace(candidate, quantisation=quantisation)
         twin = Entry(candidate, FLOAT, ann)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         bound = replace(candidate, limits=limits)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from runtime.errors import ConfigError
+from runtime.quantisation import PLAIN, Quantisation
 
 if TYPE_CHECKING:
     import gymnasium
@@ -52,6 +53,7 @@ class Candidate:
     observed  numbers it observes; None fits any
     actions   numbers it puts out, or actions that it chooses from; None fits any
     limits    whether a chip refuses it when it breaks a design rule
+    quantisation  of a spiking policy on a chip
     """
 
     path: str
@@ -62,6 +64,7 @@ class Candidate:
     observed: int | None = None
     actions: int | None = None
     limits: bool = True
+    quantisation: Quantisation = PLAIN
 
 
 class Player(Protocol):

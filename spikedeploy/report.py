@@ -14,11 +14,13 @@ from typing import Any
 import envs
 from runtime.artifact import load
 from runtime.energy import described, energy_table
+from runtime.quantisation import PLAIN
 from spikedeploy.columns import COST, Column, Row, markdown, tables
 from spikedeploy.comparison import Comparison
 from spikedeploy.files import as_text, write_text
 from spikedeploy.meaning import meaning
 from spikedeploy.plots import draw_energy, draw_returns
+from spikedeploy.policies import Candidate
 from spikedeploy.versions import own
 
 Document = Mapping[str, Any]
@@ -42,10 +44,15 @@ def document(comparison: Comparison) -> dict[str, Any]:
 
 
 def _conventions(comparison: Comparison) -> dict[str, str]:
-    """How each spiking file is stepped, by the policy's name."""
-    candidates = [row.entry.candidate for row in comparison.rows]
-    files = {c.name: c.path for c in candidates if c.format == ".nir"}
-    return {name: load(path).convention.describe() for name, path in files.items()}
+    """How each spiking file is stepped, and how chips round it, by the policy's name."""
+    candidates = {row.entry.candidate.name: row.entry.candidate for row in comparison.rows}
+    return {name: _convention(c) for name, c in candidates.items() if c.format == ".nir"}
+
+
+def _convention(candidate: Candidate) -> str:
+    said = load(candidate.path).convention.describe()
+    plain = candidate.quantisation == PLAIN
+    return said if plain else f"{said}; on chips {candidate.quantisation.describe()}"
 
 
 def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from envs.rollout import rollout
 from runtime.errors import ConfigError
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy.comparison import Comparison, Row
 from spikedeploy.episodes import summarise
 from spikedeploy.lineup import Entry
@@ -29,6 +30,7 @@ def run(
     sampled: bool = False,
     options: Mapping[str, Any] = MappingProxyType({}),
     limits: bool = True,
+    quantisation: Quantisation = PLAIN,
 ) -> Comparison:
     """Play the policy on every seed.
 
@@ -40,8 +42,9 @@ def run(
     sampled    draw one of several actions by its probability, instead of taking the likeliest
     options    of the environment
     limits     refuse what breaks a design rule of the chip
+    quantisation  of a spiking policy on a chip
     """
-    candidate = replace(find(reference), limits=limits)
+    candidate = replace(find(reference), limits=limits, quantisation=quantisation)
     entry = Entry(candidate, chip or _default_chip(candidate))
     mode = "rgb_array" if video else None
     world: Any = made(env or _made_for(candidate), options, render_mode=mode)

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from exporters.check import Check
+    from spikedeploy.drift import DriftReport
     from spikedeploy.emulate import Emulation
     from spikedeploy.verify import Replay
 
@@ -124,6 +125,14 @@ def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
         return {}
     flat = {**measures, **measures["SynapticOperations"]}
     return {name: value for name, value in flat.items() if isinstance(value, int | float)}
+
+
+def print_drift(report: "DriftReport") -> None:
+    """Write where a chip leaves the float twin, and what makes the difference."""
+    from spikedeploy.drift_tables import tables
+
+    for title, heads, rows in tables(report):
+        print_table(title, heads, rows)
 
 
 def console(stderr: bool = False) -> "Console":

@@ -13,6 +13,7 @@ from runtime.controllers import SpikingController
 from runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from runtime.float_machine import FloatMachine
 from runtime.machine_pool import MachinePool
+from runtime.quantisation import Quantisation
 from runtime.rate import RateEncoder
 from runtime.sampler import Sampler
 from tests.networks import chain, cuba, popsan, spiking_mlp
@@ -75,7 +76,7 @@ def test_kept_states_make_the_past_matter_until_reset(name):
 
 def test_options_reach_the_compiler():
     _, nearest = acted(popsan(), "loihi1")
-    _, truncated = acted(popsan(), "loihi1", rounding="truncate")
+    _, truncated = acted(popsan(), "loihi1", quantisation=Quantisation(rounding="truncate"))
     assert (nearest != truncated).any()
 
 

@@ -13,12 +13,14 @@ from runtime.convention import Convention
 from runtime.errors import ChipError, ConfigError, RuleError
 from runtime.float_graph import FloatGraph
 from runtime.machine import Machine
+from runtime.quantisation import Quantisation
 from tests.networks import chain, cuba, graph, lif, popsan
 from tests.xylo_networks import network
 
 CONVENTION = Convention(1e-3, reset="subtract", spikes="many")
 ONCE = Convention(1e-3, reset="subtract")
 A2 = chip("xylo-a2")
+CHANNEL = Quantisation("channel")
 
 
 def two_layers(first, second, neurons=cuba, bias=(0, 0), convention=CONVENTION, **options):
@@ -48,7 +50,7 @@ def test_one_scale_makes_the_largest_hidden_weight_127_and_outputs_have_their_ow
 
 
 def test_each_channel_has_a_scale_of_its_own():
-    hidden, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]]), granularity="channel").layers
+    hidden, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=CHANNEL).layers
     assert hidden.synapses[0].weight.tolist() == [[127, -127]]
     assert hidden.threshold.tolist() == [127, 508]
     np.testing.assert_allclose(hidden.scale, [1 / 127, 1 / 508])
@@ -98,7 +100,7 @@ def test_the_largest_bias_sets_the_scale_where_it_is_above_all_weights():
 
 def test_the_bias_of_a_channel_may_be_wider_than_its_weights():
     artifact = two_layers([[1], [1]], [[1, 1]], bias=[2, 0])
-    hidden, _ = compiled(artifact, granularity="channel").layers
+    hidden, _ = compiled(artifact, quantisation=CHANNEL).layers
     assert hidden.synapses[0].weight.tolist() == [[127, 127]]  # 1 / (1/2) = 2
     assert hidden.voltage_bias.tolist() == [254, 0]  # 2 / (1/2) = 4
 
@@ -121,7 +123,9 @@ def test_a_weight_shift_makes_states_finer_and_leaves_the_weights():
 
 
 def test_fractions_can_be_dropped():
-    hidden, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]]), rounding="truncate").layers
+    hidden, _ = compiled(
+        two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=Quantisation(rounding="truncate")
+    ).layers
     assert hidden.synapses[0].weight.tolist() == [[127, -31]]
 
 
@@ -164,7 +168,7 @@ def test_spike_counts_follow_the_float_graph():
             node.v_threshold[:] = 4.0
     raster = (rng.random((1, 400, 12)) < 0.2).astype(np.uint8)
     expected = FloatGraph(artifact).run(raster)
-    program = compiled(artifact, granularity="channel", weight_shift=2, limits=False)
+    program = compiled(artifact, quantisation=CHANNEL, weight_shift=2, limits=False)
     machine = Machine(program, trace=True)
     machine.infer(raster)
     for name in ("l1", "l2"):
@@ -278,9 +282,8 @@ def test_spikes_above_are_taken_with_a_remark():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"granularity": "neuron"}, "granularity 'neuron' is unknown. Choose 'layer' or 'channel'"),
-        ({"rounding": "up"}, "rounding 'up' is unknown"),
         ({"weight_shift": 16}, "weight_shift is 16; choose 0 to 15"),
+        ({"weight_shift": -1}, "weight_shift is -1; choose 0 to 15"),
     ],
 )
 def test_unknown_options_are_refused(options, message):
@@ -288,6 +291,19 @@ def test_unknown_options_are_refused(options, message):
         compiled(two_layers([[1], [1]], [[1, 1]]), **options)
 
 
-def test_other_chips_refuse_the_options_of_xylo():
-    with pytest.raises(ConfigError, match="loihi1 has one scale for each layer"):
-        compile(popsan(), chip("loihi1"), granularity="channel")
+def test_other_chips_refuse_what_only_xylo_has():
+    with pytest.raises(ConfigError, match="weight_shift is 1: loihi1 has no shift"):
+        compile(popsan(), chip("loihi1"), weight_shift=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "choice", "message"),
+    [
+        ("xylo-a2", Quantisation(headroom="proven"), "headroom is 'proven'; on xylo-a2 only"),
+        ("xylo-a2", Quantisation("channel", thresholds=3), "thresholds is 3; on xylo-a2 only"),
+        ("spinnaker2", CHANNEL, "granularity is 'channel'; on spinnaker2 only rounding"),
+    ],
+)
+def test_choices_that_a_chip_does_not_have_are_refused(name, choice, message):
+    with pytest.raises(ConfigError, match=message):
+        compile(two_layers([[1], [1]], [[1, 1]]), chip(name), choice)

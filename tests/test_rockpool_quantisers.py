@@ -11,6 +11,7 @@ import pytest
 
 from runtime.chip import chip
 from runtime.compile import compile, for_xylo
+from runtime.quantisation import Quantisation
 from runtime.wiring import wiring
 from tests.xylo_networks import network
 
@@ -66,7 +67,7 @@ def parameters(program):
 def test_the_integers_are_rockpools(rockpool, granularity, biased, seed):
     rng = np.random.default_rng(seed)
     artifact = network(rng, [8, 10, 7, 4], ["cuba"] * 3, loops={1, 2}, biased=biased)
-    program = compile(artifact, chip("xylo-a2"), granularity=granularity)
+    program = compile(artifact, chip("xylo-a2"), quantisation=Quantisation(granularity))
     ours = parameters(program)
     wanted = quantised(rockpool, parameters(floats(artifact)), granularity)
     # the biases of outputs are where rockpool's global quantiser is wrong

@@ -12,6 +12,7 @@ from runtime.chip import chip
 from runtime.compile import compile
 from runtime.errors import RuleError
 from runtime.interpreter import trace
+from runtime.quantisation import Quantisation
 from tests.xylo_networks import network, random_cores, random_networks
 
 TIMESTEPS = 60
@@ -121,7 +122,7 @@ def test_compiled_networks_equal_xylosim_in_every_current_membrane_and_spike(
     artifact, granularity, shift, most, seed
 ):
     try:
-        program = compile(artifact, chip("xylo-a2"), granularity=granularity, weight_shift=shift)
+        program = compile(artifact, chip("xylo-a2"), Quantisation(granularity), weight_shift=shift)
     except RuleError:  # a threshold or all weights of a layer that come out as 0
         reject()
     raster = np.random.default_rng(seed).integers(0, most + 1, (TIMESTEPS, program.width))
@@ -141,7 +142,7 @@ def test_registers_of_any_content_equal_xylosim(core, most, seed):
 def test_a_recurrent_network_of_many_spikes_equals_xylosim(granularity, biased):
     rng = np.random.default_rng(7)
     artifact = network(rng, [16, 60, 40, 8], ["cuba"] * 3, loops={1, 2}, biased=biased)
-    program = compile(artifact, chip("xylo-a2"), granularity=granularity)
+    program = compile(artifact, chip("xylo-a2"), Quantisation(granularity))
     raster = (rng.random((300, 16)) < 0.3).astype(np.uint8)
     assert check_equal(program, raster) > 3000
 

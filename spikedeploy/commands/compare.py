@@ -9,11 +9,18 @@ from spikedeploy import seeds
 from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
+    Granularity,
+    Headroom,
     Json,
     Limits,
     LimitsOption,
+    Quantise,
+    Room,
+    Rounding,
     Seed,
+    Thresholds,
     Workers,
+    quantisation,
 )
 
 
@@ -39,6 +46,10 @@ def compare(
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
     limits: LimitsOption = Limits.on,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = None,
+    headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
@@ -53,7 +64,8 @@ def compare(
     from spikedeploy.worlds import parsed
 
     tables = energy_tables(energy or ())
-    entries = line_up(env, files or (), listed(chips), limits is Limits.on)
+    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    entries = line_up(env, files or (), listed(chips), limits is Limits.on, rounded)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(replace(comparison, tables=tables))
     if output:

@@ -10,14 +10,21 @@ from spikedeploy.commands.options import (
     Dt,
     Energy,
     Floor,
+    Granularity,
+    Headroom,
     Integrator,
     Json,
     Like,
     Limits,
     LimitsOption,
+    Quantise,
     Reset,
+    Room,
+    Rounding,
     Spikes,
     State,
+    Thresholds,
+    quantisation,
 )
 
 
@@ -56,6 +63,10 @@ def emulate(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = None,
+    headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
@@ -67,12 +78,14 @@ def emulate(
     from spikedeploy.terminal import print_emulation, print_json
 
     tables = energy_tables(energy or ())
+    rounded = quantisation(quantise, rounding, headroom, thresholds)
     result = play(
         file,
         chip,
         read_rasters(input_),
         backend,
         limits is Limits.on,
+        rounded,
         dt=dt,
         reset=reset and reset.value,
         integrator=integrator and integrator.value,

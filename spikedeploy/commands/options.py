@@ -1,9 +1,12 @@
 """Options that several commands share, worded once."""
 
 from enum import Enum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from runtime.quantisation import Quantisation
 
 
 class Limits(str, Enum):
@@ -11,6 +14,27 @@ class Limits(str, Enum):
 
     on = "on"
     off = "off"
+
+
+class Granularity(str, Enum):
+    """Which neurons share a scale."""
+
+    layer = "layer"
+    channel = "channel"
+
+
+class Fraction(str, Enum):
+    """What becomes of fractions."""
+
+    nearest = "nearest"
+    truncate = "truncate"
+
+
+class Room(str, Enum):
+    """What is left free of the registers."""
+
+    none = "none"
+    proven = "proven"
 
 
 LimitsOption = Annotated[
@@ -130,3 +154,35 @@ Like = Annotated[
         help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
     ),
 ]
+Quantise = Annotated[
+    Granularity, typer.Option("--quantise", help="A scale for each layer, or for each neuron.")
+]
+Rounding = Annotated[
+    Fraction | None,
+    typer.Option(
+        "--rounding",
+        help="Of weights, thresholds and decays, to integers.",
+        show_default="the chip's own",
+    ),
+]
+Headroom = Annotated[
+    Room,
+    typer.Option("--headroom", help="Fill the weights, or leave what no spikes can overflow."),
+]
+Thresholds = Annotated[
+    int | None,
+    typer.Option(
+        "--thresholds", min=1, help="Most distinct thresholds of a layer, with --quantise channel."
+    ),
+]
+
+
+def quantisation(
+    quantise: Granularity, rounding: Fraction | None, headroom: Room, thresholds: int | None
+) -> "Quantisation":
+    """What the four options ask for."""
+    from runtime.quantisation import Quantisation
+
+    return Quantisation(
+        quantise.value, rounding.value if rounding else None, headroom.value, thresholds
+    )

@@ -9,11 +9,18 @@ from spikedeploy import seeds
 from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
+    Granularity,
+    Headroom,
     Json,
     Limits,
     LimitsOption,
     PolicyChip,
+    Quantise,
+    Room,
+    Rounding,
     Seed,
+    Thresholds,
+    quantisation,
 )
 
 
@@ -37,6 +44,10 @@ def run(
     ] = None,
     limits: LimitsOption = Limits.on,
     energy: Energy = None,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = None,
+    headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
@@ -50,8 +61,9 @@ def run(
 
     tables = energy_tables(energy or ())
     numbers = range(seed, seed + episodes)
+    rounded = quantisation(quantise, rounding, headroom, thresholds)
     comparison = play(
-        policy, env, chip, numbers, video, sampled, parsed(set_ or ()), limits is Limits.on
+        policy, env, chip, numbers, video, sampled, parsed(set_ or ()), limits is Limits.on, rounded
     )
     document = report.document(replace(comparison, tables=tables))
     if json:

@@ -17,6 +17,7 @@ from runtime.errors import ArtifactError
 from runtime.ledger import Ledger
 from runtime.memory import packed_bytes
 from runtime.neurobench import connection_sparsity, footprint
+from runtime.quantisation import PLAIN, Quantisation
 from spikedeploy.costs import Costs
 from spikedeploy.policies import FLOAT, Candidate, env_id
 from spikedeploy.spiking_costs import spiking_costs
@@ -34,11 +35,20 @@ class NirController:
     program  whose operations are counted; the float twin's is the one without rounding
     """
 
-    def __init__(self, path: str, chip: str, sampled: bool = False, limits: bool = True) -> None:
+    def __init__(
+        self,
+        path: str,
+        chip: str,
+        sampled: bool = False,
+        limits: bool = True,
+        quantisation: Quantisation = PLAIN,
+    ) -> None:
         artifact = load(path)
         self.graph = artifact.graph
         self.chip = None if chip == FLOAT else datasheet(chip)
-        self._controller = SpikingController(artifact, self.chip, "total", sampled, limits=limits)
+        self._controller = SpikingController(
+            artifact, self.chip, "total", sampled, limits=limits, quantisation=quantisation
+        )
         self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
         self._before = self._controller.ledger
 
@@ -94,7 +104,9 @@ def controller(
     candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
 ) -> NirController:
     """The network on the chip, or its float twin."""
-    return NirController(candidate.path, chip or FLOAT, sampled, candidate.limits)
+    return NirController(
+        candidate.path, chip or FLOAT, sampled, candidate.limits, candidate.quantisation
+    )
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:

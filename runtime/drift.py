@@ -1,0 +1,225 @@
+"""Drift: what a chip does otherwise than the float twin, where it begins, and what causes it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.ablation import rungs
+from runtime.activity import Activity, chip_activity, float_activity
+from runtime.artifact import Artifact
+from runtime.chip import Chip, chip
+from runtime.compile import compile
+from runtime.diagnosis import Finding, diagnose
+from runtime.divergence import Divergence, first
+from runtime.errors import ObservationError
+from runtime.program import Program
+from runtime.quantisation import PLAIN, Quantisation
+from runtime.spike_distance import TAU, van_rossum
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LayerDrift:
+    """How a layer's spikes differ from the float twin's.
+
+    name: of the node.
+    neurons: N.
+    float_rate, chip_rate: spikes for each neuron and timestep.
+    differing: part of neuron-timesteps in which the number of spikes differs.
+    distance: of van Rossum, mean over inferences and neurons; a spike too many is 1/2.
+    lost, woken: neurons that spike in float and never on the chip, and the other way round.
+    saturations: numbers that did not fit a register.
+    first: (inference, timestep, neuron) of the first difference, or None.
+    """
+
+    name: str
+    neurons: int
+    float_rate: float
+    chip_rate: float
+    differing: float
+    distance: float
+    lost: int
+    woken: int
+    saturations: int
+    first: tuple[int, int, int] | None
+
+
+@dataclass(frozen=True)
+class OutputDrift:
+    """How far the outputs are apart.
+
+    kind: "action", after the codec; "choice", where the codec chooses one of several; "output", of
+        the readout in each timestep, or spikes.
+    rms: root of the mean square of the differences; of choices the part that differs.
+    largest: difference; of choices 1 where any differs.
+    """
+
+    kind: Literal["action", "choice", "output"]
+    rms: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """The network with some of the chip's roundings (runtime.ablation).
+
+    name: of the rounding that was added last.
+    distance: layer -> of van Rossum, as in LayerDrift.
+    output: against the float twin.
+    """
+
+    name: str
+    distance: Mapping[str, float]
+    output: OutputDrift
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A chip against the float twin on a raster.
+
+    chip: its name.
+    quantisation: in words.
+    inferences, timesteps: B and T of the raster.
+    tau: [timesteps] of the distance.
+    layers: in the order in which they hear each other.
+    diverged: inferences in which any spike differs.
+    first: difference, None where there is none.
+    output: of the whole network.
+    rungs: from rounded weights to the chip; empty where the arithmetic has none.
+    findings: layers that are dead or saturated.
+    """
+
+    chip: str
+    quantisation: str
+    inferences: int
+    timesteps: int
+    tau: float
+    layers: tuple[LayerDrift, ...]
+    diverged: int
+    first: Divergence | None
+    output: OutputDrift
+    rungs: tuple[Rung, ...]
+    findings: tuple[Finding, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields, plain."""
+        return asdict(self)
+
+
+def drift(
+    artifact: Artifact,
+    on: Chip,
+    raster: NDArray[np.uint8],
+    quantisation: Quantisation = PLAIN,
+    tau: float = TAU,
+    limits: bool = True,
+) -> Drift:
+    """Compare the chip with the float twin on the raster (B, T, M).
+
+    limits: refuse what breaks a design rule of the chip.
+
+    Where the convention keeps states, the B inferences follow one another; else each begins anew.
+    """
+    _check(artifact, raster)
+    program = compile(artifact, on, quantisation, limits=limits)
+    floats = compile(artifact, chip("ideal")) if on.fixed else None
+    twin = activity(artifact, None, raster)
+    steps = rungs(floats, program) if floats else [("chip", program)]
+    ladder = {name: activity(artifact, step, raster) for name, step in steps}
+    seen = list(ladder.values())[-1]
+    names = [layer.name for layer in program.layers]
+    return Drift(
+        chip=on.name,
+        quantisation=quantisation.describe(),
+        inferences=raster.shape[0],
+        timesteps=raster.shape[1],
+        tau=tau,
+        layers=tuple(_layer(name, twin, seen, tau) for name in names),
+        diverged=_diverged(twin, seen, names),
+        first=first(twin, seen, names),
+        output=output_drift(artifact, twin.output, seen.output),
+        rungs=tuple(_rung(artifact, name, twin, ran, tau) for name, ran in ladder.items())
+        if floats
+        else (),
+        findings=tuple(diagnose(floats, program, raster, twin, ladder)),
+    )
+
+
+def activity(artifact: Artifact, program: Program | None, raster: NDArray[np.uint8]) -> Activity:
+    """What a program, or without one the float twin, does with the raster (B, T, M).
+
+    Inferences begin anew or follow one another, as the convention says.
+    """
+    kept = artifact.convention.state == "kept"
+    rows = raster.reshape(1, -1, raster.shape[2]) if kept else raster
+    ran = chip_activity(program, rows) if program else float_activity(artifact, rows)
+    return ran.parted(len(raster))
+
+
+def output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
+    """How far the outputs (B, T, act) of the float twin and of a chip are apart."""
+    codec = artifact.codec
+    if codec is None or codec.timesteps != before.shape[1]:
+        return _apart("output", after - before)
+    actions = codec.decode(before), codec.decode(after)
+    if codec.chooses:
+        share = float((actions[0] != actions[1]).mean())
+        return OutputDrift("choice", share, float(share > 0))
+    return _apart("action", actions[1] - actions[0])
+
+
+def layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[str, float]:
+    """Mean distance of van Rossum of every layer over inferences and neurons."""
+    return {
+        name: float(van_rossum(twin.spikes[name], spikes, tau).mean())
+        for name, spikes in seen.spikes.items()
+    }
+
+
+def _check(artifact: Artifact, raster: NDArray[Any]) -> None:
+    width = int(np.prod(next(iter(artifact.graph.inputs.values())).input_type["input"]))
+    if raster.ndim != 3 or raster.shape[2] != width or not raster.size:
+        raise ObservationError(
+            f"the raster has shape {raster.shape}; the network takes (B, T, {width}), with at "
+            "least one timestep. Give the raster of this network."
+        )
+
+
+def _apart(kind: Literal["action", "output"], difference: Floats) -> OutputDrift:
+    return OutputDrift(
+        kind, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max())
+    )
+
+
+def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> LayerDrift:
+    before, after = twin.spikes[name], seen.spikes[name]
+    spiked, spikes = before.any(axis=(0, 1)), after.any(axis=(0, 1))
+    different = np.argwhere(before != after)
+    return LayerDrift(
+        name=name,
+        neurons=before.shape[2],
+        float_rate=float(before.mean()),
+        chip_rate=float(after.mean()),
+        differing=len(different) / before.size,
+        distance=float(van_rossum(before, after, tau).mean()),
+        lost=int((spiked & ~spikes).sum()),
+        woken=int((spikes & ~spiked).sum()),
+        saturations=seen.saturations[name],
+        first=(int(different[0][0]), int(different[0][1]), int(different[0][2]))
+        if len(different)
+        else None,
+    )
+
+
+def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
+    differ = [(twin.spikes[name] != seen.spikes[name]).any(axis=(1, 2)) for name in names]
+    return int(np.any(differ, axis=0).sum())
+
+
+def _rung(artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float) -> Rung:
+    distances = layer_distances(twin, ran, tau)
+    return Rung(name, distances, output_drift(artifact, twin.output, ran.output))

@@ -1,0 +1,119 @@
+"""`spikedeploy drift`: where a chip leaves the float twin, and which rounding it comes from."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy import seeds
+from spikedeploy.commands.options import (
+    Delay,
+    Dt,
+    EnvOptions,
+    Floor,
+    Granularity,
+    Headroom,
+    Integrator,
+    Json,
+    Like,
+    Limits,
+    LimitsOption,
+    Quantise,
+    Reset,
+    Room,
+    Rounding,
+    Seed,
+    Spikes,
+    State,
+    Thresholds,
+    quantisation,
+)
+
+
+def drift(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A .nir file, or shipped name.")],
+    chip: Annotated[str, typer.Option(help="Chip.")] = "loihi1",
+    input_: Annotated[
+        Path | None,
+        typer.Option("--input", exists=True, dir_okay=False, help="Spikes (T, *shape), .npy."),
+    ] = None,
+    random: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="Draw spikes at this rate, --steps timesteps of them."),
+    ] = None,
+    env: Annotated[
+        str | None,
+        typer.Option(help="Environment to observe.", show_default="the one it was made for"),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to observe.")] = 1,
+    steps: Annotated[int, typer.Option(min=1, help="Control steps kept of them.")] = 200,
+    seed: Seed = seeds.EVALUATION,
+    set_: EnvOptions = None,
+    quantise: Quantise = Granularity.layer,
+    rounding: Rounding = None,
+    headroom: Headroom = Room.none,
+    thresholds: Thresholds = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Leave headroom for half of the inputs.")
+    ] = False,
+    tune: Annotated[
+        bool, typer.Option("--tune", help="Search clipping and thresholds on half of the inputs.")
+    ] = False,
+    tau: Annotated[
+        float, typer.Option(min=0.01, help="Time constant of the spike distance, in timesteps.")
+    ] = 5.0,
+    limits: LimitsOption = Limits.on,
+    dt: Dt = None,
+    reset: Reset = None,
+    integrator: Integrator = None,
+    delay: Delay = None,
+    spikes: Spikes = None,
+    floor: Floor = None,
+    state: State = None,
+    like: Like = None,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the tables as Markdown.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
+    from runtime.artifact import load
+    from runtime.chip import chip as datasheet
+    from spikedeploy import drift_tables
+    from spikedeploy.drift import drift_report
+    from spikedeploy.inputs import chosen, path_of
+    from spikedeploy.terminal import print_drift, print_json
+    from spikedeploy.worlds import parsed
+
+    path = path_of(file)
+    artifact = load(
+        path,
+        dt=dt,
+        reset=reset and reset.value,
+        integrator=integrator and integrator.value,
+        delay=delay,
+        spikes=spikes and spikes.value,
+        floor=floor and floor.value,
+        state=state and state.value,
+        like=like,
+    )
+    options = parsed(set_ or ())
+    numbers = range(seed, seed + episodes)
+    inputs = chosen(artifact, path, input_, random, env, numbers, steps, options)
+    report = drift_report(
+        file,
+        artifact,
+        datasheet(chip),
+        inputs,
+        quantisation(quantise, rounding, headroom, thresholds),
+        calibrate,
+        tune,
+        tau,
+        limits is Limits.on,
+    )
+    if json:
+        print_json(report.as_json())
+    elif markdown:
+        typer.echo(drift_tables.markdown(report))
+    else:
+        print_drift(report)
