@@ -23,7 +23,7 @@ FILES = 300
 
 
 def test_damaged_files_bring_out_only_errors_of_ours(tmp_path):
-    outcomes = fuzz(range(FILES), 1, tmp_path)
+    outcomes = list(fuzz(range(FILES), 1, tmp_path))
     assert not any(outcome.violation for outcome in outcomes), summary(outcomes)
     reasons = {name for outcome in outcomes for name in outcome.refused}
     assert {"ArtifactError", "TraceError", "ObservationError"} <= reasons
