@@ -123,7 +123,7 @@ def other_value(path: Path, rng: Rng) -> None:
                 -value,
                 value * 10 ** rng.uniform(-6, 6),
                 rng.normal(size=value.shape),
-                value * (rng.random(value.shape) < 0.5),
+                np.where(rng.random(value.shape) < 0.5, value, 0.0),
                 np.rint(value),
             ]
             replace(file, name, forms[rng.integers(len(forms))])
