@@ -13,13 +13,14 @@ The same seed and version damage the same way. The exit code is 1 where anything
 import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
+import contextlib
 import json
 import sys
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.fuzz_runs import fuzz, summary
+from benchmarks.fuzz_runs import describe, fuzz, summary
 
 
 def main() -> None:
@@ -31,9 +32,17 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder for files that violate")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        numbers = range(options.first, options.first + options.files)
-        outcomes = fuzz(numbers, options.seed, Path(folder), options.keep)
+    numbers = range(options.first, options.first + options.files)
+    outcomes = []
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        # interrupted, it sums up what was tried
+        contextlib.suppress(KeyboardInterrupt),
+    ):
+        for outcome in fuzz(numbers, options.seed, Path(folder), options.keep):
+            outcomes.append(outcome)
+            if outcome.violation:
+                print(describe(outcome), file=sys.stderr, flush=True)
     print(json.dumps([asdict(o) for o in outcomes]) if options.json else summary(outcomes))
     sys.exit(any(outcome.violation for outcome in outcomes))
 

@@ -3,10 +3,10 @@
 import multiprocessing
 import resource
 import shutil
-import sys
 import time
 import traceback
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -42,10 +42,12 @@ class Outcome:
     megabytes: float
 
 
-def fuzz(numbers: range, seed: int, folder: Path, keep: Path | None = None) -> list[Outcome]:
-    """The outcome of each number, tried one after the other in a process of their own."""
+def fuzz(numbers: range, seed: int, folder: Path, keep: Path | None = None) -> Iterator[Outcome]:
+    """The outcome of each number, tried one after the other in a process of their own.
+
+    keep: folder for the files that violate.
+    """
     corpus = write_corpus(folder / "corpus")
-    outcomes: list[Outcome] = []
     worker = Worker(corpus, seed, folder)
     for number in numbers:
         outcome = worker.outcome(number)
@@ -55,11 +57,8 @@ def fuzz(numbers: range, seed: int, folder: Path, keep: Path | None = None) -> l
             keep.mkdir(parents=True, exist_ok=True)
             for file in folder.glob("file.*"):
                 shutil.copy(file, keep / f"{number}-{file.name}")
-        outcomes.append(outcome)
-        if outcome.violation:
-            print(f"{_where(outcome)}: {outcome.violation[:300]}", file=sys.stderr, flush=True)
+        yield outcome
     worker.end()
-    return outcomes
 
 
 class Worker:
@@ -156,9 +155,14 @@ def summary(outcomes: list[Outcome]) -> str:
         f"({_where(slowest)})",
         f"megabytes   {fattest.megabytes:.0f} at most ({_where(fattest)})",
         f"violations  {len(wrong)}",
-        *(f"  {_where(o)}: {o.violation[:300]}" for o in wrong),
+        *(f"  {describe(o)}" for o in wrong),
     ]
     return "\n".join(lines)
+
+
+def describe(outcome: Outcome) -> str:
+    """The violation, and of which file."""
+    return f"{_where(outcome)}: {outcome.violation[:300]}"
 
 
 def _where(outcome: Outcome) -> str:

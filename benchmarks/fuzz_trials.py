@@ -15,7 +15,7 @@ from runtime.errors import ConventionError, SpikedeployError
 from runtime.ports import ports
 from runtime.presets import PRESETS
 from runtime.verify import verify
-from spikedeploy.emulate import emulate
+from spikedeploy.emulate import played
 from spikedeploy.rasters import read_rasters
 
 TIMESTEPS = 3
@@ -50,14 +50,13 @@ def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
     except OURS as error:
         refused.append(type(error).__name__)
         return False
-    options = {"dt": artifact.convention.dt}
     rasters = {
         port.name: (rng.random((TIMESTEPS, *port.shape)) < 0.3).astype(np.uint8)
         for port in ports(artifact.graph.inputs)
     }
     for chip in ("float", "ideal", str(rng.choice(list(CHIPS)))):
         with _ours(refused):
-            emulation = emulate(path, chip, rasters, **options)
+            emulation = played(artifact, chip, rasters)
             emulation.as_json()
             emulation.save(path.with_suffix(".out"))
     for work in (_read_like, _kept, _driven):

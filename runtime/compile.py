@@ -214,7 +214,7 @@ def _ways_out(
     taps = [tap for outlet in wires.outlets for tap in outlet.taps]
     first, outlet = taps[0], wires.outlets[0]
     if len(taps) == 1:
-        plain = first.weight is None and not first.lag
+        plain = first.weight is None and not first.lag and not outlet.bias.any()
         weight = np.eye(outlet.port.size) if first.weight is None else first.weight
         return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
     if convention.state == "kept" and any(tap.lag for tap in taps):

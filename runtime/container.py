@@ -26,6 +26,7 @@ def check_container(file: h5py.File, path: Path) -> None:
     """Refuse links that lead out or round, arrays kept elsewhere, and sizes that cannot be."""
     sizes = {"nothing": 0}
     for name, dataset in _datasets(file):
+        _check_type(name, dataset)
         sizes[name] = _size(name, dataset)
         if dataset.dtype.kind == "O":
             check_texts(name, dataset, path)
@@ -74,6 +75,16 @@ def _check_group(name: str, depth: int, count: int, known: bool) -> None:
         raise ArtifactError(
             f"{name[:60]}… is deeper than {DEEPEST} groups, or comes after {MOST} others. Flatten "
             "the graph in the tool that wrote it, or divide it."
+        )
+
+
+def _check_type(name: str, dataset: h5py.Dataset) -> None:
+    """Refuse what is neither numbers nor texts; a damaged type can crash HDF5 while it reads."""
+    kind = dataset.dtype.kind
+    if kind == "V" or (kind == "O" and h5py.check_string_dtype(dataset.dtype) is None):
+        raise ArtifactError(
+            f"{name} holds neither numbers nor texts, which is all that NIR has. It is damaged; "
+            "copy or export it again."
         )
 
 

@@ -176,6 +176,14 @@ class Program:
             frozenset({self.output})
         )
 
+    @property
+    def readouts(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
+        """The layers that the host listens to through weights, and those weights (N, act)."""
+        if self.readout is not None:
+            return ((self.output, self.readout.weight),)
+        taps = [tap for outlet in self.outlets for tap in outlet.taps]
+        return tuple((tap.layer, tap.weight) for tap in taps if tap.weight is not None)
+
     @cached_property
     def feed_forward(self) -> bool:
         """Whether every layer hears only the input and layers before it."""

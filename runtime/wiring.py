@@ -124,10 +124,18 @@ def _outlet(graph: nir.NIRGraph, linear: Linear, region: Region, port: Port) -> 
                 f"node {port.name!r}: the output must come from a spiking node; it hears the input "
                 f"{source!r} with none between. Put neurons there, or run the graph in float."
             )
-    alone = not region.names
     taps = [
-        Tap(source, None if alone else matrix, lag)
+        Tap(source, None if _is_identity(matrix) else matrix, lag)
         for source in region.sources
         for lag, matrix in linear.matrices(region, source).items()
     ]
     return Outlet(port, tuple(taps), linear.bias(region))
+
+
+def _is_identity(matrix: Floats) -> bool:
+    square = matrix.shape[0] == matrix.shape[1]
+    return (
+        square
+        and bool((np.diagonal(matrix) == 1).all())
+        and (np.count_nonzero(matrix) == len(matrix))
+    )

@@ -134,7 +134,16 @@ def emulate(
     quantisation  on a chip
     convention  options of runtime.artifact.load: go before what the file says, None leaves it
     """
-    artifact = load(path, **convention)
+    return played(load(path, **convention), chip, rasters, backend)
+
+
+def played(
+    artifact: Artifact,
+    chip: str,
+    rasters: Raster | Mapping[str, Raster],
+    backend: str | None = None,
+) -> Emulation:
+    """The same with a network that is loaded already."""
     rows = named(ports(artifact.graph.inputs), in_batch(rasters))
     if chip != FLOAT:
         found = datasheet(chip)

@@ -40,12 +40,11 @@ def priced_by(chip: Chip | None) -> tuple[str, ...]:
 def _weights(program: Program) -> int:
     """All weights of all matrices, zeros and the readout included."""
     weights = [s.weight.size for layer in program.layers for s in layer.synapses]
-    return sum(weights) + (program.readout.weight.size if program.readout else 0)
+    return sum(weights) + sum(weight.size for _, weight in program.readouts)
 
 
 def _readout_acs(ledger: Ledger, program: Program) -> float:
     """Accumulates of the host's readout; exact where all neurons have the same fan-out."""
-    if program.readout is None:
-        return 0.0
-    fan_out = np.count_nonzero(program.readout.weight, axis=1).mean()
-    return float(fan_out * ledger.by_layer("spike_out")[program.output] / ledger.inferences)
+    spikes = ledger.by_layer("spike_out")
+    fan_outs = [(np.count_nonzero(weight, axis=1).mean(), of) for of, weight in program.readouts]
+    return float(sum(fan_out * spikes[of] for fan_out, of in fan_outs) / ledger.inferences)

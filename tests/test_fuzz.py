@@ -23,7 +23,7 @@ FILES = 300
 
 
 def test_damaged_files_bring_out_only_errors_of_ours(tmp_path):
-    outcomes = fuzz(range(FILES), 1, tmp_path)
+    outcomes = list(fuzz(range(FILES), 1, tmp_path))
     assert not any(outcome.violation for outcome in outcomes), summary(outcomes)
     reasons = {name for outcome in outcomes for name in outcome.refused}
     assert {"ArtifactError", "TraceError", "ObservationError"} <= reasons
@@ -85,8 +85,19 @@ def into(nodes, name, make):
             ),
             "for which too few are in the file",
         ),
+        (
+            # HDF5 crashed on one that a flipped bit had made of a text
+            lambda f, n: into(
+                n, "cells/type", lambda m: m.create_dataset("cells/type", (), h5py.vlen_dtype("i8"))
+            ),
+            "nodes/cells/type holds neither numbers nor texts",
+        ),
+        (
+            lambda f, n: into(n, "cells/r", lambda m: m.create_dataset("cells/r", data=f.ref)),
+            "nodes/cells/r holds neither numbers nor texts",
+        ),
     ],
-    ids=["soft", "external link", "circle", "elsewhere", "deep", "claim"],
+    ids=["soft", "external link", "circle", "elsewhere", "deep", "claim", "type", "reference"],
 )
 def test_a_container_that_leads_out_or_round_is_refused_by_name(damage, message, damaged):
     assert message in damaged(damage)

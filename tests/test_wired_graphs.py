@@ -264,5 +264,8 @@ def test_an_output_may_hear_several_layers():
     # both spike at once: 2 of a and 1 of b
     assert machine.infer(np.array([[[1], [0]]], np.uint8)).ravel().tolist() == [3, 0]
     assert program.to_host == {"a", "b"}
+    # what a alone goes through; b comes as it is
+    assert [(of, weight.tolist()) for of, weight in program.readouts] == [("a", [[2.0]])]
+    assert machine.ledger.by_layer("message") == {"a": 2, "b": 2}
     seen = {name: np.zeros((1, 2, 1)) for name in ("a", "b")}
     assert not leaving(program.outlets, seen).any()
