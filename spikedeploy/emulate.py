@@ -134,7 +134,7 @@ def emulate(
     quantisation  on a chip
     convention  options of runtime.artifact.load: go before what the file says, None leaves it
     """
-    return played(load(path, **convention), chip, rasters, backend)
+    return played(load(path, **convention), chip, rasters, backend, limits, quantisation)
 
 
 def played(
@@ -142,6 +142,8 @@ def played(
     chip: str,
     rasters: Raster | Mapping[str, Raster],
     backend: str | None = None,
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
 ) -> Emulation:
     """The same with a network that is loaded already."""
     rows = named(ports(artifact.graph.inputs), in_batch(rasters))

@@ -305,5 +305,6 @@ def test_other_chips_refuse_what_only_xylo_has():
     ],
 )
 def test_choices_that_a_chip_does_not_have_are_refused(name, choice, message):
+    artifact = replace(two_layers([[1], [1]], [[1, 1]]), convention=ONCE)
     with pytest.raises(ConfigError, match=message):
-        compile(two_layers([[1], [1]], [[1, 1]]), chip(name), choice)
+        compile(artifact, chip(name), choice)

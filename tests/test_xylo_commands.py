@@ -65,7 +65,10 @@ def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path
     convention = replace(policy.convention, reset="subtract")
     save(replace(policy, convention=convention, origin=strolling.ORIGIN), tmp_path / "policy.nir")
     words = (tmp_path / "policy.nir", "--chip", "xylo-a2", "--env", "stroll", "--json")
-    code, out, err = command("run", *words)
+    code, _, err = command("run", *words)
+    assert code == 1
+    assert "rule inputs: the network has 30 inputs; xylo-a2 has at most 16" in err
+    code, out, err = command("run", *words, "--limits", "off")
     assert code == 0, err
     (row,) = json.loads(out)["rows"]
     assert row["chip"] == "xylo-a2"

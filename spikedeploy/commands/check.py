@@ -14,6 +14,7 @@ from spikedeploy.commands.options import (
     Reset,
     Spikes,
     State,
+    reading,
 )
 
 
@@ -44,17 +45,20 @@ def check(
     from spikedeploy.check_tables import print_report
     from spikedeploy.terminal import print_json
 
+    read = reading(
+        dt=dt,
+        reset=reset,
+        integrator=integrator,
+        delay=delay,
+        spikes=spikes,
+        floor=floor,
+        state=state,
+        like=like,
+    )
     report = judged(
         file,
         chip or [ALL],
-        dt=dt,
-        reset=reset and reset.value,
-        integrator=integrator and integrator.value,
-        delay=delay,
-        spikes=spikes and spikes.value,
-        floor=floor and floor.value,
-        state=state and state.value,
-        like=like,
+        **read,
     )
     if json:
         print_json(report.as_json())

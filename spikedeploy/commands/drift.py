@@ -27,6 +27,7 @@ from spikedeploy.commands.options import (
     State,
     Thresholds,
     quantisation,
+    reading,
 )
 
 
@@ -86,17 +87,17 @@ def drift(
     from spikedeploy.worlds import parsed
 
     path = path_of(file)
-    artifact = load(
-        path,
+    read = reading(
         dt=dt,
-        reset=reset and reset.value,
-        integrator=integrator and integrator.value,
+        reset=reset,
+        integrator=integrator,
         delay=delay,
-        spikes=spikes and spikes.value,
-        floor=floor and floor.value,
-        state=state and state.value,
+        spikes=spikes,
+        floor=floor,
+        state=state,
         like=like,
     )
+    artifact = load(path, **read)
     options = parsed(set_ or ())
     numbers = range(seed, seed + episodes)
     inputs = chosen(artifact, path, input_, random, env, numbers, steps, options)

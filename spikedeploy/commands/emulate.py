@@ -25,6 +25,7 @@ from spikedeploy.commands.options import (
     State,
     Thresholds,
     quantisation,
+    reading,
 )
 
 
@@ -77,6 +78,16 @@ def emulate(
     from spikedeploy.rasters import read_rasters
     from spikedeploy.terminal import print_emulation, print_json
 
+    read = reading(
+        dt=dt,
+        reset=reset,
+        integrator=integrator,
+        delay=delay,
+        spikes=spikes,
+        floor=floor,
+        state=state,
+        like=like,
+    )
     tables = energy_tables(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds)
     result = play(
@@ -86,14 +97,7 @@ def emulate(
         backend,
         limits is Limits.on,
         rounded,
-        dt=dt,
-        reset=reset and reset.value,
-        integrator=integrator and integrator.value,
-        delay=delay,
-        spikes=spikes and spikes.value,
-        floor=floor and floor.value,
-        state=state and state.value,
-        like=like,
+        **read,
     )
     result = replace(result, tables=tables)
     result.save(output)

@@ -1,7 +1,7 @@
 """Options that several commands share, worded once."""
 
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -186,3 +186,8 @@ def quantisation(
     return Quantisation(
         quantise.value, rounding.value if rounding else None, headroom.value, thresholds
     )
+
+
+def reading(**options: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Options of how to read a file, by the names that runtime.artifact.load has for them."""
+    return {name: v.value if isinstance(v, Enum) else v for name, v in options.items()}
