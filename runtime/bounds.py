@@ -81,15 +81,14 @@ def harmless(layer: Layer, fixed: FixedPoint, timesteps: int, most: int) -> int:
 
 
 def single(layer: Layer, fixed: FixedPoint) -> int:
-    """Largest state that float32 decays exactly: its 24 bits less those of the decays."""
-    keeps = np.concatenate([layer.current_keep, layer.membrane_keep]).astype(np.int64)
-    # the odd part of a decay is what makes a product longer
-    odd = keeps // np.maximum(keeps & -keeps, 1)
-    bits = int(odd.max(initial=0)).bit_length()
+    """Largest state that float32 decays exactly, and holds even if another is added to it."""
     thresholds = layer.threshold.astype(np.int64)
     if _largest(thresholds) >= SINGLE or _largest(layer.voltage_bias) >= SINGLE:
         return 0
-    return int(SINGLE >> max(bits, 1))
+    keeps = np.concatenate([layer.current_keep, layer.membrane_keep]).astype(np.int64)
+    # the odd part of a decay is what makes a product longer
+    odd = keeps // np.maximum(keeps & -keeps, 1)
+    return SINGLE // max(int(odd.max(initial=0)), 2)
 
 
 def exact_ticks(layer: Layer, fixed: FixedPoint) -> int:

@@ -19,7 +19,7 @@ from runtime.chip import FixedPoint
 from runtime.interpreter import State, update
 from runtime.program import Layer, Program
 from runtime.raster import Raster
-from runtime.scratch import Scratch
+from runtime.scratch import Scratch, aligned
 from runtime.synapses import summing
 
 Floats = NDArray[np.floating]
@@ -97,8 +97,8 @@ class Window:
         """Memory for states of this type, and what runs in it."""
         program, layer, fixed = self.program, self.layer, self.program.chip.fixed
         timesteps, batch, _ = self.spikes.shape
-        self.states = np.zeros((timesteps + 1, 2, batch, layer.size), dtype)
-        sums = np.empty((timesteps, batch, layer.size), dtype)
+        self.states = aligned((timesteps + 1, 2, batch, layer.size), dtype)
+        sums = aligned((timesteps, batch, layer.size), dtype)
         self._drive = Drive(layer, fixed, self._limits, sums, self._scratch)
         self._advance = Advance(
             program, layer, self.states, self._drive.sums, self.spikes, self.kept
@@ -150,7 +150,7 @@ class Drive:
         scratch: Scratch,
     ) -> None:
         self.sums = sums
-        self._more = np.empty_like(sums)
+        self._more = aligned(sums.shape, sums.dtype)
         self._unit = unit = 1 << fixed.mantissa_shift if fixed else 1
         partial = limits.partial if limits else None
         biases = [layer.bias, *[0 * layer.bias] * (len(layer.synapses) - 1)]

@@ -47,6 +47,8 @@ class NativePipeline:
         lag = program.readout.lag if program.readout else 0
         numbers = (memory.slots, lag, schedule.steps)
         self._arguments = (*memory.constants, *memory.arrays, self._counts, self._heard, *numbers)
+        # of a whole window from zero, which is what most calls ask for
+        self._anew = (*self._arguments, -1, *self._ways, True)
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
@@ -60,7 +62,10 @@ class NativePipeline:
         # a view, for numbers of one type are copied ten times faster than those of two
         values = rows.view(np.uint8) if rows.dtype.itemsize == 1 else np.minimum(rows, 2)
         self._input[...] = values.swapaxes(0, 1)
-        if not run(*self._arguments, -1 if step is None else step, *self._ways, self._fresh):
+        arguments = self._anew
+        if step is not None or not self._fresh:
+            arguments = (*self._arguments, -1 if step is None else step, *self._ways, self._fresh)
+        if not run(*arguments):
             raise not_spikes(rows)
         self._fresh = False
         return self._heard

@@ -15,6 +15,7 @@ from runtime.native_kernels import (
     Constants,
     Memory,
 )
+from runtime.scratch import aligned
 
 
 class NativeMemory:
@@ -38,11 +39,11 @@ class NativeMemory:
             rasters=np.zeros((batch, spikes), np.uint8),
             lists=np.zeros((batch, spikes), np.int32),
             lengths=np.zeros((batch, lengths), np.int64),
-            states=np.zeros((batch, states)),
+            states=aligned((batch, states), np.float64),
             silent=np.zeros((batch, int(layers[:, SIZE].sum())), np.int64),
-            sums16=np.zeros(widest, np.int16),
-            sums32=np.zeros(widest, np.int32),
-            sums64=np.zeros(widest, np.int64),
+            sums16=aligned((widest,), np.int16),
+            sums32=aligned((widest,), np.int32),
+            sums64=aligned((widest,), np.int64),
         )
 
     def states(self, layer: int) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from runtime.errors import ConfigError
 from runtime.fixed import Register
 from runtime.native_kernels import Constants
 from runtime.program import Layer, Program
+from runtime.scratch import as_aligned
 from runtime.synapses import EXACT_INT16
 
 Integers = NDArray[np.int64]
@@ -58,7 +59,7 @@ def _weights(program: Program) -> NDArray[Any]:
     weights = [s.weight.ravel() for layer in program.layers for s in layer.synapses]
     all_ = np.concatenate([*weights, *(layer.bias for layer in program.layers)])
     largest = int(np.abs(all_.astype(np.int64)).max(initial=0))
-    return all_.astype(np.int8 if largest <= EXACT_INT8 else _whole_type(largest))
+    return as_aligned(all_, np.int8 if largest <= EXACT_INT8 else _whole_type(largest))
 
 
 def _whole_type(largest: int) -> Any:  # noqa: ANN401
@@ -135,8 +136,8 @@ def _real(program: Program, fixed: FixedPoint) -> NDArray[np.floating]:
     real: NDArray[np.float64] = _whole(program) * np.array(
         [[1 / fixed.decay_one]] * 2 + [[1.0]] * 2
     )
-    single = real.astype(np.float32)
-    return single if (single == real).all() else real
+    single = as_aligned(real, np.float32)
+    return single if (single == real).all() else as_aligned(real, np.float64)
 
 
 def _rooms(fixed: FixedPoint) -> tuple[float, float, float]:

@@ -95,7 +95,11 @@ class Pipeline:
             if step is not None and step < layer.start:
                 emitted[layer.name] = window.wait()
                 continue
-            heard = [self._relay.heard(*wire, emitted, timesteps) for wire in wires]
+            # nothing is on its way where nothing is late, as in most networks
+            heard = [
+                self._relay.heard(source, late, emitted, timesteps) if late else emitted[source]
+                for source, late in wires
+            ]
             emitted[layer.name] = window.run(heard)
         self._emitted = emitted
         spikes = self._relay.heard(self.program.output, self._lag, emitted, timesteps)

@@ -1,9 +1,28 @@
-"""Scratch memory: one place for what is needed only for a moment, so that it stays in the cache."""
+"""Memory as processors like it: it begins with a cache line, and is used again while it is warm."""
 
+import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
+
+# [bytes] of a cache line; large arrays of NumPy begin 16 bytes after one, which costs a fifth
+LINE = 64
+
+
+def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Zeros that begin with a cache line."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + LINE, np.uint8)
+    start = -raw.ctypes.data % LINE
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def as_aligned(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """A copy of the values that begins with a cache line."""
+    copy = aligned(values.shape, dtype)
+    np.copyto(copy, values, casting="unsafe")
+    return copy
 
 
 class Scratch:
@@ -13,7 +32,7 @@ class Scratch:
     """
 
     def __init__(self, size: int) -> None:
-        self._bytes = np.empty(size, np.uint8)
+        self._bytes = aligned((size,), np.uint8)
 
     def like(self, array: NDArray[Any]) -> NDArray[Any]:
         """An array of the same shape and type, in the memory that all share."""

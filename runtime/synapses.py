@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.raster import Raster
-from runtime.scratch import Scratch
+from runtime.scratch import Scratch, aligned, as_aligned
 from runtime.ways import Costs, measured
 
 Floats = NDArray[Any]
@@ -44,14 +44,14 @@ def summing(
     """
     exact32 = partial is not None and partial * unit < EXACT_FLOAT32
     dtype = np.float32 if exact32 else np.float64
-    scaled, pull = (weight * float(unit)).astype(dtype), (bias * float(unit)).astype(dtype)
+    scaled, pull = as_aligned(weight * float(unit), dtype), (bias * float(unit)).astype(dtype)
     dense = Dense(scaled, pull, out)
     if partial is None:
         return dense
     union, gather = Union(scaled, pull, out, scratch), None
     if out.shape[1] == 1:
         whole = np.int16 if partial <= EXACT_INT16 else np.int32
-        gather = Gather(weight.astype(whole), bias.astype(whole), unit, out, scratch)
+        gather = Gather(as_aligned(weight, whole), bias.astype(whole), unit, out, scratch)
     cheapest = Cheapest(gather, union, dense, _costs(gather, union, dense))
     return cheapest if cheapest.has_choice else dense
 
@@ -68,7 +68,7 @@ class Dense:
         axons = len(weight)
         self.shape = (timesteps, batch, axons, neurons)
         # matrices over the same memory: BLAS wants two axes
-        self._spikes = np.empty((timesteps, batch, axons), weight.dtype)
+        self._spikes = aligned((timesteps, batch, axons), weight.dtype)
         self._flat = self._spikes.reshape(-1, axons)
         self._out = out.reshape(-1, neurons)
         self._sums = _product(self._out, weight)
@@ -96,7 +96,7 @@ class Gather:
         self.weight = weight
         self._out = out
         self._unit = out.dtype.type(unit)
-        self._sums = np.empty(out.shape, weight.dtype)
+        self._sums = aligned(out.shape, weight.dtype)
         self._bias = _filled(self._sums, bias)
         self._rows = list(self._sums[:, 0])
         self._fetched = scratch.like(weight)
@@ -124,7 +124,7 @@ class Union:
         # (B, T, N)
         self._out = out.swapaxes(0, 1)
         one = len(self._out) == 1
-        self._sums = np.empty(self._out.shape, weight.dtype)
+        self._sums = aligned(self._out.shape, weight.dtype)
         if one and out.dtype == weight.dtype:
             self._sums = self._out
         self._bias = _filled(self._sums, bias)
@@ -193,7 +193,7 @@ def _costs(gather: Gather | None, union: Union, dense: Dense) -> Costs:
 
 def _product(out: Floats, weight: Weights) -> Weights:
     """Where a product goes: to the place itself if its number type is that of the weights."""
-    return out if out.dtype == weight.dtype else np.empty(out.shape, weight.dtype)
+    return out if out.dtype == weight.dtype else aligned(out.shape, weight.dtype)
 
 
 def _filled(like: Weights, row: Weights) -> Weights | None:

@@ -103,22 +103,23 @@ def test_harmless_spikes_leave_every_state_within_the_limit(program, timesteps, 
 
 
 @pytest.mark.parametrize(
-    ("current", "membrane", "bits"),
+    ("current", "membrane", "odd"),
     [
-        (2048, 3072, 2),  # 1/2 and 3/4: the 3 takes two of the 24 bits
-        (2048, 3686, 11),  # 1843/2048
-        (0, 4096, 1),
-        (1, 4095, 12),
+        (2048, 3072, 3),  # 1/2 and 3/4
+        (2048, 3686, 1843),  # 1843/2048
+        (0, 4096, 2),  # two such states still have a sum
+        (1, 4095, 4095),
     ],
 )
-def test_float32_decays_states_whose_bits_leave_room_for_those_of_the_decay(
-    current, membrane, bits
-):
+def test_float32_decays_states_while_it_holds_the_product_with_the_odd_part(current, membrane, odd):
     a = the_layer(current_keep=np.array([current]), membrane_keep=np.array([membrane]))
-    assert single(a, WIDE.fixed) == 1 << (24 - bits)
+    most = single(a, WIDE.fixed)
+    assert most == (1 << 24) // odd
     for keep in (current, membrane):
-        x, fraction = np.float32((1 << (24 - bits)) - 1), np.float32(keep / 4096)
-        assert int(np.trunc(x * fraction)) == int(x) * keep >> 12
+        for x in range(most - 50, most + 1):
+            product = np.float32(x) * np.float32(keep / 4096)
+            assert int(np.trunc(product)) == x * keep >> 12
+            assert np.float32(x) + np.float32(x) == 2 * x
 
 
 def test_float32_is_not_for_thresholds_that_it_cannot_hold():
