@@ -22,15 +22,19 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
 
-from benchmarks.nets import Net, Raster, bernoulli, encoded, kart, popsan, widened
+from benchmarks.nets import SHIFT, Net, Raster, bernoulli, encoded, kart, popsan, widened
 from benchmarks.peers import peers
+from runtime.bounds import bounds
 from runtime.interpreter import trace
 from runtime.machine import Machine
 from runtime.machine_pool import MachinePool
+from runtime.scratch import Scratch
+from runtime.synapses import gathering
 
 INPUTS = 20  # rasters of a round at batch 1
 Act = Callable[[], Any]
@@ -144,12 +148,8 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
         spikes[name] = [int(raster.sum()), *(int(t.spikes.sum()) for t in traces.values())]
         for mine, run in ours(one, 1).items():
             candidates[f"{mine} {name}"] = calls(run, [raster[k : k + 1] for k in range(INPUTS)])
-        gathering = Machine(one.program, 1, "none")
-        gathering.infer(raster[:1])
-        for window in gathering._pipeline.windows:
-            window._drive._first = getattr(window._drive._first, "gather", window._drive._first)
         candidates[f"gather {name}"] = calls(
-            gathering.infer, [raster[k : k + 1] for k in range(INPUTS)]
+            gatherer(one, raster[:1]).infer, [raster[k : k + 1] for k in range(INPUTS)]
         )
     if spikes["narrow"] != spikes["wide"]:
         raise AssertionError(f"the twins spike differently: {spikes}")
@@ -159,6 +159,21 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
         "median_us": median,
         "ratios": {name: median[f"{name} wide"] / median[f"{name} narrow"] for name in names},
     }
+
+
+def gatherer(net: Net, raster: Raster) -> Machine:
+    """A NumPy machine whose layers, one by one, fetch the weights of spikes and nothing else."""
+    machine = Machine(net.program, 1, "none")
+    with patch("runtime.pipeline.suits", return_value=False):
+        machine.infer(raster)
+    fixed = net.program.chip.fixed
+    for window, layer in zip(machine._pipeline.windows, net.program.layers, strict=True):
+        partial = bounds(net.program, layer, fixed, net.timesteps).partial
+        weight = layer.synapses[0].weight
+        window._drive._first = gathering(
+            weight, layer.bias, partial, 1 << SHIFT, window._drive.sums, Scratch(8 * weight.size)
+        )
+    return machine
 
 
 def memory(net: Net, raster: Raster, speeds: Times) -> Times:

@@ -48,12 +48,19 @@ def summing(
     dense = Dense(scaled, pull, out)
     if partial is None:
         return dense
-    union, gather = Union(scaled, pull, out, scratch), None
-    if out.shape[1] == 1:
-        whole = np.int16 if partial <= EXACT_INT16 else np.int32
-        gather = Gather(as_aligned(weight, whole), bias.astype(whole), unit, out, scratch)
+    union = Union(scaled, pull, out, scratch)
+    one = out.shape[1] == 1
+    gather = gathering(weight, bias, partial, unit, out, scratch) if one else None
     cheapest = Cheapest(gather, union, dense, _costs(gather, union, dense))
     return cheapest if cheapest.has_choice else dense
+
+
+def gathering(
+    weight: Weights, bias: Weights, partial: int, unit: int, out: Floats, scratch: Scratch
+) -> "Gather":
+    """Gather with numbers as small as the bounds allow; arguments as in summing."""
+    whole = np.int16 if partial <= EXACT_INT16 else np.int32
+    return Gather(as_aligned(weight, whole), bias.astype(whole), unit, out, scratch)
 
 
 class Dense:
