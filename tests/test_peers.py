@@ -1,8 +1,8 @@
 """The presets against the tools themselves, where they are installed.
 
 The extra `peers` installs those that get along; sinabs 3.1.3 and rockpool 3.1.0 pin a nir of their
-own, and come with `pip install --no-deps`. Nengo's pytest plugin is older than pytest: set
-PYTEST_DISABLE_PLUGIN_AUTOLOAD=1.
+own, and come with `pip install --no-deps`. Nengo's pytest plugin is older than pytest, which
+pyproject.toml therefore tells to leave it out.
 """
 
 from itertools import pairwise
