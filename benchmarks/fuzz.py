@@ -4,9 +4,10 @@
 
 Sound files of every primitive, with and without our metadata, traces, tracks and rasters are
 damaged: bytes; values, shapes, types, links and edges of the HDF5 tree; values of JSON. Each is
-loaded, written again, read as another tool would, compiled for chips and run for three timesteps;
-traces are verified. It happens in a process of its own with a limit of memory; one that dies or
-takes too long is a violation like any error that is not ours, and a new one goes on behind it.
+loaded, written again, read as another tool would, compiled for every chip with and without limits,
+and run for three timesteps on some; traces are verified. It happens in a process of its own with a
+limit of memory; one that dies or takes too long is a violation like any error that is not ours, and
+a new one goes on behind it.
 The same seed and version damage the same way. The exit code is 1 where anything was violated.
 """
 

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +10,26 @@ import numpy as np
 from envs import track
 from envs.errors import EnvError
 from runtime.artifact import Artifact, load, save
-from runtime.chip import CHIPS
+from runtime.check import check
+from runtime.chip import CHIPS, chip
+from runtime.compile import compile
 from runtime.errors import ConventionError, SpikedeployError
 from runtime.ports import ports
 from runtime.presets import PRESETS
+from runtime.quantisation import PLAIN, Quantisation
 from runtime.verify import verify
 from spikedeploy.emulate import played
 from spikedeploy.rasters import read_rasters
 
 TIMESTEPS = 3
+# no fast kernels compute these: their machine is the interpreter
+INTERPRETED = [name for name in CHIPS if chip(name).arithmetic and not chip(name).fixed]
+QUANTISATIONS = (
+    PLAIN,
+    Quantisation(rounding="truncate"),
+    Quantisation("channel"),
+    Quantisation("channel", headroom="proven"),
+)
 OURS = (SpikedeployError, EnvError)
 
 
@@ -54,15 +65,21 @@ def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
         port.name: (rng.random((TIMESTEPS, *port.shape)) < 0.3).astype(np.uint8)
         for port in ports(artifact.graph.inputs)
     }
-    for chip in ("float", "ideal", str(rng.choice(list(CHIPS)))):
+    for name, limits in _where(rng):
         with _ours(refused):
-            emulation = played(artifact, chip, rasters)
+            emulation = played(artifact, name, rasters, limits=limits)
             emulation.as_json()
             emulation.save(path.with_suffix(".out"))
-    for work in (_read_like, _kept, _driven):
+    for work in (_judged, _read_like, _kept, _driven):
         with _ours(refused):
             work(path, artifact, rng)
     return True
+
+
+def _where(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+    """Chips to run on, and whether within their limits: always one interpreted."""
+    chips = [str(rng.choice(list(CHIPS))), str(rng.choice(INTERPRETED))]
+    return zip(("float", "ideal", *chips), (True, True, *(rng.random(2) < 0.5)), strict=True)
 
 
 @contextmanager
@@ -72,6 +89,15 @@ def _ours(refused: list[str]) -> Iterator[None]:
         yield
     except OURS as error:
         refused.append(type(error).__name__)
+
+
+def _judged(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
+    """Every chip's rules and compiler; what they refuse is no news, as one of many always does."""
+    quantisation = QUANTISATIONS[int(rng.integers(len(QUANTISATIONS)))]
+    for name in CHIPS:
+        check(artifact, chip(name))
+        with suppress(*OURS):
+            compile(artifact, chip(name), quantisation, limits=False)
 
 
 def _read_like(path: Path, _: Artifact, rng: np.random.Generator) -> None:

@@ -11,8 +11,14 @@ from runtime.fixed import Register
 from runtime.program import Layer, Synapses
 from runtime.quantize import stored
 
-WEIGHTS = ("weights", "weight", "w", "weight_mant", "weights_mixed")
+WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
+EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")
 THRESHOLDS = ("vth", "vth_mant", "v_th", "threshold")
+# in units of the states, not of the mantissas
+WEIGHTS_EFFECTIVE = ("weights_effective", "weight_effective", "w_effective", "w_eff")
+REFRACTORY = ("refractory", "refract_delay", "refractory_period")
+THRESHOLDS_EFFECTIVE = ("vth_effective", "vth_eff")
+EFFECTIVE = {*WEIGHTS_EFFECTIVE, *THRESHOLDS_EFFECTIVE}
 
 # mantissas are shifted by so much to become states; thresholds always are
 SHIFT = 6
@@ -67,22 +73,26 @@ def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer
 
 
 def _weights(spec: Fields, fixed: FixedPoint, fan_in: int) -> _Weights:
-    exponent = spec.whole("weight_exp", "w_exp", "wgt_exp", default=0, least=-8, most=7)
+    exponent = spec.whole(*EXPONENTS, default=0, least=-8, most=7)
     lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
     if lists:
         tables = [_matrix(spec, name, fan_in) for name in lists]
         if tables[0].shape != tables[-1].shape:
             raise spec.wrong(lists[1], f"has shape {tables[1].shape}", f"Match {lists[0]}.")
         return _Weights(np.asarray(sum(tables)), False, exponent)
-    effective = spec.name("weights_effective", "weight_effective")
+    effective = spec.name(*WEIGHTS_EFFECTIVE)
     if effective and spec.name(*WEIGHTS) is None:
         return _Weights(_matrix(spec, effective, fan_in, 1 << SHIFT) >> SHIFT, False, 0)
     name = spec.name(*WEIGHTS) or WEIGHTS[0]
     mantissa = _matrix(spec, name, fan_in)
-    mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False
+    mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False or _said_mixed(spec)
     # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
     one_sign = fixed.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
     return _Weights(mantissa, mixed and not one_sign, exponent)
+
+
+def _said_mixed(spec: Fields) -> bool:
+    return "mixed" in spec.text("sign_mode").lower()
 
 
 def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
@@ -100,7 +110,7 @@ def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
 
 
 def _with_options(spec: Fields, fixed: FixedPoint, weights: _Weights) -> FixedPoint:
-    silent = spec.whole("refractory", "refract_delay", default=fixed.refractory, least=1, most=64)
+    silent = spec.whole(*REFRACTORY, default=fixed.refractory, least=1, most=64)
     return replace(
         fixed,
         sign_mode="mixed" if weights.mixed else "split",
@@ -140,18 +150,22 @@ def _lists(weights: _Weights, fixed: FixedPoint) -> list[tuple[NDArray[np.int16]
 
 def _threshold(spec: Fields, fixed: FixedPoint, size: int) -> Integers:
     """(N,) [state units]."""
-    if spec.name(*THRESHOLDS) is None and spec.name("vth_effective"):
-        return spec.row("vth_effective", size=size, least=0, most=STATE)
+    if spec.name(*THRESHOLDS) is None and spec.name(*THRESHOLDS_EFFECTIVE):
+        return spec.row(*THRESHOLDS_EFFECTIVE, size=size, least=0, most=STATE)
     return spec.row(*THRESHOLDS, size=size, least=0, most=fixed.threshold_max) << SHIFT
 
 
 def _bias(spec: Fields, size: int) -> Integers:
     """(N,) [state units]."""
-    if spec.name("bias", "bias_effective"):
-        return spec.row("bias", "bias_effective", size=size, least=-STATE, most=STATE)
     mantissa = spec.row("bias_mant", size=size, default=0, least=-4096, most=4095)
     exponent = spec.row("bias_exp", size=size, default=0, least=-8, most=7)
-    return np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
+    made = np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
+    if (name := spec.name("bias", "bias_effective")) is None:
+        return made
+    bias = spec.row(name, size=size, least=-STATE, most=STATE)
+    if spec.name("bias_mant") and spec.name("bias_exp") and (bias != made).any():
+        raise spec.wrong(name, "is not bias_mant times 2^bias_exp", "Leave the wrong one out.")
+    return bias
 
 
 def _keep(spec: Fields, state: str, fixed: FixedPoint, size: int) -> Integers:

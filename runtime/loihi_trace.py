@@ -4,32 +4,33 @@ import numpy as np
 
 from runtime.chip import chip as datasheet
 from runtime.convention import Convention
-from runtime.errors import TraceError
 from runtime.fields import Fields, Integers
-from runtime.loihi_layer import STATE, LoihiLayer, loihi_layer
+from runtime.loihi_layer import EFFECTIVE, STATE, LoihiLayer, loihi_layer
 from runtime.program import Program
-from runtime.trace_file import PROSE, TraceFile
+from runtime.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
 
-INPUT = ("input_spikes", "input", "inputs", "spikes_in", "s_in", "in_spikes")
+INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
 # quantity -> what emulators call it
 RECORDED = {
     "current": ("u", "current", "I", "i"),
-    "membrane": ("v", "voltage", "membrane", "v_mem", "v_hw"),
-    "spikes": ("s", "spikes", "s_out", "output_spikes", "out_spikes", "s_hw"),
+    "membrane": ("v", "voltage", "membrane", "v_mem"),
+    "spikes": ("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"),
 }
+# and what boards' probes are called, with one of these before or after
+PROBES = ("hw", "chip", "board", "probe")
 # what the files say twice, or the reading says
 REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
     "weights_exc", "weights_inh", "weights_mixed", "weight_effective", "weights_effective",
     "effective_decay_u", "effective_decay_v", "vth_effective", "bias_effective", "du", "decay_u",
-    *INPUT,
+    *EFFECTIVE, *INPUT,
 }  # fmt: skip
 
 
 def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields; one layer at the top, or a list of them under `layers`."""
     specs = _layers_of(fields)
-    rows = _table(specs[0], INPUT, 0, 1)
+    rows = table_of(specs[0], INPUT, 0, 1, index="input_spikes_index")
     parts, size = [], rows.shape[1]
     for place, spec in enumerate(specs):
         parts.append(loihi_layer(spec, datasheet(chip), place, size))
@@ -39,9 +40,9 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
         part.layer.name: _recorded(spec, (len(rows), part.layer.size))
         for part, spec in zip(parts, specs, strict=True)
     }
-    if not any(recorded.values()):
-        raise TraceError(f"{fields.where}: there is nothing to compare. Record u, v or s.")
     unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - REPEATED
+    if not any(recorded.values()):
+        raise nothing_to_compare(fields, unread, "u, v or s")
     return TraceFile(
         source=fields.text("source") or fields.text("name") or chip,
         program=_program(parts, rows.shape[1]),
@@ -63,22 +64,20 @@ def _layers_of(fields: Fields) -> list[Fields]:
     ]
 
 
-def _table(spec: Fields, names: tuple[str, ...], least: int, most: int) -> Integers:
-    """(T, N); a list of numbers is that of a single neuron."""
-    found = spec.array(*names, axes=2, least=least, most=most)
-    if found.ndim == 0:
-        raise spec.wrong(names[0], "is a single number", "Write a row for each timestep.")
-    return found[:, None] if found.ndim == 1 else found
+def _probed(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names, and those with the mark of a board's probe."""
+    marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in PROBES)
+    return (*names, *(each for pair in marked for each in pair))
 
 
 def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
     """The tables (T, N) that are there, by quantity."""
     recorded = {}
     for quantity, names in RECORDED.items():
-        if (name := spec.name(*names)) is None:
+        if (name := spec.name(*_probed(names))) is None:
             continue
         limits = (0, 1) if quantity == "spikes" else (-STATE, STATE)
-        recorded[quantity] = table = _table(spec, (name,), *limits)
+        recorded[quantity] = table = table_of(spec, (name,), *limits, index="trace_index")
         if table.shape != shape:
             remedy = f"The input and the weights ask for {shape}."
             raise spec.wrong(name, f"has shape {table.shape}", remedy)

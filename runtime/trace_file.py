@@ -22,6 +22,8 @@ from runtime.program import Program
 # who wrote a trace, by what its name, source and kind say -> the chip in that reading
 MAKERS = (
     (r"sana-?fe", "sanafe"),
+    # before lava's simulations, to which prose compares boards
+    (r"loihi[ _-]?2[ _-]?(hw|board|chip|hardware)|hw[ _-]loihi[ _-]?2", "loihi2"),
     (r"xylo", "xylo-a2"),
     (r"brian2", "loihi1-brian2"),
     (r"nengo", "loihi1-nengo"),
@@ -84,6 +86,26 @@ def trace_in(fields: Fields, stem: str) -> TraceFile:
     module, attribute = READERS[chip].split(":")
     reader: Reader = getattr(import_module(module), attribute)
     return reader(fields, chip)
+
+
+def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index: str) -> Integers:
+    """(T, N) of the first name that is there; a list of numbers is that of a single neuron.
+
+    index: the field that says which way the tables stand, as in "[neuron][t]".
+    """
+    found = spec.array(*names, axes=2, least=least, most=most)
+    if found.ndim == 0:
+        name = spec.name(*names) or names[0]
+        raise spec.wrong(name, "is a single number", "Write a row for each timestep.")
+    if found.ndim == 1:
+        return found[:, None]
+    return found.T if spec.text(index).rstrip().endswith("][t]") else found
+
+
+def nothing_to_compare(fields: Fields, unread: set[str], wanted: str) -> TraceError:
+    """The error of a trace in which nothing is recorded under a name that is known."""
+    others = f" Nothing is known of {', '.join(sorted(unread))}." if unread else ""
+    return TraceError(f"{fields.where}: there is nothing to compare.{others} Record {wanted}.")
 
 
 def maker(fields: Fields, stem: str) -> str:

@@ -41,7 +41,7 @@ class Verdict:
     steps: T.
     compared: numbers that were compared.
     passed_over: recorded numbers that were not compared.
-    why: they were not.
+    why: they were not; empty where all were.
     difference: None where all numbers are equal.
     unread: fields of the file that mean nothing to the reader.
     """

@@ -7,11 +7,10 @@ import numpy as np
 from runtime.chip import Chip
 from runtime.chip import chip as datasheet
 from runtime.convention import Convention
-from runtime.errors import TraceError
 from runtime.event_point import EventPoint
 from runtime.fields import Fields, Integers
 from runtime.program import Layer, Program, Synapses
-from runtime.trace_file import PROSE, TraceFile
+from runtime.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
 
 HIDDEN, OUTPUT = "hidden", "output"
 # layer -> quantity -> its name in the file
@@ -25,6 +24,7 @@ RECORDED = {
     OUTPUT: {"current": "i_syn_out", "membrane": "v_mem_out", "spikes": "out_spikes"},
 }
 INPUT = ("input_counts", "input_spikes", "input")
+SHIFTS = ("weight_shift_in", "weight_shift_rec", "weight_shift_out")
 REPEATED = {"chip", "steps", "params"}
 
 
@@ -34,23 +34,22 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     used = datasheet(chip)
     if used.events is None:
         raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
-    counts = _table(spec, INPUT, 255)
+    counts = table_of(spec, INPUT, 0, 255, index="input_spikes_index")
     hidden, output = _hidden(spec, used.events, counts.shape[1]), _output(spec, used.events)
     if (found := output.synapses[0].weight.shape[0]) != hidden.size:
         remedy = f"Write a row for each of the {hidden.size} hidden neurons."
         raise spec.wrong("weights_out", f"has {found} rows", remedy)
     recorded = {layer.name: _recorded(spec, layer, len(counts)) for layer in (hidden, output)}
+    unread = spec.unread - PROSE - REPEATED
     if not any(recorded.values()):
-        raise TraceError(
-            f"{fields.where}: there is nothing to compare. Record v_mem or out_spikes."
-        )
+        raise nothing_to_compare(fields, unread, "v_mem or out_spikes")
     return TraceFile(
         source=fields.text("source") or fields.text("name") or chip,
         program=_program(used, counts.shape[1], hidden, output),
         raster=counts.astype(np.uint8)[None],
         recorded=recorded,
         blind_at_spikes=False,
-        unread=tuple(sorted(spec.unread - PROSE - REPEATED)),
+        unread=tuple(sorted(unread)),
     )
 
 
@@ -127,27 +126,22 @@ def _weights(spec: Fields, name: str, place: int, point: EventPoint) -> Integers
     """(M, N, K) weights as they are added, after the shift of their matrix."""
     edge = 1 << (point.weight_bits - 1)
     found = spec.array(name, axes=3, least=-edge, most=edge - 1)
+    if found.ndim == 1:  # a single neuron, one weight for each that it hears
+        found = found[:, None]
     if found.ndim < 2:
-        raise spec.wrong(name, f"has shape {found.shape}", "Write [pre][post][synapse].")
+        raise spec.wrong(name, "is a single number", "Write [pre][post][synapse].")
     found = found.reshape(*found.shape[:2], -1)
     if found.shape[2] > point.currents:
         remedy = f"A neuron has {point.currents} synapses at most."
         raise spec.wrong(name, f"has shape {found.shape}", remedy)
     shifts = spec.row("weight_shift", size=3, default=0, least=0, most=point.shift_max)
-    return np.asarray(found << shifts[place])
+    own = spec.row(SHIFTS[place], size=1, default=shifts[place], least=0, most=point.shift_max)
+    return np.asarray(found << own)
 
 
 def _dash(spec: Fields, name: str, point: EventPoint, size: int) -> Integers:
     default = 0 if name == "dash_syn_2" else None
     return spec.row(name, size=size, default=default, least=0, most=point.dash_max)
-
-
-def _table(spec: Fields, names: tuple[str, ...], most: int, least: int = 0) -> Integers:
-    """(T, N) of the first name that is there."""
-    found = spec.array(*names, axes=2, least=least, most=most)
-    if found.ndim < 2:
-        raise spec.wrong(names[0], f"has shape {found.shape}", "Write a row for each timestep.")
-    return found
 
 
 def _recorded(spec: Fields, layer: Layer, steps: int) -> dict[str, Integers]:
@@ -156,7 +150,7 @@ def _recorded(spec: Fields, layer: Layer, steps: int) -> dict[str, Integers]:
     for quantity, name in RECORDED[layer.name].items():
         if spec.name(name) is None:
             continue
-        recorded[quantity] = table = _table(spec, (name,), 1 << 16, -1 << 16)
+        recorded[quantity] = table = table_of(spec, (name,), -1 << 16, 1 << 16, index="trace_index")
         if table.shape != (steps, layer.size):
             remedy = f"The input and the weights ask for {steps, layer.size}."
             raise spec.wrong(name, f"has shape {table.shape}", remedy)

@@ -2,7 +2,7 @@
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from spikedeploy.spiking_costs import priced_by
 # bytes that a neuron takes in a timestep: current, membrane and spike, while running and recorded
 STATE = 48
 LARGEST = 1 << 32
+UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,10 @@ def played(
     if chip != FLOAT:
         found = datasheet(chip)
         program = compiled(artifact, found, quantisation, limits=limits)
-        return _on_chip(artifact, program, chip, rows, backend)
+        emulation = _on_chip(artifact, program, chip, rows, backend)
+        if limits or found.limits is None:
+            return emulation
+        return replace(emulation, remarks=(*emulation.remarks, UNLIMITED))
     if backend is not None:
         raise ConfigError(
             f"--backend {backend} is for programs of a chip; float runs in NumPy. Leave it out, or "

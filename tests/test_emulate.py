@@ -8,7 +8,7 @@ import nir
 import numpy as np
 import pytest
 
-from tests.networks import graph, lif
+from tests.networks import chain, graph, lif
 
 
 def full(*values):
@@ -71,6 +71,20 @@ def emulate(command, tmp_path):
             return code, dict(arrays), out, err
 
     return run
+
+
+def test_what_runs_beyond_the_limits_of_a_chip_says_so(emulate):
+    # Xylo has 16 inputs
+    cells = lif(1, tau=2e-3, r=2.0)
+    wide, on = nir.Linear(np.ones((1, 17))), nir.Linear(np.ones((1, 1)))
+    network = chain(wide, cells, on, cells, width=17, act=1)
+    words = ("--chip", "xylo-a2", "--reset", "subtract")
+    code, _, _, err = emulate(network, np.ones((3, 17), np.uint8), *words)
+    assert code == 1
+    assert "rule inputs" in err
+    code, _, out, _ = emulate(network, np.ones((3, 17), np.uint8), *words, "--limits", "off")
+    assert code == 0
+    assert "limits off: `spikedeploy check` says" in out
 
 
 @pytest.mark.parametrize("kind", CASES)

@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 
+import nir
 import numpy as np
 import pytest
 
+from runtime.artifact import Artifact
 from runtime.chip import chip
 from runtime.compile import compile
-from runtime.errors import ChipError
+from runtime.convention import Convention
+from runtime.errors import ChipError, RuleError
 from runtime.float_graph import FloatGraph
 from runtime.interpreter import trace
-from tests.networks import popsan
+from tests.networks import chain, lif, popsan
 
 CHIP = chip("spinnaker2")
 
@@ -75,3 +78,18 @@ def test_eight_bits_change_few_spikes_and_sixteen_fewer(reset, integrator):
 def test_an_impossible_width_is_refused():
     with pytest.raises(ChipError, match="weight_bits is 1; choose 2 to 16"):
         chip("spinnaker2", weight_bits=1)
+
+
+@pytest.mark.parametrize(
+    ("weight", "threshold", "message"),
+    [
+        # 127 / 1e-3 * 1e36 > 3.4e38
+        (1e-3, 1e36, "rule state-bits: layer 'n2': threshold 1e.36 is 1.27e.41 beside .* whole"),
+        (1e-310, 1.0, "rule weight-bits: layer 'n2': the largest weight is 1e-310"),
+    ],
+)
+def test_what_float32_cannot_hold_is_refused_by_layer(weight, threshold, message):
+    nodes = nir.Linear(np.full((1, 1), weight)), lif(1, tau=1e-3, r=1.0, threshold=threshold)
+    artifact = Artifact(chain(*nodes, width=1, act=1), None, Convention(1e-3))
+    with pytest.raises(RuleError, match=message):
+        compile(artifact, CHIP, limits=False)

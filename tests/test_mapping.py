@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from runtime.artifact import Artifact
-from runtime.check import datasheet
 from runtime.chip import chip
+from runtime.chip import chip as datasheet
 from runtime.convention import Convention
 from runtime.core_load import load
 from runtime.design import design

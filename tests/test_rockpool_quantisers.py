@@ -80,7 +80,9 @@ def test_the_integers_are_rockpools(rockpool, granularity, biased, seed):
 def floats(artifact):
     """The network as Xylo has it, before rounding."""
     chosen = chip("xylo-a2")
-    return for_xylo(artifact, chosen, chosen.events, wiring(artifact.graph), None)
+    return for_xylo(
+        artifact, chosen, chosen.events, wiring(artifact.graph, artifact.convention), None
+    )
 
 
 def quantised(rockpool, found, granularity):

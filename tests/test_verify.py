@@ -126,6 +126,62 @@ def test_a_board_shows_something_else_where_a_neuron_spikes(file):
     assert verify(file(record)).difference == Difference(2, "layer0", 0, "membrane", 1, 0)
 
 
+BOARD = {"weight": 10, "vth": 9, "dv": 163}
+
+
+@pytest.mark.parametrize(
+    ("changed", "params"),
+    [
+        ({}, {"dv": [163], "weights": [[10]], "vth": [9]}),
+        ({}, {"dv": 163.0, "w": 10, "vth_mant": 9, "w_effective": 640}),
+        ({}, {"effective_decay_v": 163, "w_eff": 640, "vth_eff": 576}),
+        ({}, {**BOARD, "bias": 0, "bias_mant": 0, "bias_exp": 0, "du": 4095}),
+        ({"input_spikes": None, "in": [True, False, False]}, BOARD),
+        ({"v": None, "s": None, "v_hw": [0, 128, 0], "s_hw": [0, 1, 0]}, BOARD),
+        ({"v": None, "s": None, "probe_v": [0, 128, 0], "spikes_chip": [0, 1, 0]}, BOARD),
+        ({"v": [[0, 128, 0]], "s": [[0, 1, 0]], "trace_index": "[neuron][t]"}, BOARD),
+        ({"source": "Loihi2HwCfg, equal to lava's Loihi2SimCfg but where it spikes"}, BOARD),
+    ],
+)
+def test_a_single_neuron_of_a_board_may_be_written_in_many_ways(changed, params, file):
+    record = {
+        "source": "a Loihi 2 board",
+        "params": params,
+        "input_spikes": [1, 0, 0],
+        "v": [0, 128, 0],
+        "s": [0, 1, 0],
+    }
+    verdict = verify(file(record | changed))
+    assert (verdict.chip, verdict.difference, verdict.unread) == ("loihi2", None, ())
+    assert (verdict.compared, verdict.passed_over) == (5, 1)
+
+
+def test_only_numbers_that_were_passed_over_are_explained(lava, file):
+    verdict = verify(file(lava))
+    assert (verdict.passed_over, verdict.why) == (0, "")
+
+
+def test_tables_may_stand_the_other_way_where_the_file_says_so(lava, file):
+    turned = {name: np.transpose(lava[name]).tolist() for name in ("u", "v", "s", "input_spikes")}
+    said = {"trace_index": "[post][t]", "input_spikes_index": "[pre][t]"}
+    assert verify(file(lava | turned | said)).equal
+
+
+def test_a_sign_mode_in_words_is_read(file):
+    record = json.loads((GOLDEN / "lava_F_mixed_odd_weights.json").read_text())
+    del record["params"]["exc_inh_split"]
+    assert not verify(file(record)).equal
+    record["params"]["sign_mode"] = "SignMode.MIXED"
+    assert verify(file(record)).equal
+
+
+def test_a_bias_that_is_given_twice_must_be_the_same(lava, file):
+    # 3 * 2^4
+    params = {**lava["params"], "bias_mant": 3, "bias_exp": 4, "bias": 50}
+    with pytest.raises(TraceError, match=r"bias is not bias_mant times 2.bias_exp"):
+        verify(file({**lava, "params": params}))
+
+
 @pytest.mark.parametrize(("quantity", "key"), [("current", "u"), ("membrane", "v")])
 def test_the_first_difference_is_told(quantity, key, lava, file):
     lava[key][30][1] += 1

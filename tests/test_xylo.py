@@ -192,6 +192,24 @@ def test_options_of_its_arithmetic_can_be_set():
     assert chip("xylo-a2", events_max=3).events.events_max == 3
 
 
+def test_lists_stand_for_tables_where_there_is_one_neuron(file):
+    record = network([3], [[1]] * 3)
+    params = {**record["params"], "weights_in": [3], "weights_out": [1]}
+    params["weight_shift_in"] = params.pop("weight_shift", [0, 0, 0])[0]
+    flat = dict(record, params=params, input_counts=[1, 1, 1])
+    tables = verify(file(record | {"v_mem": [[0]] * 3}))
+    assert tables.difference is not None
+    assert verify(file(flat | {"v_mem": [0] * 3})) == tables
+
+
+def test_a_shift_may_be_given_for_each_matrix(ran):
+    shifted = network([3], [[1]], weight_shift=[2, 0, 0])
+    each = network([3], [[1]], weight_shift_in=2)
+    np.testing.assert_array_equal(ran(each)["hidden"].current, ran(shifted)["hidden"].current)
+    plain = ran(network([3], [[1]]))["hidden"].current
+    assert (ran(each)["hidden"].current != plain).any()
+
+
 @pytest.mark.parametrize(
     ("params", "message"),
     [
@@ -203,7 +221,7 @@ def test_options_of_its_arithmetic_can_be_set():
         ({"weights_in": [[[200]]]}, "weights_in holds 200"),
         ({"weights_in": [[[1]], [[1]]]}, "has 2 rows"),
         ({"weights_in": [[[1, 2, 3]]]}, "2 synapses at most"),
-        ({"weights_in": [1]}, r"\[pre\]\[post\]\[synapse\]"),
+        ({"weights_in": 1}, r"single number. Write \[pre\]\[post\]\[synapse\]"),
         ({"weights_rec": [[[0]], [[0]]]}, "weights_rec has shape"),
         ({"weights_out": [[1], [1]]}, "1 hidden neurons"),
         ({"weights_out": [[[1, 2]]]}, "Outputs have one synapse"),

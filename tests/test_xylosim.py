@@ -142,7 +142,8 @@ def test_registers_of_any_content_equal_xylosim(core, most, seed):
 def test_a_recurrent_network_of_many_spikes_equals_xylosim(granularity, biased):
     rng = np.random.default_rng(7)
     artifact = network(rng, [16, 60, 40, 8], ["cuba"] * 3, loops={1, 2}, biased=biased)
-    program = compile(artifact, chip("xylo-a2"), Quantisation(granularity))
+    # 60 + 40 synapses of a spike are more than Xylo has room for; xylosim does not count them
+    program = compile(artifact, chip("xylo-a2"), Quantisation(granularity), limits=False)
     raster = (rng.random((300, 16)) < 0.3).astype(np.uint8)
     assert check_equal(program, raster) > 3000
 
