@@ -85,8 +85,8 @@ def _fitting(layer: Layer, point: EventPoint, one: int, biases_too: bool) -> Flo
 def _check_thresholds(layer: Layer) -> None:
     if layer.threshold.min() <= 0:
         raise RuleError(
-            f"layer {layer.name!r}: threshold {layer.threshold.min():g}; a membrane of Xylo at "
-            "rest would spike without end. Train with positive thresholds."
+            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g}; a "
+            "membrane of Xylo at rest would spike without end. Train with positive thresholds."
         )
 
 
@@ -96,9 +96,10 @@ def _layer(layer: Layer, scale: Floats, point: EventPoint, rounding: Rounding, o
     threshold = rounded(layer.threshold * states, rounding)
     if (lost := threshold < 1).any():
         raise RuleError(
-            f"layer {layer.name!r}: threshold {layer.threshold[lost].min():g} becomes 0 beside "
-            "the largest weight or bias, and a membrane at rest would spike without end. Clip "
-            "the weights, raise the threshold, or give each channel a scale."
+            f"rule threshold-range: layer {layer.name!r}: threshold "
+            f"{layer.threshold[lost].min():g} becomes 0 beside the largest weight or bias, and a "
+            "membrane at rest would spike without end. Clip the weights, raise the threshold, or "
+            "give each channel a scale."
         )
     _check_alive(layer, synapses)
     return replace(
@@ -124,7 +125,7 @@ def _check_alive(layer: Layer, quantised: Sequence[Synapses]) -> None:
     before = max(np.abs(s.weight).max(initial=0.0) for s in layer.synapses)
     if before > 0 and not any(s.weight.any() for s in quantised):
         raise RuleError(
-            f"layer {layer.name!r}: every weight becomes 0. The largest, {before:g}, is too small "
-            "beside a threshold, a bias or the weights of another layer. Give each channel a "
-            "scale, or scale the weights up."
+            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
+            f"{before:g}, is too small beside a threshold, a bias or the weights of another layer. "
+            "Give each channel a scale, or scale the weights up."
         )

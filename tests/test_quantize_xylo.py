@@ -196,7 +196,7 @@ def test_a_bias_behind_the_first_layer_starts_all_layers_at_once():
     program = compiled(biased)
     assert [layer.start for layer in program.layers] == [0, 0, 0]
     assert any(r.startswith("layer 'l2' has a bias") for r in program.remarks)
-    with pytest.raises(RuleError, match="layer 'l2' has a bias"):
+    with pytest.raises(RuleError, match=r"^rule bias: layer 'l2' has a bias"):
         compiled(biased, stagger=True)
 
 
@@ -237,7 +237,7 @@ def recurrent_output():
 
 @pytest.mark.parametrize("build", [single, recurrent_output])
 def test_an_output_that_is_no_output_population_is_refused_or_read_as_hidden(build):
-    with pytest.raises(RuleError, match="the rule 'output population' of xylo-a2"):
+    with pytest.raises(RuleError, match=r"^rule outputs: .* is no output population of xylo-a2"):
         compiled(build())
     program = compile(build(), chip("xylo-a2", read="any"))
     machine = Machine(program)
@@ -260,10 +260,19 @@ def integrating():
     ("artifact", "message"),
     [
         (popsan(), "reset 'zero': a spike on xylo-a2 can only do 'subtract'"),
-        (integrating(), "rule 'dash'. A membrane that keeps 1 of itself"),
-        (two_layers([[1], [1]], [[0.00001, 0]], threshold=1e9), "every weight becomes 0"),
-        (two_layers([[1], [1]], [[1, 1]], convention=ONCE, threshold=0), "threshold 0; a membrane"),
-        (two_layers([[1], [1]], [[1, 1]], threshold=1e-3), "threshold 0.001 becomes 0"),
+        (integrating(), "rule decay-range: .* a membrane that keeps 1 of itself"),
+        (
+            two_layers([[1], [1]], [[0.00001, 0]], threshold=1e9),
+            "^rule weight-bits: .* every weight becomes 0",
+        ),
+        (
+            two_layers([[1], [1]], [[1, 1]], convention=ONCE, threshold=0),
+            "^rule threshold-range: .* 0; a membrane",
+        ),
+        (
+            two_layers([[1], [1]], [[1, 1]], threshold=1e-3),
+            "^rule threshold-range: .* 0.001 becomes 0",
+        ),
     ],
     ids=["reset", "integrator", "weights", "zero", "threshold"],
 )
