@@ -1,11 +1,9 @@
 """The check: what every design rule of a chip says of a network, the compiler included."""
 
-from dataclasses import dataclass, replace
-from importlib import import_module
+from dataclasses import dataclass
 
 from runtime.artifact import Artifact
-from runtime.chip import CHIPS, Chip, chip
-from runtime.chips import PLANNED
+from runtime.chip import Chip
 from runtime.compile import compile
 from runtime.design import design
 from runtime.errors import SpikedeployError
@@ -16,7 +14,6 @@ from runtime.ruling import Ruling
 
 COMPILE = "compile"
 NONE = Limits(primitives=(), sources={})
-NAMES = tuple(dict.fromkeys((*CHIPS, *PLANNED)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,32 +49,8 @@ def check(artifact: Artifact, on: Chip) -> Check:
 
 def _compiled(artifact: Artifact, on: Chip, limits: bool) -> Ruling:
     """What the compiler says; without limits where rules have said already what breaks them."""
-    if on.name not in CHIPS:
-        note = "its arithmetic is not emulated yet"
-        return Ruling(COMPILE, None, "unknown", note=note)
     try:
         compile(artifact, on, limits=limits)
     except SpikedeployError as error:
         return Ruling(COMPILE, None, "fail", str(error))
     return Ruling(COMPILE, None, "pass", "a program")
-
-
-def datasheet(name: str) -> Chip:
-    """A chip of the table, or one whose limits alone are known."""
-    if name not in PLANNED or (name in CHIPS and chip(name).limits is not None):
-        return chip(name)
-    module, resets = PLANNED[name]
-    limits: Limits = import_module(module).LIMITS
-    if name in CHIPS:
-        return replace(chip(name), limits=limits)
-    return Chip(
-        name=name,
-        summary="design rules only; its arithmetic is not emulated yet",
-        arithmetic=None,
-        resets=resets,
-        delay=0,
-        delay_max=0,
-        energy_tables=(),
-        sources={},
-        limits=limits,
-    )

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from runtime.artifact import Artifact, load
-from runtime.check import COMPILE, NAMES, Check, datasheet
+from runtime.check import COMPILE, Check
 from runtime.check import check as judged
+from runtime.chip import CHIPS, chip
 from runtime.errors import ConfigError
 from runtime.rules import RULES
 from runtime.ruling import Ruling, Status
@@ -58,8 +59,8 @@ def check(reference: str, chips: Sequence[str], **convention: Any) -> Report:  #
     convention  options of runtime.artifact.load: go before what the file says
     """
     artifact = load(_path(reference), **convention)
-    names = NAMES if ALL in chips else tuple(dict.fromkeys(chips))
-    checks = [judged(artifact, datasheet(name)) for name in names]
+    names = CHIPS if ALL in chips else tuple(dict.fromkeys(chips))
+    checks = [judged(artifact, chip(name)) for name in names]
     return Report(reference, artifact, checks, ALL in chips)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from runtime.artifact import load, save
-from runtime.check import NAMES
+from runtime.chip import CHIPS
 from runtime.rules import RULES
 from spikedeploy import zoo
 from spikedeploy.check import check, statuses, worst
@@ -73,7 +73,7 @@ def test_json_has_the_documented_fields(command):
     report = json.loads(out)
     assert (code, err) == (0, "")
     assert report.keys() == {"file", "convention", "passed", "chips"}
-    assert [each["chip"] for each in report["chips"]] == list(NAMES)
+    assert [each["chip"] for each in report["chips"]] == list(CHIPS)
     for each in report["chips"]:
         of_shape(each, CHIP)
         assert set(each["rules"]) == {*RULES, "compile"}

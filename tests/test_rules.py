@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from runtime.artifact import Artifact, load
-from runtime.check import NAMES, check, datasheet
+from runtime.check import check
 from runtime.chip import CHIPS, chip
-from runtime.chips import PLANNED
 from runtime.compile import compile
 from runtime.convention import Convention
 from runtime.design import design
@@ -28,7 +27,8 @@ from tests.test_generated_graphs import graphs
 
 CONVENTION = Convention(1e-3)
 LOIHI = chip("loihi1")
-XYLO = datasheet("xylo-a2")
+XYLO = chip("xylo-a2")
+NAMES = tuple(CHIPS)
 
 
 def integrate(*shape):
@@ -229,14 +229,14 @@ BOUNDARIES = [
 ]
 
 
-def statuses(artifact, datasheet, rule):
-    found = judged(design(artifact, datasheet, datasheet.limits))
+def statuses(artifact, on, rule):
+    found = judged(design(artifact, on, on.limits))
     return {ruling.status for ruling in found if ruling.rule == rule}
 
 
 @pytest.mark.parametrize(("rule", "on", "keeps", "breaks"), BOUNDARIES)
 def test_a_rule_holds_up_to_its_limit_and_no_further(rule, on, keeps, breaks):
-    on = datasheet(on) if isinstance(on, str) else on
+    on = chip(on) if isinstance(on, str) else on
     assert statuses(keeps, on, rule) & {"pass", "not applicable"}
     assert not statuses(keeps, on, rule) & {"fail", "unknown"}
     assert breaks is None or "fail" in statuses(breaks, on, rule)
@@ -295,20 +295,14 @@ def test_the_other_way_to_store_signs_is_told():
     assert found.note == "10 where both signs share a list (sign_mode 'mixed')"
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if datasheet(name).limits])
+@pytest.mark.parametrize("name", [name for name in NAMES if chip(name).limits])
 def test_every_limit_has_a_source(name):
-    limits = datasheet(name).limits
+    limits = chip(name).limits
     given = {f.name for f in fields(Limits) if getattr(limits, f.name) not in (None, ())}
     no = {name for name in ("input_cores", "axon_signs") if not getattr(limits, name)}
     by_definition = {"sources", *no}
     assert given - by_definition <= set(limits.sources)
     assert set(limits.sources) <= {field.name for field in fields(Limits)}
-
-
-def test_chips_of_both_tables_are_checked_and_each_once():
-    assert set(NAMES) == {*CHIPS, *PLANNED}
-    assert len(NAMES) == len(set(NAMES))
-    assert all(datasheet(name).name == name for name in NAMES)
 
 
 NETWORKS = [f"{path.parent.name}/{path.stem}" for path in zoo.policies() if path.suffix == ".nir"]
@@ -317,7 +311,7 @@ NETWORKS = [f"{path.parent.name}/{path.stem}" for path in zoo.policies() if path
 @pytest.mark.parametrize("policy", NETWORKS)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
-    artifact, on = load(zoo.path(policy)), datasheet(name)
+    artifact, on = load(zoo.path(policy)), chip(name)
     found = check(artifact, on)
     json.dumps([ruling.as_json() for ruling in found.rulings], allow_nan=False)
     if on.limits is None:
@@ -325,21 +319,21 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
     judged_ = {(ruling.rule, ruling.node) for ruling in found.rulings}
     assert {(rule, node) for rule in NODE_RULES for node in artifact.graph.nodes} <= judged_
     assert {ruling.rule for ruling in found.rulings} == {*RULES, "compile"}
-    if name in CHIPS and found.passed:
+    if found.passed:
         compile(artifact, on)
 
 
 @pytest.mark.parametrize("policy", NETWORKS)
 @pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("loihi")])
 def test_shipped_policies_fit_on_loihi(policy, name):
-    assert check(load(zoo.path(policy)), datasheet(name)).passed
+    assert check(load(zoo.path(policy)), chip(name)).passed
 
 
 @settings(max_examples=60, deadline=None)
 @given(graphs(), st.sampled_from(NAMES), st.sampled_from(["zero", "subtract"]))
 def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, reset):
     try:
-        found = check(Artifact(network, None, replace(CONVENTION, reset=reset)), datasheet(name))
+        found = check(Artifact(network, None, replace(CONVENTION, reset=reset)), chip(name))
     except SpikedeployError:
         return
     json.dumps([ruling.as_json() for ruling in found.rulings], allow_nan=False)
@@ -379,7 +373,7 @@ def test_the_documented_limits_are_those_of_the_datasheets(field):
     (heads,) = [row for row in rows if row[0] == "loihi1"]
     (cells,) = [row[1:] for row in rows if row[0] == field.replace("_", " ")]
     for name, cell in zip(heads, cells, strict=True):
-        limit = getattr(datasheet(name).limits, field)
+        limit = getattr(chip(name).limits, field)
         assert cell == ("–" if limit is None else f"{limit:,}")
 
 

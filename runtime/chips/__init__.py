@@ -16,15 +16,3 @@ CHIPS: dict[str, str] = {
     "spiker": "runtime.chips.spiker:SPIKER",
     "int": "runtime.chips.int:INT",
 }
-
-# chips whose limits are known, but whose arithmetic is not emulated: module of their LIMITS, and
-# what a spike does to a membrane there
-PLANNED: dict[str, tuple[str, tuple[str, ...]]] = {
-    "odin": ("runtime.chips.odin", ("zero",)),
-    "speck2f": ("runtime.chips.speck2f", ("zero", "subtract")),
-    "spiker": ("runtime.chips.spiker", ("zero", "subtract")),
-    "spinnaker2": ("runtime.chips.spinnaker2", ("zero", "subtract")),
-    "truenorth": ("runtime.chips.truenorth", ("zero", "subtract")),
-    "xylo-a3": ("runtime.chips.xylo_a3", ("subtract",)),
-    "xylo-imu": ("runtime.chips.xylo_imu", ("subtract",)),
-}
