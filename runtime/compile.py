@@ -32,7 +32,6 @@ def compile(
     chip: Chip,
     quantisation: Quantisation = PLAIN,
     stagger: bool | None = None,
-    weight_shift: int = 0,
     limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
@@ -41,7 +40,6 @@ def compile(
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay, and on Xylo where Xylo can.
-    weight_shift: on Xylo, as in quantise_xylo.
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip has no room for the network, and where it has not quite what the network asks for.
     """
@@ -53,11 +51,11 @@ def compile(
         refuse(artifact, chip, ROOM)
     if chip.events is not None:
         held = for_xylo(artifact, chip, chip.events, wires, stagger)
-        program = quantise_xylo(held, chip.events, quantisation, weight_shift)
-    elif weight_shift:
+        program = quantise_xylo(held, chip.events, quantisation)
+    elif quantisation.weight_shift and chip.arithmetic is not None:
         raise ConfigError(
-            f"weight_shift is {weight_shift}: {chip.name} has no shift. Leave it out, or choose a "
-            "Xylo."
+            f"weight_shift is {quantisation.weight_shift}: {chip.name} has no shift. Leave it out, "
+            "or choose a Xylo."
         )
     else:
         program = _layered(artifact, chip, wires, quantisation, stagger, limits)

@@ -29,17 +29,14 @@ def quantise_xylo(
     program: Program,
     point: EventPoint,
     quantisation: Quantisation = PLAIN,
-    weight_shift: int = 0,
 ) -> Program:
     """The float layers of the program as Xylo's integers.
 
     quantisation: "layer" is one scale for all hidden neurons and one for all outputs, "channel" one
         for each neuron, which a spike without size allows; rounding is to the nearest by itself.
-    weight_shift: [bits] by which the chip shifts all weights to the left; thresholds and biases
-        follow. States are then finer than weights, and decays lose less to rounding; they also
-        saturate sooner.
     """
     quantisation.only(program.chip.name, "granularity", "rounding")
+    weight_shift = quantisation.weight_shift
     if not 0 <= weight_shift <= point.shift_max:
         raise ConfigError(f"weight_shift is {weight_shift}; choose 0 to {point.shift_max} bits.")
     scales = _scales(program, point, quantisation.granularity, 1 << weight_shift)

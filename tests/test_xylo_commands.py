@@ -12,6 +12,7 @@ from runtime.artifact import save
 from runtime.chip import chip
 from runtime.compile import compile
 from runtime.machine import Machine
+from runtime.quantisation import Quantisation
 from tests import strolling
 from tests.networks import popsan
 from tests.xylo_networks import network
@@ -94,3 +95,16 @@ def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch
     texts = [(tmp_path / "out" / f"report.{kind}").read_text("utf-8") for kind in ("md", "html")]
     for text in (" ".join(out.split()), *map(html.unescape, texts)):
         assert all(label in text and remark in text for remark in remarks)
+
+
+def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):
+    net, spikes, artifact, raster = files
+    words = ("emulate", net, "--reset", "subtract", "--input", spikes, "-o", tmp_path / "out.npz")
+    code, _, err = command(*words, "--chip", "xylo-a2", "--weight-shift", "4")
+    assert code == 0, err
+    program = compile(artifact, chip("xylo-a2"), Quantisation(weight_shift=4))
+    with np.load(tmp_path / "out.npz") as found:
+        np.testing.assert_array_equal(found["output"], Machine(program).infer(raster[None])[0])
+    code, _, err = command(*words, "--chip", "int", "--weight-shift", "4")
+    assert code == 1
+    assert "weight_shift is 4: int has no shift" in err
