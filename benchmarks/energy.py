@@ -1,7 +1,7 @@
 """How far our energies and times of random networks are from those of SANA-FE.
 
 Both have the same spikes; energies by the table `sanafe`, with the messages between the cores of
-the placement; times as if one core did everything. `pip install spikedeploy[sanafe]` first.
+the layout; times as if one core did everything. `pip install spikedeploy[sanafe]` first.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others
@@ -16,15 +16,16 @@ import numpy as np
 
 from benchmarks.sanafe_networks import NETWORKS, program, run, scattered, simulated
 from runtime.energy import TABLES, energy, latency
+from runtime.layout import Layout, one_core_each
 from runtime.program import Program
-from runtime.traffic import Placement, one_core_each, traffic
+from runtime.traffic import traffic
 
 TABLE = TABLES["sanafe"]
-PLACEMENTS = {
+LAYOUTS = {
     "one core a layer": lambda network, seed: one_core_each(network),
     "12 cores": scattered,
 }
-HEADS = ("network", "placement", "rate", "SOPs", "messages", "energy [nJ]", "theirs", "time [us]",
+HEADS = ("network", "layout", "rate", "SOPs", "messages", "energy [nJ]", "theirs", "time [us]",
          "theirs")  # fmt: skip
 
 
@@ -38,7 +39,7 @@ def main() -> None:
         print(f"| {' | '.join(line)} |")
     for case in NETWORKS:
         for rate in (0.05, 0.3):
-            for name, place in PLACEMENTS.items():
+            for name, place in LAYOUTS.items():
                 network = program(case, options.seed)
                 rng = np.random.default_rng(options.seed)
                 raster = (rng.random((options.steps, network.width)) < rate).astype(np.uint8)
@@ -47,11 +48,11 @@ def main() -> None:
                 print(f"| {' | '.join(cells)} |")
 
 
-def _measured(network: Program, raster: np.ndarray, placement: Placement) -> Iterator[str]:
+def _measured(network: Program, raster: np.ndarray, layout: Layout) -> Iterator[str]:
     ledger, spikes = run(network, raster)
-    sent = traffic(network, spikes, placement)
+    sent = traffic(network, spikes, layout)
     with _silence():
-        theirs = simulated(network, raster, placement)
+        theirs = simulated(network, raster, layout)
     joules, whole = energy(ledger, TABLE, sent), theirs["energy"]["total"]
     seconds, time = latency(ledger, TABLE), theirs["sim_time"]
     yield from (f"{ledger.total('sop'):,}", f"{sent.message:,}")

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from runtime.chip import chip
 from runtime.convention import Convention
+from runtime.layout import Layout
 from runtime.ledger import Ledger
 from runtime.machine import Machine
 from runtime.program import Layer, Program, Synapses
-from runtime.traffic import Placement
 
 Weights = NDArray[Any]
 CHIP = chip("loihi1")
@@ -58,13 +58,13 @@ def program(case: str, seed: int) -> Program:
     return Program(CHIP, Convention(1e-3), "input", sizes[0], tuple(layers), names[-1], None)
 
 
-def scattered(network: Program, seed: int, cores: int = 12) -> Placement:
+def scattered(network: Program, seed: int, cores: int = 12) -> Layout:
     """Neurons thrown onto twelve cores of three tiles, of which each has four."""
     rng = np.random.default_rng(seed)
     where = {name: rng.integers(0, cores, size) for name, size in network.sizes.items()}
     # their tiles are numbered along columns, of four each
     tiles = np.array([divmod(core // 4, 4) for core in range(cores)])
-    return Placement(where, tiles)
+    return Layout(where, tiles)
 
 
 def run(network: Program, raster: Weights) -> tuple[Ledger, dict[str, Weights]]:
@@ -75,7 +75,7 @@ def run(network: Program, raster: Weights) -> tuple[Ledger, dict[str, Weights]]:
     return machine.ledger, {"input": raster.sum(axis=0), **seen}
 
 
-def simulated(network: Program, raster: Weights, placement: Placement) -> dict[str, Any]:
+def simulated(network: Program, raster: Weights, layout: Layout) -> dict[str, Any]:
     """What SANA-FE says of the same network on the same cores."""
     # an extra of the tests
     import sanafe
@@ -95,7 +95,7 @@ def simulated(network: Program, raster: Weights, placement: Placement) -> dict[s
             source.connect_neurons_sparse(target, weights, [tuple(p) for p in pairs.tolist()])
     cores = architecture.cores()
     for name, group in groups.items():
-        for neuron, core in zip(group.neurons, placement.cores[name].tolist(), strict=True):
+        for neuron, core in zip(group.neurons, layout.cores[name].tolist(), strict=True):
             neuron.map_to_core(cores[core])
     simulator = sanafe.SpikingChip(architecture)
     simulator.load(net)

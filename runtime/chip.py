@@ -155,6 +155,12 @@ class Chip:
         return self.arithmetic if isinstance(self.arithmetic, StepPoint) else None
 
     @property
+    def spikes_max(self) -> int:
+        """Spikes of a neuron in a timestep."""
+        numbers = self.events or self.steps
+        return numbers.spikes_max if numbers else 1
+
+    @property
     def input_spikes_max(self) -> int:
         """Spikes of an input channel in a timestep."""
         return self.events.events_max if self.events else 1

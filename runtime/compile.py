@@ -32,7 +32,6 @@ def compile(
     chip: Chip,
     quantisation: Quantisation = PLAIN,
     stagger: bool | None = None,
-    weight_shift: int = 0,
     limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
@@ -41,7 +40,6 @@ def compile(
     stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay, and on Xylo where Xylo can.
-    weight_shift: on Xylo, as in quantise_xylo.
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip has no room for the network, and where it has not quite what the network asks for.
     """
@@ -53,11 +51,11 @@ def compile(
         refuse(artifact, chip, ROOM)
     if chip.events is not None:
         held = for_xylo(artifact, chip, chip.events, wires, stagger)
-        program = quantise_xylo(held, chip.events, quantisation, weight_shift)
-    elif weight_shift:
+        program = quantise_xylo(held, chip.events, quantisation)
+    elif quantisation.weight_shift and chip.arithmetic is not None:
         raise ConfigError(
-            f"weight_shift is {weight_shift}: {chip.name} has no shift. Leave it out, or choose a "
-            "Xylo."
+            f"weight_shift is {quantisation.weight_shift}: {chip.name} has no shift. Leave it out, "
+            "or choose a Xylo."
         )
     else:
         program = _layered(artifact, chip, wires, quantisation, stagger, limits)
@@ -135,9 +133,9 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
     many = chip.events is not None  # how many spikes is then the chip's own business
     if (convention.spikes != "above" and not many) or convention.floor != "none":
         raise RuleError(
-            f"spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron on {chip.name} "
-            "sends one spike where its membrane is above the threshold, and its membrane has no "
-            "floor. Run in float."
+            f"rule convention: spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron "
+            f"on {chip.name} sends one spike where its membrane is above the threshold, and its "
+            "membrane has no floor. Run in float."
         )
 
 
@@ -183,8 +181,8 @@ def _layer(
 def _threshold(name: str, neuron: Discrete) -> NDArray[np.float64]:
     if neuron.threshold is None or neuron.v_reset.any():
         raise RuleError(
-            f"layer {name!r}: v_reset goes to {neuron.v_reset.max():g}; on a chip a spike resets "
-            "the membrane to 0. Shift it, or run in float."
+            f"rule reset: layer {name!r}: v_reset goes to {neuron.v_reset.max():g}; on a chip a "
+            "spike resets the membrane to 0. Shift it, or run in float."
         )
     return neuron.threshold
 
@@ -194,7 +192,7 @@ def _delay(wire: Wire, target: str, starts: dict[str, int], delay: int) -> int:
     due = starts[target] - starts[wire.source] + wire.lag
     if due < delay and any(starts.values()):
         raise RuleError(
-            f"layers {wire.source!r} -> {target!r}: the feedback would have to arrive "
+            f"rule delay: layers {wire.source!r} -> {target!r}: the feedback would have to arrive "
             f"{delay - due} timesteps before it can. Compile with stagger=False, which "
             "lengthens every loop by the delays of its layers."
         )
@@ -219,7 +217,7 @@ def _ways_out(
         return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
     if convention.state == "kept" and any(tap.lag for tap in taps):
         raise RuleError(
-            f"node {outlet.port.name!r}: it hears several layers, some of them late, while states "
-            "are kept. Remove the delay before it, or choose state 'reset'."
+            f"rule delay: node {outlet.port.name!r}: it hears several layers, some of them late, "
+            "while states are kept. Remove the delay before it, or choose state 'reset'."
         )
     return first.layer, None, wires.outlets

@@ -49,7 +49,7 @@ SANAFE = EnergyTable(
     name="sanafe",
     source="SANA-FE 2.2.9, arch/loihi.yaml (Boyle et al. 2025)",
     provenance="fit to Nahuku silicon, model error <= 11.7 % in energy and 24.3 % in time; "
-    "dense synapses; no hops without a placement, one tile",
+    "dense synapses; no hops without a layout, one tile",
     joules={
         "sop": 35.5 * PICO,
         "bias_sop": 35.5 * PICO,

@@ -67,8 +67,8 @@ def _proven(
             break
         share = np.where(over > 1, share / over * (1 - SLACK), share)
     raise RuleError(
-        f"layer {layer.name!r}: no scale keeps its membranes from overflowing for ever, since they "
-        "do not leak. Choose headroom 'none', or calibrate it on recorded inputs."
+        f"rule headroom: layer {layer.name!r}: no scale keeps its membranes from overflowing for "
+        "ever, since they do not leak. Choose headroom 'none', or calibrate it on recorded inputs."
     )
 
 

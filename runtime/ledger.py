@@ -33,6 +33,7 @@ class Ledger:
     inferences: how many the rows sum up.
     timesteps: network updates of each layer in all of them.
     steps: chip timesteps in all of them, those that only fill the pipeline included.
+    several: whether a neuron can spike several times in a timestep.
     """
 
     layers: tuple[str, ...]
@@ -41,6 +42,7 @@ class Ledger:
     inferences: int
     timesteps: int
     steps: int
+    several: bool = False
 
     def total(self, event: str) -> int:
         """All events of a kind, over steps and layers."""
@@ -56,8 +58,13 @@ class Ledger:
         return dict(zip(self.layers, totals.tolist(), strict=True))
 
     @property
-    def sparsity(self) -> float:
-        """Part of all neuron-timesteps without a spike (NeuroBench's ActivationSparsity)."""
+    def sparsity(self) -> float | None:
+        """Part of all neuron-timesteps without a spike (NeuroBench's ActivationSparsity).
+
+        None where neurons spike several times in one, as counts of spikes do not tell in how many.
+        """
+        if self.several:
+            return None
         every = max(sum(self.neurons) * self.timesteps, 1)
         return (every - self.total("spike_out")) / every
 

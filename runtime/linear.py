@@ -98,9 +98,9 @@ class Linear:
         for lag, rows in parts.items():
             if lag and rows.any():
                 raise RuleError(
-                    f"node {region.target!r}: a bias reaches it through a delay of {lag} "
-                    "timesteps, so that it would begin late, which no chip does. Put the bias "
-                    "behind the delay."
+                    f"rule bias: node {region.target!r}: a bias reaches it through a delay of "
+                    f"{lag} timesteps, so that it would begin late, which no chip does. Put the "
+                    "bias behind the delay."
                 )
         nothing = np.zeros((1, self._size(region.target)))
         return np.asarray(parts.get(0, nothing).reshape(-1))
@@ -114,9 +114,9 @@ class Linear:
     def _check_room(self, target: str, size: int) -> None:
         if (found := self._bytes + 8 * size * self._size(target)) > LARGEST:
             raise RuleError(
-                f"node {target!r}: as one matrix for each pair of layers, which a chip's axons "
-                f"need, the weights take {found} bytes by here; at most {LARGEST}. Run the network "
-                "in float, or make its convolutions smaller."
+                f"rule matrix: node {target!r}: as one matrix for each pair of layers, which a "
+                f"chip's axons need, the weights take {found} bytes by here; at most {LARGEST}. "
+                "Run the network in float, or make its convolutions smaller."
             )
 
     def _check_work(self, region: Region, source: str) -> None:
@@ -125,7 +125,7 @@ class Linear:
         each = sum(multiplications(n, self._graph.nodes[n], self._shape(n)) for n in nodes)
         if (found := each * self._size(source)) > HARDEST:
             raise RuleError(
-                f"node {region.target!r}: the matrix from {source!r} takes {found} "
+                f"rule matrix: node {region.target!r}: the matrix from {source!r} takes {found} "
                 f"multiplications; at most {HARDEST}. Run the network in float, or make its "
                 "convolutions smaller."
             )
@@ -191,9 +191,9 @@ class Linear:
             ready = sorted(n for n in inside if n not in names and before[n] <= names.keys())
             if not ready:
                 raise RuleError(
-                    f"nodes {', '.join(sorted(inside - names.keys()))}: a loop without a spiking "
-                    "node, in which values go round for ever; a chip has none. Put a neuron into "
-                    "it, or run the graph in float."
+                    f"rule recurrence: nodes {', '.join(sorted(inside - names.keys()))}: a loop "
+                    "without a spiking node, in which values go round for ever; a chip has none. "
+                    "Put a neuron into it, or run the graph in float."
                 )
             names.update(dict.fromkeys(ready))
         return list(names)

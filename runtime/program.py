@@ -219,12 +219,12 @@ class Program:
         edge = f"layer {layer.name!r}: the synapses from {synapses.source!r}"
         if synapses.delay > self.chip.delay_max:
             raise RuleError(
-                f"{edge} need a delay of {synapses.delay} timesteps; {self.chip.name} has at most "
-                f"{self.chip.delay_max}. Shorten the delay, or the skip connection."
+                f"rule delay: {edge} need a delay of {synapses.delay} timesteps; {self.chip.name} "
+                f"has at most {self.chip.delay_max}. Shorten the delay, or the skip connection."
             )
         if self.lag(layer, synapses) < 0 or (synapses.delay == 0 and synapses.source not in heard):
             raise RuleError(
-                f"{edge} deliver a spike {synapses.delay} timesteps after it was emitted, too "
-                f"early or too late for a layer that starts at {layer.start}. Compile with "
-                "stagger=False, or remove the feedback."
+                f"rule delay: {edge} deliver a spike {synapses.delay} timesteps after it was "
+                f"emitted, too early or too late for a layer that starts at {layer.start}. Compile "
+                "with stagger=False, or remove the feedback."
             )

@@ -46,6 +46,9 @@ class Quantisation:
     thresholds: most distinct thresholds of a layer, for which scales of neurons shrink a little;
         None is no limit. nengo-loihi 1.1.0 lets a core of Loihi 1 hold 16.
     tuned: layer -> what calibration found.
+    weight_shift: [bits] by which a Xylo shifts all weights to the left; thresholds and biases
+        follow. States are then finer than weights, and decays lose less to rounding; they also
+        saturate sooner.
     """
 
     granularity: Granularity = "layer"
@@ -53,6 +56,7 @@ class Quantisation:
     headroom: Headroom = "none"
     thresholds: int | None = None
     tuned: Mapping[str, Tuning] = field(default_factory=dict, hash=False)
+    weight_shift: int = 0
 
     def __post_init__(self) -> None:
         for option, allowed in (
@@ -95,7 +99,8 @@ class Quantisation:
         rounding = f"rounding {self.rounding!r}" if self.rounding else "the chip's own rounding"
         most = "" if self.thresholds is None else f" with at most {self.thresholds} thresholds"
         scales = f"a scale for each {self.granularity}{most}"
-        return f"{scales}, {rounding}, headroom {self.headroom!r}{''.join(tuned)}"
+        shift = f", weights shifted by {self.weight_shift} bits" if self.weight_shift else ""
+        return f"{scales}, {rounding}, headroom {self.headroom!r}{shift}{''.join(tuned)}"
 
 
 PLAIN = Quantisation()

@@ -67,8 +67,9 @@ def stored(weights: NDArray[Any], fixed: FixedPoint, exponent: int = 0) -> NDArr
 def _check_bias(layer: Layer, fixed: FixedPoint) -> None:
     if not fixed.bias_mantissa_max and layer.voltage_bias.any():
         raise RuleError(
-            f"layer {layer.name!r}: a voltage bias of {_magnitude(layer.voltage_bias):g}; the "
-            "chip's neurons have none. Set v_leak to 0, or take another reading of the chip."
+            f"rule bias: layer {layer.name!r}: a voltage bias of "
+            f"{_magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
+            "or take another reading of the chip."
         )
 
 
@@ -90,17 +91,17 @@ def _weights(weights: Floats, scale: Scale, fixed: FixedPoint, rounding: Roundin
 def _threshold(layer: Layer, scale: Scale, fixed: FixedPoint, rounding: Rounding) -> Integers:
     if layer.threshold.min(initial=0.0) < 0:
         raise RuleError(
-            f"layer {layer.name!r}: threshold {layer.threshold.min():g} is below 0; the chip's "
-            "thresholds are unsigned. Train with positive thresholds."
+            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
+            "below 0; the chip's thresholds are unsigned. Train with positive thresholds."
         )
     exact = layer.threshold * scale
     mantissa = rounded(exact, rounding)
     lost = (mantissa == 0) & (layer.threshold > 0)
     if lost.any():
         raise RuleError(
-            f"layer {layer.name!r}: threshold {layer.threshold[lost].min():g} is "
-            f"{exact[lost].min():.2g} of the smallest that the chip can hold "
-            "beside the largest weight. Clip the weights, or raise the threshold."
+            f"rule threshold-range: layer {layer.name!r}: threshold "
+            f"{layer.threshold[lost].min():g} is {exact[lost].min():.2g} of the smallest that the "
+            "chip can hold beside the largest weight. Clip the weights, or raise the threshold."
         )
     return np.minimum(mantissa, fixed.threshold_max)
 
@@ -122,9 +123,10 @@ def _keep(layer: Layer, of: str, fixed: FixedPoint, rounding: Rounding) -> Integ
     least, most = offset, fixed.decay_max + offset
     if (least > 0 and (keep == 1).any()) or (most < fixed.decay_one and (keep == 0).any()):
         raise RuleError(
-            f"layer {layer.name!r}: a {of} that keeps {'all' if least else 'nothing'} of itself "
-            f"is not possible; the chip takes away {least} to {most} of {fixed.decay_one} in each "
-            "timestep. Choose another time constant."
+            f"rule decay-range: layer {layer.name!r}: a {of} that keeps "
+            f"{'all' if least else 'nothing'} of itself is not possible; the chip takes away "
+            f"{least} to {most} of {fixed.decay_one} in each timestep. Choose another time "
+            "constant."
         )
     decays = rounded((1 - keep) * fixed.decay_one, rounding)
     return fixed.decay_one - np.clip(decays, least, most)
@@ -135,7 +137,8 @@ def _check_alive(layer: Layer, quantised: Layer, fixed: FixedPoint) -> None:
     before = max(_magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
         raise RuleError(
-            f"layer {layer.name!r}: every weight becomes 0. The largest, {before:g}, is too small "
-            f"beside its threshold ({_magnitude(layer.threshold):g}, of at most "
-            f"{fixed.threshold_max} mantissas) or bias. Scale the weights up, or the others down."
+            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
+            f"{before:g}, is too small beside its threshold ({_magnitude(layer.threshold):g}, of "
+            f"at most {fixed.threshold_max} mantissas) or bias. Scale the weights up, or the "
+            "others down."
         )

@@ -29,17 +29,14 @@ def quantise_xylo(
     program: Program,
     point: EventPoint,
     quantisation: Quantisation = PLAIN,
-    weight_shift: int = 0,
 ) -> Program:
     """The float layers of the program as Xylo's integers.
 
     quantisation: "layer" is one scale for all hidden neurons and one for all outputs, "channel" one
         for each neuron, which a spike without size allows; rounding is to the nearest by itself.
-    weight_shift: [bits] by which the chip shifts all weights to the left; thresholds and biases
-        follow. States are then finer than weights, and decays lose less to rounding; they also
-        saturate sooner.
     """
     quantisation.only(program.chip.name, "granularity", "rounding")
+    weight_shift = quantisation.weight_shift
     if not 0 <= weight_shift <= point.shift_max:
         raise ConfigError(f"weight_shift is {weight_shift}; choose 0 to {point.shift_max} bits.")
     scales = _scales(program, point, quantisation.granularity, 1 << weight_shift)
@@ -85,8 +82,8 @@ def _fitting(layer: Layer, point: EventPoint, one: int, biases_too: bool) -> Flo
 def _check_thresholds(layer: Layer) -> None:
     if layer.threshold.min() <= 0:
         raise RuleError(
-            f"layer {layer.name!r}: threshold {layer.threshold.min():g}; a membrane of Xylo at "
-            "rest would spike without end. Train with positive thresholds."
+            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g}; a "
+            "membrane of Xylo at rest would spike without end. Train with positive thresholds."
         )
 
 
@@ -96,9 +93,10 @@ def _layer(layer: Layer, scale: Floats, point: EventPoint, rounding: Rounding, o
     threshold = rounded(layer.threshold * states, rounding)
     if (lost := threshold < 1).any():
         raise RuleError(
-            f"layer {layer.name!r}: threshold {layer.threshold[lost].min():g} becomes 0 beside "
-            "the largest weight or bias, and a membrane at rest would spike without end. Clip "
-            "the weights, raise the threshold, or give each channel a scale."
+            f"rule threshold-range: layer {layer.name!r}: threshold "
+            f"{layer.threshold[lost].min():g} becomes 0 beside the largest weight or bias, and a "
+            "membrane at rest would spike without end. Clip the weights, raise the threshold, or "
+            "give each channel a scale."
         )
     _check_alive(layer, synapses)
     return replace(
@@ -124,7 +122,7 @@ def _check_alive(layer: Layer, quantised: Sequence[Synapses]) -> None:
     before = max(np.abs(s.weight).max(initial=0.0) for s in layer.synapses)
     if before > 0 and not any(s.weight.any() for s in quantised):
         raise RuleError(
-            f"layer {layer.name!r}: every weight becomes 0. The largest, {before:g}, is too small "
-            "beside a threshold, a bias or the weights of another layer. Give each channel a "
-            "scale, or scale the weights up."
+            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
+            f"{before:g}, is too small beside a threshold, a bias or the weights of another layer. "
+            "Give each channel a scale, or scale the weights up."
         )

@@ -60,6 +60,7 @@ class Recorder:
             inferences=self._inferences,
             timesteps=self._timesteps,
             steps=self._steps,
+            several=self._program.chip.spikes_max > 1,
         )
 
     def _count(self) -> None:

@@ -44,6 +44,9 @@ NETWORK_RULES: dict[str, Rule] = {
     "convention": rules_of_networks.convention,
 }
 RULES = (*NODE_RULES, *NETWORK_RULES)
+# what the compiler alone finds: biases that no neuron can have, a network too large to unroll, and
+# an option that no scale satisfies; all else that it refuses has the name of a rule
+COMPILER_RULES = ("bias", "matrix", "headroom")
 # what is about numbers and not about room: the compiler looks at them when it rounds, too
 ARITHMETIC = (
     "primitive",

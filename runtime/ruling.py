@@ -40,6 +40,8 @@ class Ruling:
         where = "the network" if self.node is None else f"node {self.node!r}"
         if self.limit is None:
             found = text(self.found).rstrip(".")
+            if found.startswith("rule "):  # the compiler names one of its own
+                return f"{self.rule}: {found}."
             return f"rule {self.rule}: {where}: {found}. {self.remedy}".rstrip()
         has = "at most " if isinstance(self.limit, int | float) else ""
         unit = f" {self.unit}" if self.unit else ""

@@ -85,16 +85,17 @@ def _threshold(
 ) -> Integers:
     if layer.threshold.min(initial=0.0) < 0:
         raise RuleError(
-            f"rule threshold: layer {layer.name!r}: threshold {layer.threshold.min():g} is below "
-            f"0; {chip.name} is emulated with thresholds of 0 and above. Train with those."
+            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
+            f"below 0; {chip.name} is emulated with thresholds of 0 and above. Train with those."
         )
     whole = np.minimum(rounded(layer.threshold * scale, rounding), point.threshold_max)
     lost = (whole == 0) & (layer.threshold > 0)
     if lost.any() and limits:
         raise RuleError(
-            f"rule weight-bits: layer {layer.name!r}: threshold {layer.threshold[lost].min():g} "
-            f"becomes 0 beside the largest weight, which has {point.weight_bits} bits on "
-            f"{chip.name}. Clip the weights, raise the threshold, or compile with limits off."
+            f"rule threshold-range: layer {layer.name!r}: threshold "
+            f"{layer.threshold[lost].min():g} becomes 0 beside the largest weight, which has "
+            f"{point.weight_bits} bits on {chip.name}. Clip the weights, raise the threshold, or "
+            "compile with limits off."
         )
     return np.where(lost, 1, whole)
 

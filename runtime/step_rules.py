@@ -30,12 +30,12 @@ def check_convention(convention: Convention, name: str, point: StepPoint) -> Non
     """Refuse spikes and floors that the chip's neurons have not."""
     if convention.spikes == "many" and point.spikes_max == 1:
         raise RuleError(
-            f"rule reset: spikes 'many': a neuron on {name} sends at most one in a timestep. Run "
-            "in float, or choose spikes 'above'."
+            f"rule convention: spikes 'many': a neuron on {name} sends at most one in a timestep. "
+            "Run in float, or choose spikes 'above'."
         )
     if convention.floor not in point.floors:
         raise RuleError(
-            f"rule reset: floor {convention.floor!r}: membranes on {name} can have "
+            f"rule convention: floor {convention.floor!r}: membranes on {name} can have "
             f"{', '.join(map(repr, point.floors))}. Choose one of them, or run in float."
         )
 
@@ -78,7 +78,7 @@ def axon_types(weight: NDArray[Any]) -> int:
 def _check_current(layer: Layer, chip: Chip) -> None:
     if layer.current_keep.any():
         raise RuleError(
-            f"rule current: layer {layer.name!r} has a synaptic current that keeps "
+            f"rule primitive: layer {layer.name!r} has a synaptic current that keeps "
             f"{layer.current_keep.max():.3g} of itself; {chip.name} adds spikes to the membrane. "
             "Train with LIF or IF neurons."
         )
@@ -90,7 +90,9 @@ def _check_leak(layer: Layer, chip: Chip, point: StepPoint, limits: bool) -> Non
         return
     found = f"{layer.membrane_keep[strange].min():.3g}"
     remedy = REMEDIES[point.leak].format(chip=chip.name)
-    raise RuleError(f"rule leak: layer {layer.name!r} keeps {found} of its membrane; {remedy}")
+    raise RuleError(
+        f"rule decay-range: layer {layer.name!r} keeps {found} of its membrane; {remedy}"
+    )
 
 
 def _check_signs(layers: Sequence[Layer], chip: Chip) -> None:
@@ -103,7 +105,7 @@ def _check_signs(layers: Sequence[Layer], chip: Chip) -> None:
             signs[synapses.source] = up, down = before[0] | up, before[1] | down
             if (both := np.flatnonzero(up & down)).size:
                 raise RuleError(
-                    f"rule axon-signs: layer {layer.name!r}: {both.size} of {up.size} axons from "
+                    f"rule sign: layer {layer.name!r}: {both.size} of {up.size} axons from "
                     f"{synapses.source!r} have weights of both signs, the first is axon {both[0]}; "
                     f"on {chip.name} an axon has one. Train with signed axons, or compile with "
                     "limits off."

@@ -84,8 +84,8 @@ def _check_kinds(graph: nir.NIRGraph) -> None:
         node = graph.nodes[name]
         if not isinstance(node, KNOWN):
             raise RuleError(
-                f"node {name!r}: {type(node).__name__} has no place on a chip, whose neurons send "
-                f"spikes and whose synapses are linear; possible are "
+                f"rule primitive: node {name!r}: {type(node).__name__} has no place on a chip, "
+                "whose neurons send spikes and whose synapses are linear; possible are "
                 f"{', '.join(kind.__name__ for kind in KNOWN)}. Replace it, or run it in float."
             )
 
@@ -121,8 +121,9 @@ def _outlet(graph: nir.NIRGraph, linear: Linear, region: Region, port: Port) -> 
     for source in region.sources:
         if not isinstance(graph.nodes[source], SPIKING):
             raise RuleError(
-                f"node {port.name!r}: the output must come from a spiking node; it hears the input "
-                f"{source!r} with none between. Put neurons there, or run the graph in float."
+                f"rule outputs: node {port.name!r}: the output must come from a spiking node; it "
+                f"hears the input {source!r} with none between. Put neurons there, or run the "
+                "graph in float."
             )
     taps = [
         Tap(source, None if _is_identity(matrix) else matrix, lag)

@@ -50,10 +50,11 @@ def check_output(program: Program, point: EventPoint) -> None:
     """Only output neurons are read, and they hear hidden neurons alone."""
     if point.read == "output" and not program.output_apart:
         raise RuleError(
-            f"layer {program.output!r}: the rule 'output population' of {program.chip.name}. The "
-            "output is read from it, and output neurons hear hidden neurons only: not the input, "
-            "nor each other, and nobody hears them. Put a spiking layer behind it, or read hidden "
-            "neurons, as a simulator lets one, with read='any' of the chip."
+            f"rule outputs: layer {program.output!r} is no output population of "
+            f"{program.chip.name}. The output is read from it, and output neurons hear hidden "
+            "neurons only: not the input, nor each other, and nobody hears them. Put a spiking "
+            "layer behind it, or read hidden neurons, as a simulator lets one, with read='any' of "
+            "the chip."
         )
 
 
@@ -105,8 +106,8 @@ def _dash(
     exact = _octaves(keep, convention)
     if (far := exact > point.dash_max + 0.5).any():
         raise RuleError(
-            f"layer {name!r}: the rule 'dash'. A {of} that keeps {keep[far].max():.6g} of "
-            f"itself in a timestep needs a shift of {exact[far].max():.3g}; Xylo has "
+            f"rule decay-range: layer {name!r}: a {of} that keeps {keep[far].max():.6g} of itself "
+            f"in a timestep needs a shift (dash) of {exact[far].max():.3g}; Xylo has "
             f"{point.dash_max}, and none without a leak. Choose a shorter time constant, or a "
             "longer dt."
         )
@@ -128,11 +129,12 @@ def _starts(
     if stagger is False or (stagger is None and convention.delay):
         return at_once, []
     starts = _depths(wires)
-    obstacle = _obstacle(wires, layers, starts)
-    if obstacle is None:
+    found = _obstacle(wires, layers, starts)
+    if found is None:
         return starts, []
+    rule, obstacle = found
     if stagger:
-        raise RuleError(f"{obstacle}. Compile with stagger=False.")
+        raise RuleError(f"rule {rule}: {obstacle}. Compile with stagger=False.")
     late = max(starts[name] for name in wires.layers)
     return at_once, [f"{obstacle}; all layers start at once, and outputs come {late} rows late"]
 
@@ -147,16 +149,16 @@ def _depths(wires: Wiring) -> dict[str, int]:
     return starts
 
 
-def _obstacle(wires: Wiring, layers: list[Layer], starts: dict[str, int]) -> str | None:
-    """Why layers that start one after another would not be what Xylo does."""
+def _obstacle(wires: Wiring, layers: list[Layer], starts: dict[str, int]) -> tuple[str, str] | None:
+    """Why layers that start one after another would not be what Xylo does: the rule, in words."""
     for layer in layers:
         name = layer.name
         if starts[name] and (layer.bias.any() or layer.voltage_bias.any()):
-            return f"layer {name!r} has a bias, which Xylo adds from the first timestep on"
+            return "bias", f"layer {name!r} has a bias, which Xylo adds from the first timestep on"
         for wire in wires.wires[name]:
             due = starts[name] - starts.get(wire.source, 0) + wire.lag
             if due != (wire.lag if wire.source == wires.input else 1):
-                return f"{wire.source!r} -> {name!r} would need a delay of {due} on Xylo"
+                return "delay", f"{wire.source!r} -> {name!r} would need a delay of {due} on Xylo"
     return None
 
 

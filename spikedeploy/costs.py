@@ -1,7 +1,8 @@
 """What an inference costs: spikes, operations, energy; a mean over the inferences of an episode.
 
 sparsity             1 - spikes / (neurons x T), over the spiking layers; NeuroBench's activation
-                     sparsity with one inference as the sample
+                     sparsity with one inference as the sample; none where a chip's neurons
+                     spike several times in a timestep
 spikes               of the spiking layers; input_spikes are those of the encoder
 sops                 input spikes x non-zero fan-out, encoder into layer 1 included; bias_sops are
                      those of the always-on axon that carries the biases

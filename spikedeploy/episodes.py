@@ -1,7 +1,7 @@
 """One episode of one row of a comparison, as a job: a pure function of its specification."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -50,6 +50,7 @@ class Episode:
     metrics    of spikedeploy.metrics
     costs      per inference
     agreement  name -> with each of the job's `others`
+    remarks    on what a chip does otherwise than the file says
     """
 
     total: float
@@ -58,6 +59,7 @@ class Episode:
     metrics: Mapping[str, float]
     costs: Costs
     agreement: Mapping[str, Agreement]
+    remarks: Sequence[str] = ()
 
 
 def play(job: Job) -> Episode:
@@ -84,6 +86,7 @@ def summarise(
         metrics=measure(played.info),
         costs=price(candidate, player, played),  # first: agreement asks the player anew
         agreement={name: agreement(player, played, other) for name, other in others.items()},
+        remarks=getattr(player, "remarks", ()),
     )
 
 

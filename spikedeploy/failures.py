@@ -2,6 +2,7 @@
 
 import sys
 
+# package -> the extra that installs it; the extras are pyproject's
 EXTRAS = {
     "torch": "train",
     "snntorch": "train",
@@ -9,6 +10,16 @@ EXTRAS = {
     "safetensors": "train",
     "onnx": "train",
     "tomli": "train",
+    "numba": "fast",
+    "ray": "sweep",
+    "optuna": "tune",
+    "nengo": "peers",
+    "nirtorch": "peers",
+    "norse": "peers",
+    "spikingjelly": "peers",
+    "xylosim": "peers",
+    "neurobench": "neurobench",
+    "sanafe": "sanafe",
 }
 EXPECTED = (
     ("runtime.errors", "SpikedeployError"),

@@ -3,7 +3,7 @@
 import shlex
 import sys
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 from html import escape
 from importlib.resources import files
@@ -38,6 +38,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "meaning": meaning(rows),
         "conventions": _conventions(comparison),
+        "remarks": _remarks(comparison),
         "energy_tables": _energy_tables(rows),
         "rows": rows,
     }
@@ -47,6 +48,12 @@ def _conventions(comparison: Comparison) -> dict[str, str]:
     """How each spiking file is stepped, and how chips round it, by the policy's name."""
     candidates = {row.entry.candidate.name: row.entry.candidate for row in comparison.rows}
     return {name: _convention(c) for name, c in candidates.items() if c.format == ".nir"}
+
+
+def _remarks(comparison: Comparison) -> dict[str, list[str]]:
+    """What a chip does otherwise than the file says, by the row's label."""
+    remarks = {row.entry.label: list(row.episodes[0].remarks) for row in comparison.rows}
+    return {label: said for label, said in remarks.items() if said}
 
 
 def _convention(candidate: Candidate) -> str:
@@ -78,11 +85,17 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
 
 def page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
-    steps = [f"* {name}: {convention}" for name, convention in document["conventions"].items()]
+    steps = [f"* {name}: {said}" for name, said in stepped(document)]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
     if steps:
         lines += ["", "How the networks are stepped:", "", *steps]
     return "\n".join(lines)
+
+
+def stepped(document: Document) -> list[tuple[str, str]]:
+    """How the networks are stepped: the convention of each, then what chips do otherwise."""
+    remarks = [(label, said) for label, each in document["remarks"].items() for said in each]
+    return [*document["conventions"].items(), *remarks]
 
 
 def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
@@ -103,8 +116,8 @@ def html(document: Document, pictures: Mapping[str, Path], video: Path | None = 
         video=_video(video) if video else "",
         facts=_facts(document),
         definitions=_definitions([column for columns in shown.values() for column in columns]),
-        sources=_list(document["energy_tables"]),
-        conventions=_list(document["conventions"]),
+        sources=_list(document["energy_tables"].items()),
+        conventions=_list(stepped(document)),
     )
 
 
@@ -150,13 +163,13 @@ def _facts(document: Document) -> str:
         "made by": f"spikedeploy {document['version']}, {document['created']}",
         "command": document["command"],
     }
-    return _list(facts)
+    return _list(facts.items())
 
 
 def _definitions(columns: Sequence[Column]) -> str:
-    return _list({column.title: column.meaning for column in columns})
+    return _list({column.title: column.meaning for column in columns}.items())
 
 
-def _list(items: Mapping[str, str]) -> str:
-    pairs = (f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in items.items())
+def _list(items: Iterable[tuple[str, str]]) -> str:
+    pairs = (f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in items)
     return f"<dl>{''.join(pairs)}</dl>"

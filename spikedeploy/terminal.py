@@ -76,6 +76,9 @@ def print_comparison(document: Mapping[str, Any]) -> None:
         print_table(title, heads, cells, numbers=True)
     for name, convention in document["conventions"].items():
         console().print(f"{name} is stepped with {convention}", markup=False)
+    for label, remarks in document["remarks"].items():
+        for remark in remarks:
+            console().print(f"{label}: {remark}", markup=False)
     if document["meaning"]:
         console().print(document["meaning"])
 

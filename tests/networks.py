@@ -37,7 +37,7 @@ def chain(*nodes, width, act):
     """input -> n1 -> n2 ... -> output."""
     named = {f"n{i}": node for i, node in enumerate(nodes, start=1)}
     names = ["input", *named, "output"]
-    ends = {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
+    ends = {"input": nir.Input(np.atleast_1d(width)), "output": nir.Output(np.array([act]))}
     return nir.NIRGraph({**ends, **named}, list(pairwise(names)))
 
 

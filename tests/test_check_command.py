@@ -144,8 +144,8 @@ def test_people_see_the_first_failing_node_and_its_remedy(command):
 
 def test_people_see_what_the_compiler_says(command):
     _, out, _ = command("check", "kart-grid/snn", "--chip", "xylo-a2")
-    (line,) = [line for line in out.splitlines() if line.startswith("✗ rule compile")]
-    assert line.startswith("✗ rule compile: the network: ")
+    (line,) = [line for line in out.splitlines() if line.startswith("✗ compile: ")]
+    assert line.startswith("✗ compile: rule reset: reset 'zero': ")
     assert line.endswith("run in float.")
 
 

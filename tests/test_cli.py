@@ -263,11 +263,6 @@ def test_wrong_usage_is_exit_code_2(words, command):
     assert command(*words)[0] == 2
 
 
-def test_a_missing_extra_is_named():
-    line = one_line(ModuleNotFoundError("No module named 'torch'", name="torch"))
-    assert line == 'this needs torch, which is not installed: pip install ".[train]"'
-
-
 def test_a_bug_keeps_its_traceback():
     assert one_line(KeyError("x")) is None
     assert one_line(ModuleNotFoundError("No module named 'spikedeploy.x'", name="x")) is None

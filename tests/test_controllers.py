@@ -100,7 +100,7 @@ def test_a_graph_that_no_chip_can_hold_still_runs_in_float():
     output = machine.infer(np.ones((2, 4, 6), np.uint8))
     assert output.shape == (2, 4, 6)
     assert output.any()
-    with pytest.raises(RuleError, match="events cannot be counted: node 'n2'"):
+    with pytest.raises(RuleError, match="events cannot be counted: rule primitive: node 'n2'"):
         machine.ledger  # noqa: B018
 
 

@@ -19,8 +19,8 @@ from runtime.float_graph import FloatGraph
 from runtime.interpreter import trace
 from runtime.ledger import count
 from runtime.machine import Machine
+from tests.equality import check_equal
 from tests.networks import chain, cuba, lif, popsan
-from tests.test_machine import check_equal
 
 BACKENDS = ["numpy", *(["numba"] if backend.find_spec("numba") else [])]
 

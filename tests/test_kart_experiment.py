@@ -106,6 +106,15 @@ def test_every_world_is_seen_early_and_the_controls_come_last(design):
     assert [drive.name for drive in design.drives()] == [f"{w}-random" for w in WORLDS]
 
 
+def test_a_setting_that_some_trainings_lack_is_refused_before_any_begins(tmp_path, pretend):
+    # spikes can be drawn by chance; a float network has none
+    odd = Design(1, 1, str(tmp_path / "runs"), overrides=("policy.coding=bernoulli",))
+    with pytest.raises(ConfigError, match=r"kart-grid-ann-s0: .*policy"):
+        experiment(odd, (), 1, tmp_path / "results")
+    assert pretend == []
+    assert not (tmp_path / "results").exists()
+
+
 def test_the_whole_experiment_is_done_once(design, pretend, tmp_path):
     outcome = experiment(design, (), 2, tmp_path / "results")
     assert (outcome.done, outcome.of, outcome.failed) == (21, 21, {})

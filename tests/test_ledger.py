@@ -125,6 +125,18 @@ def test_means_and_parts_of_a_ledger_agree():
     assert ledger.total("neuron_update") + ledger.total("neuron_idle") == 4 * 8 * neurons
 
 
+def test_spikes_that_share_a_timestep_leave_the_sparsity_unknown():
+    policy = popsan()
+    subtractive = replace(policy, convention=replace(policy.convention, reset="subtract"))
+    xylo = compile(subtractive, chip("xylo-a2", read="any"), limits=False)
+    machine = Machine(xylo)
+    machine.infer(np.full((1, 20, xylo.width), 15, np.uint8))
+    ledger = machine.ledger
+    # more spikes than places, of which 1 - spikes / places would be below 0
+    assert ledger.total("spike_out") > 20 * sum(ledger.neurons)
+    assert ledger.sparsity is None
+
+
 def test_streaming_writes_a_row_per_chip_timestep():
     machine = Machine(program([[5, 0]]))
     for spikes in ([1], [0], [0]):

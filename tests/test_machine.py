@@ -5,54 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from runtime.chip import chip
 from runtime.compile import compile
 from runtime.convention import Convention
 from runtime.errors import ConfigError, ObservationError
-from runtime.interpreter import Interpreter, trace
-from runtime.ledger import count
+from runtime.interpreter import trace
 from runtime.machine import Machine
 from runtime.machine_pool import CHUNK, MachinePool
+from tests.equality import check_like_the_interpreter, runs
 from tests.networks import popsan
 from tests.programs import random_programs, rasters
-
-runs = st.tuples(
-    st.sampled_from([1, 2, 3]),  # batch
-    st.sampled_from([1, 2, 5, 9]),  # timesteps
-    st.sampled_from([0.0, 0.1, 0.5, 1.0]),  # rate
-    st.integers(0, 2**32 - 1),
-)
-
-
-def check_equal(recordings, traces):
-    for name, found in recordings.items():
-        np.testing.assert_array_equal(found.current, traces[name].current)
-        np.testing.assert_array_equal(found.membrane, traces[name].membrane)
-        np.testing.assert_array_equal(found.spikes, traces[name].spikes)
 
 
 @settings(max_examples=150, deadline=None)
 @given(random_programs(), runs)
 def test_the_machine_equals_the_interpreter_in_every_current_membrane_and_spike(program, run):
-    batch, *_ = run
-    machine = Machine(program, batch, trace=True)
-    interpreter = Interpreter(program, batch)
-    for raster in rasters(program, *run, inferences=3):
-        if program.convention.state == "reset":
-            interpreter = Interpreter(program, batch)
-        traces = interpreter.run(raster)
-        output = machine.infer(raster)
-        check_equal(machine.recordings, traces)
-        np.testing.assert_array_equal(output, traces[program.output].spikes)
-        counts = count(
-            program,
-            {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-            {name: t.busy for name, t in traces.items()},
-            {name: t.overflows for name, t in traces.items()},
-        )
-        np.testing.assert_array_equal(machine.ledger.counts[-batch:], counts)
+    check_like_the_interpreter(program, run, "numpy")
 
 
 @settings(max_examples=40, deadline=None)

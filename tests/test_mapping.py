@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from runtime.artifact import Artifact
 from runtime.chip import chip
-from runtime.chip import chip as datasheet
 from runtime.convention import Convention
 from runtime.core_load import load
 from runtime.design import design
@@ -289,7 +288,7 @@ def neuromorphic_mnist():
 
 
 def test_a_convolutional_network_finds_a_core_of_speck_for_each_layer():
-    found = placed(neuromorphic_mnist(), datasheet("speck2f"))
+    found = placed(neuromorphic_mnist(), chip("speck2f"))
     # kernels: 2 x 32 x 16, 16 x 16 x 16, 16 x 16 x 8, 8 x 16 x 256 (a kernel of 4 x 4), 256 x 16
     assert [p.memory for p in found.placements] == [1024, 4096, 2048, 32768, 4096]
     assert [p.block for p in found.placements] == [4096, 4096, 512, 256, 10]
@@ -299,7 +298,7 @@ def test_a_convolutional_network_finds_a_core_of_speck_for_each_layer():
 
 def test_a_convolutional_network_keeps_every_rule_of_speck():
     artifact = Artifact(neuromorphic_mnist(), None, Convention(1e-3, reset="subtract"))
-    on = datasheet("speck2f")
+    on = chip("speck2f")
     assert [r for r in judged(design(artifact, on, on.limits)) if r.failed] == []
 
 

@@ -18,13 +18,13 @@ from runtime.convention import Convention
 from runtime.errors import ConfigError
 from runtime.fixed import Register
 from runtime.interpreter import Interpreter
-from runtime.ledger import EVENTS, count
+from runtime.ledger import EVENTS
 from runtime.machine import Machine
 from runtime.machine_pool import CHUNK, MachinePool
 from runtime.program import Program, Synapses
+from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.networks import popsan
 from tests.programs import layer, random_programs, rasters
-from tests.test_machine import check_equal, runs
 
 ROOT = Path(__file__).parent.parent
 
@@ -46,34 +46,13 @@ def known(program):
 compilable_programs = random_programs().map(known)
 
 
-def ledger(program, raster, traces):
-    """Counts of one inference by the specification."""
-    return count(
-        program,
-        {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-        {name: t.busy for name, t in traces.items()},
-        {name: t.overflows for name, t in traces.items()},
-    )
-
-
 @compiled
 @settings(max_examples=150, deadline=None)
 @given(compilable_programs, runs, st.sampled_from(["zero", "subtract"]))
 def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(program, run, reset):
     # no chip of integers subtracts yet, but the specification says what would happen
     program = replace(program, convention=replace(program.convention, reset=reset))
-    batch, *_ = run
-    machine = Machine(program, batch, trace=True, backend="numba")
-    interpreter = Interpreter(program, batch)
-    for raster in rasters(program, *run, inferences=3):
-        if program.convention.state == "reset":
-            interpreter = Interpreter(program, batch)
-        traces = interpreter.run(raster)
-        output = machine.infer(raster)
-        check_equal(machine.recordings, traces)
-        np.testing.assert_array_equal(output, traces[program.output].spikes)
-        expected = ledger(program, raster, traces)
-        np.testing.assert_array_equal(machine.ledger.counts[-batch:], expected)
+    check_like_the_interpreter(program, run, "numba")
 
 
 @compiled
@@ -312,20 +291,19 @@ def test_registers_that_the_kernels_do_not_know_are_refused_and_auto_takes_numpy
     assert not backend.compiles(odd, "auto")
 
 
-def test_without_numba_the_compiled_backend_is_refused_and_auto_does_without(monkeypatch):
-    monkeypatch.setattr(backend, "find_spec", lambda name: None)
-    program = compile(popsan(), chip("loihi1"))
-    with pytest.raises(ConfigError, match=r"Numba is not installed.*pip install"):
-        Machine(program, backend="numba")
-    raster = rasters(program, 1, 5, 0.3, seed=0)[0]
-    np.testing.assert_array_equal(
-        Machine(program, backend="auto").infer(raster), Machine(program).infer(raster)
-    )
-
-
-def test_a_chip_without_integers_is_refused_and_auto_takes_numpy():
-    program = compile(popsan(), chip("ideal"))
-    with pytest.raises(ConfigError, match=r"chip 'ideal' has no integers"):
+@pytest.mark.parametrize(
+    ("name", "installed", "message"),
+    [
+        ("loihi1", None, r"Numba is not installed.*pip install"),
+        ("ideal", object(), r"chip 'ideal' has no integers"),
+    ],
+)
+def test_what_cannot_be_compiled_is_refused_and_auto_takes_numpy(
+    name, installed, message, monkeypatch
+):
+    monkeypatch.setattr(backend, "find_spec", lambda package: installed)
+    program = compile(popsan(), chip(name))
+    with pytest.raises(ConfigError, match=message):
         Machine(program, backend="numba")
     raster = rasters(program, 1, 5, 0.3, seed=0)[0]
     np.testing.assert_array_equal(
@@ -344,6 +322,7 @@ import sys
 from runtime.chip import chip
 from runtime.compile import compile
 from runtime.machine import Machine
+from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.networks import popsan
 Machine(compile(popsan(), chip("loihi1")))
 assert "numba" not in sys.modules

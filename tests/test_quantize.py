@@ -144,17 +144,21 @@ def test_a_voltage_bias_that_does_not_fit_shrinks_the_scale():
 
 
 @pytest.mark.parametrize(
-    ("layer", "message"),
+    ("layer", "rule", "message"),
     [
-        (floats([[1.0]], threshold=-0.5), "threshold -0.5 is below 0"),
-        (floats([[1.0]], threshold=1e-4), "threshold 0.0001 is 0.026 of the smallest"),
-        (floats([[1e-3]], threshold=1e6), "every weight becomes 0"),
-        (floats([[1.0]], alpha=1.0), "a current that keeps all"),
-        (floats([[1.0]], beta=0.0), "a membrane that keeps nothing"),
+        (floats([[1.0]], threshold=-0.5), "threshold-range", "threshold -0.5 is below 0"),
+        (
+            floats([[1.0]], threshold=1e-4),
+            "threshold-range",
+            "threshold 0.0001 is 0.026 of the smallest",
+        ),
+        (floats([[1e-3]], threshold=1e6), "weight-bits", "every weight becomes 0"),
+        (floats([[1.0]], alpha=1.0), "decay-range", "a current that keeps all"),
+        (floats([[1.0]], beta=0.0), "decay-range", "a membrane that keeps nothing"),
     ],
 )
-def test_what_the_chip_cannot_hold_is_refused_by_layer_and_limit(layer, message):
-    with pytest.raises(RuleError, match=f"layer 'lif1': {message}"):
+def test_what_the_chip_cannot_hold_is_refused_by_rule_layer_and_limit(layer, rule, message):
+    with pytest.raises(RuleError, match=rf"^rule {rule}: layer 'lif1': {message}"):
         quantise(layer, FIXED)
 
 

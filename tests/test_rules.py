@@ -1,7 +1,9 @@
 """Each design rule, by a network that just keeps it and one that just breaks it."""
 
 import json
+import re
 from dataclasses import fields, replace
+from importlib import import_module
 from pathlib import Path
 
 import nir
@@ -18,7 +20,7 @@ from runtime.convention import Convention
 from runtime.design import design
 from runtime.errors import RuleError, SpikedeployError
 from runtime.limits import Limits
-from runtime.rules import NODE_RULES, RULES, judged
+from runtime.rules import COMPILER_RULES, NODE_RULES, RULES, judged
 from spikedeploy import zoo
 from tests.networks import chain, cuba, graph, lif, popsan
 from tests.test_generated_graphs import graphs
@@ -226,8 +228,8 @@ BOUNDARIES = [
 ]
 
 
-def statuses(artifact, datasheet, rule):
-    found = judged(design(artifact, datasheet, datasheet.limits))
+def statuses(artifact, on, rule):
+    found = judged(design(artifact, on, on.limits))
     return {ruling.status for ruling in found if ruling.rule == rule}
 
 
@@ -380,4 +382,20 @@ def test_the_documented_limits_are_those_of_the_datasheets(field):
 
 def test_every_rule_is_documented():
     page = (Path(__file__).parents[1] / "docs" / "check.md").read_text(encoding="utf-8")
-    assert all(f"`{rule}`" in page for rule in (*RULES, "compile"))
+    assert all(f"`{rule}`" in page for rule in (*RULES, *COMPILER_RULES, "compile"))
+
+
+COMPILER = [
+    "compile", "headroom", "linear", "program", "quantize", "quantize_xylo", "step_quantize",
+    "step_rules", "wiring", "xylo_layers",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("module", COMPILER)
+def test_every_refusal_of_the_compiler_begins_with_the_name_of_a_rule(module):
+    code = Path(import_module(f"runtime.{module}").__file__).read_text(encoding="utf-8")
+    raised = re.findall(r'raise RuleError\(\s*f?"(.{,30})', code)
+    named = {text.partition(": ")[0].removeprefix("rule ") for text in raised}
+    # Xylo's obstacles, which may be remarks, come with their rules
+    assert named
+    assert named <= {*RULES, *COMPILER_RULES, "{rule}"}

@@ -8,7 +8,8 @@ import pytest
 
 from benchmarks.sanafe_networks import NETWORKS, program, run, scattered, simulated
 from runtime.energy import TABLES, energy, latency
-from runtime.traffic import one_core_each, traffic
+from runtime.layout import one_core_each
+from runtime.traffic import traffic
 
 TABLE = TABLES["sanafe"]
 UPDATE = TABLE.joules["neuron_update"] - TABLE.joules["neuron_idle"]
@@ -30,10 +31,10 @@ def raster_of(network, seed, rate):
 def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
     network = program(case, seed=1)
     raster = raster_of(network, 2, rate)
-    placement = one_core_each(network) if mapping == "one core each" else scattered(network, 3)
+    layout = one_core_each(network) if mapping == "one core each" else scattered(network, 3)
     ledger, spikes = run(network, raster)
-    sent = traffic(network, spikes, placement)
-    theirs = simulated(network, raster, placement)
+    sent = traffic(network, spikes, layout)
+    theirs = simulated(network, raster, layout)
     inputs = int(raster.sum())
     assert ledger.total("sop") == theirs["spikes"] > 0
     assert ledger.total("spike_out") == theirs["neurons_fired"] - inputs
@@ -48,7 +49,7 @@ def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
 
 
 @pytest.mark.parametrize("case", NETWORKS)
-def test_energies_are_sanafes_without_a_placement_too_where_nothing_goes_to_a_host(case):
+def test_energies_are_sanafes_without_a_layout_too_where_nothing_goes_to_a_host(case):
     network = program(case, seed=4)
     raster = raster_of(network, 5, 0.2)
     ledger, _ = run(network, raster)

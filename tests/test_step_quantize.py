@@ -117,21 +117,25 @@ def test_a_weight_is_off_by_less_than_one_and_by_half_where_the_nearest_is_taken
 
 @pytest.mark.parametrize("name", ["speck2f", "truenorth", "odin", "spiker"])
 @pytest.mark.parametrize("limits", [True, False])
-def test_a_synaptic_current_is_refused_by_the_rule_current(name, limits):
-    with pytest.raises(RuleError, match=f"^rule current: layer 'if1' .* {name} adds spikes"):
+def test_a_synaptic_current_is_refused_by_the_rule_primitive(name, limits):
+    with pytest.raises(RuleError, match=f"^rule primitive: layer 'if1' .* {name} adds spikes"):
         quantised(floats([[1.0]], alpha=0.5), name, limits=limits)
 
 
-def test_a_leak_that_is_exponential_is_refused_by_the_rule_leak():
+def test_a_leak_that_is_exponential_is_refused_by_the_rule_decay_range():
     for name in ("truenorth", "odin", "speck2f"):
-        with pytest.raises(RuleError, match=rf"^rule leak: layer 'if1' keeps 0\.9 .* {name}"):
+        with pytest.raises(
+            RuleError, match=rf"^rule decay-range: layer 'if1' keeps 0\.9 .* {name}"
+        ):
             quantised(floats([[1.0]], beta=0.9), name)
-    with pytest.raises(RuleError, match=r"^rule leak: .*speck2f has no leak"):
+    with pytest.raises(RuleError, match=r"^rule decay-range: .*speck2f has no leak"):
         quantised(floats([[1.0]], beta=0.9), "speck2f", limits=False)
 
 
 def test_spiker_has_no_neurons_without_a_leak():
-    with pytest.raises(RuleError, match=r"^rule leak: layer 'if1' keeps 1 .* leaks by a shift"):
+    with pytest.raises(
+        RuleError, match=r"^rule decay-range: layer 'if1' keeps 1 .* leaks by a shift"
+    ):
         quantised(floats([[1.0]]), "spiker")
 
 
@@ -147,12 +151,12 @@ def test_an_axon_of_odin_has_one_sign_wherever_it_goes():
     check_axons([signed], odin, odin.steps)
     mixed = quantised(floats([[1.0, -0.5], [-1.0, 0.0]]), "odin")
     with pytest.raises(
-        RuleError, match=r"^rule axon-signs: layer 'if1': 1 of 2 axons from 'input'.*axon 0"
+        RuleError, match=r"^rule sign: layer 'if1': 1 of 2 axons from 'input'.*axon 0"
     ):
         check_axons([mixed], odin, odin.steps)
     # the same neuron excites one layer and inhibits the next
     other = quantised(floats([[-1.0], [-1.0]], name="if2"), "odin")
-    with pytest.raises(RuleError, match=r"^rule axon-signs: layer 'if2': 1 of 2 axons"):
+    with pytest.raises(RuleError, match=r"^rule sign: layer 'if2': 1 of 2 axons"):
         check_axons([signed, other], odin, odin.steps)
 
 
@@ -180,9 +184,9 @@ def test_truenorth_has_four_types_of_axons():
     [
         (
             floats([[1.0]], threshold=-0.5),
-            "^rule threshold: layer 'if1': threshold -0.5 is below 0",
+            "^rule threshold-range: layer 'if1': threshold -0.5 is below 0",
         ),
-        (floats([[1.0]], threshold=1e-4), "^rule weight-bits: layer 'if1': threshold 0.0001"),
+        (floats([[1.0]], threshold=1e-4), "^rule threshold-range: layer 'if1': threshold 0.0001"),
         (floats([[1e-3]], threshold=1e6), "^rule weight-bits: layer 'if1': every weight becomes 0"),
     ],
 )

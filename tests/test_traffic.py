@@ -5,8 +5,9 @@ import pytest
 
 from runtime.chip import chip
 from runtime.convention import Convention
+from runtime.layout import Layout, one_core_each
 from runtime.program import Program, Synapses
-from runtime.traffic import Placement, Traffic, joined, one_core_each, traffic
+from runtime.traffic import Traffic, joined, traffic
 from tests.programs import layer
 
 CHIP = chip("loihi1")
@@ -42,7 +43,7 @@ def test_a_spike_takes_a_message_to_each_core_that_it_reaches(network):
 
 def test_layers_that_share_a_core_share_a_message(network):
     ones = {"input": np.array([0, 0]), "a": np.array([1, 1]), "b": np.array([1])}
-    found = traffic(network, SPIKES, Placement(ones, np.zeros((2, 2), np.int64)))
+    found = traffic(network, SPIKES, Layout(ones, np.zeros((2, 2), np.int64)))
     assert found.message == 10 + 1 + 2
 
 
@@ -50,7 +51,7 @@ def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
     apart = {"input": np.array([0, 0]), "a": np.array([1, 2]), "b": np.array([0])}
     # the second core is two tiles along the row, the third one tile along the column
     tiles = np.array([[0, 0], [2, 0], [0, 1]])
-    found = traffic(network, SPIKES, Placement(apart, tiles))
+    found = traffic(network, SPIKES, Layout(apart, tiles))
     # axon 0 to cores 1 and 2; axon 1 to core 2 and its own
     assert found == Traffic(message=10 * 2 + 1 * 2 + 2, hop_x=10 * 2, hop_y=10 + 1)
 

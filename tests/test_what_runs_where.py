@@ -58,29 +58,29 @@ NETWORKS = {
 # chip -> network -> the rule that refuses it; everything else runs
 REFUSED = {
     **{name: {} for name in ("ideal", "int", "spinnaker2", *LOIHI)},
-    "speck2f": {"leaky": "leak", "synaptic currents": "current"},
+    "speck2f": {"leaky": "decay-range", "synaptic currents": "primitive"},
     "truenorth": {
         # two axons that reach two neurons with (1, -1) and (-1, 1) are of two types, and so on
         "integrators of +-1": "axon-types",
         "many weights": "axon-types",
-        "leaky": "leak",
-        "synaptic currents": "current",
+        "leaky": "decay-range",
+        "synaptic currents": "primitive",
     },
     "odin": {
-        "integrators of +-1": "axon-signs",
-        "many weights": "axon-signs",
-        "leaky": "leak",
-        "synaptic currents": "current",
+        "integrators of +-1": "sign",
+        "many weights": "sign",
+        "leaky": "decay-range",
+        "synaptic currents": "primitive",
     },
     "spiker": {
-        "integrators of +-1": "leak",
-        "signed axons": "leak",
-        "many weights": "leak",
-        "synaptic currents": "current",
+        "integrators of +-1": "decay-range",
+        "signed axons": "decay-range",
+        "many weights": "decay-range",
+        "synaptic currents": "primitive",
     },
 }
 # what stays refused without limits: no arithmetic of the chip is near it
-NEVER = {"current": CURRENTLESS, "leak": ("speck2f",)}
+NEVER = {"primitive": CURRENTLESS, "decay-range": ("speck2f",)}
 KNOWN = [name for name in CHIPS if name in REFUSED]
 
 
@@ -152,11 +152,13 @@ def test_whole_weights_and_integrators_mean_what_they_mean_in_float(name):
 def test_floors_and_many_spikes_are_refused_where_the_chip_has_none():
     artifact = signed("subtract")
     many = replace(artifact, convention=replace(artifact.convention, spikes="many"))
-    with pytest.raises(RuleError, match=r"^rule reset: spikes 'many': a neuron on spiker"):
+    with pytest.raises(RuleError, match=r"^rule convention: spikes 'many': a neuron on spiker"):
         compile(many, chip("spiker"))
     assert compile(many, chip("speck2f")).convention.spikes == "many"
     floored = replace(artifact, convention=replace(artifact.convention, floor="threshold"))
-    with pytest.raises(RuleError, match=r"^rule reset: floor 'threshold': membranes on spiker"):
+    with pytest.raises(
+        RuleError, match=r"^rule convention: floor 'threshold': membranes on spiker"
+    ):
         compile(floored, chip("spiker"))
     assert compile(floored, chip("speck2f")).convention.floor == "threshold"
 

@@ -1,5 +1,6 @@
 """Xylo from the command line: the same commands as for any chip."""
 
+import html
 import json
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from runtime.artifact import save
 from runtime.chip import chip
 from runtime.compile import compile
 from runtime.machine import Machine
+from runtime.quantisation import Quantisation
 from tests import strolling
 from tests.networks import popsan
 from tests.xylo_networks import network
@@ -73,3 +75,36 @@ def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path
     (row,) = json.loads(out)["rows"]
     assert row["chip"] == "xylo-a2"
     assert row["sops_per_inference"] > 0
+    assert row["sparsity"] is None  # neurons of Xylo spike several times in a timestep
+
+
+def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch, tmp_path):
+    shipped = strolling.ship(monkeypatch, tmp_path / "zoo")
+    policy = popsan(obs=3, act=2, hidden=(16, 12))
+    convention = replace(policy.convention, reset="subtract")
+    file = shipped / "popsan.nir"
+    save(replace(policy, convention=convention, origin=strolling.ORIGIN), file)
+    asked = ("stroll", file, "--chips", "xylo-a2,ideal", "--episodes", "1", "--seed", "10000")
+    asked += ("--workers", "1", "--limits", "off")
+    code, out, err = command("compare", *asked, "-o", tmp_path / "out")
+    assert code == 0, err
+    document = json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
+    ((label, remarks),) = document["remarks"].items()
+    assert label == "popsan · xylo-a2, limits off"
+    assert any("up to 31 times in a timestep" in remark for remark in remarks)
+    texts = [(tmp_path / "out" / f"report.{kind}").read_text("utf-8") for kind in ("md", "html")]
+    for text in (" ".join(out.split()), *map(html.unescape, texts)):
+        assert all(label in text and remark in text for remark in remarks)
+
+
+def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):
+    net, spikes, artifact, raster = files
+    words = ("emulate", net, "--reset", "subtract", "--input", spikes, "-o", tmp_path / "out.npz")
+    code, _, err = command(*words, "--chip", "xylo-a2", "--weight-shift", "4")
+    assert code == 0, err
+    program = compile(artifact, chip("xylo-a2"), Quantisation(weight_shift=4))
+    with np.load(tmp_path / "out.npz") as found:
+        np.testing.assert_array_equal(found["output"], Machine(program).infer(raster[None])[0])
+    code, _, err = command(*words, "--chip", "int", "--weight-shift", "4")
+    assert code == 1
+    assert "weight_shift is 4: int has no shift" in err

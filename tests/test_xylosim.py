@@ -122,7 +122,8 @@ def test_compiled_networks_equal_xylosim_in_every_current_membrane_and_spike(
     artifact, granularity, shift, most, seed
 ):
     try:
-        program = compile(artifact, chip("xylo-a2"), Quantisation(granularity), weight_shift=shift)
+        choice = Quantisation(granularity, weight_shift=shift)
+        program = compile(artifact, chip("xylo-a2"), choice, limits=False)
     except RuleError:  # a threshold or all weights of a layer that come out as 0
         reject()
     raster = np.random.default_rng(seed).integers(0, most + 1, (TIMESTEPS, program.width))
@@ -151,7 +152,7 @@ def test_a_recurrent_network_of_many_spikes_equals_xylosim(granularity, biased):
 def test_saturating_sums_equal_xylosim():
     rng = np.random.default_rng(3)
     artifact = network(rng, [16, 30, 20, 8], ["cuba"] * 3, loops={1})
-    program = compile(artifact, chip("xylo-a2"), weight_shift=7)
+    program = compile(artifact, chip("xylo-a2"), Quantisation(weight_shift=7), limits=False)
     raster = rng.integers(0, 16, (100, 16)).astype(np.uint8)
     assert check_equal(program, raster, shift=7) > 1000
     assert sum(t.overflows.sum() for t in trace(program, raster[None]).values()) > 1000

@@ -33,6 +33,7 @@ XYLO_A3 = replace(
     name="xylo-a3",
     summary="Xylo-Audio 3: computes as Xylo-Audio 2; 992 hidden and 32 output neurons",
     limits=LIMITS,
+    evidence="the arithmetic of xylo-a2; no traces of its own",
     sources={
         **{field: f"{source}; {TAKEN}" for field, source in XYLO_A2.sources.items()},
         "currents": f"{ROCKPOOL}: two synapses for hidden neurons, one for outputs",

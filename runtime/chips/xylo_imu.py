@@ -33,6 +33,7 @@ XYLO_IMU = replace(
     summary="Xylo-IMU: computes as Xylo-Audio 2; one synaptic current for each neuron",
     arithmetic=replace(XYLO_V2, currents=1),
     limits=LIMITS,
+    evidence="the arithmetic of xylo-a2; no traces of its own",
     sources={
         **{field: f"{source}; {TAKEN}" for field, source in XYLO_A2.sources.items()},
         "currents": f"{ROCKPOOL}: one synapse for hidden neurons",

@@ -19,6 +19,7 @@ from spikedeploy.commands.options import (
     Rounding,
     Seed,
     Thresholds,
+    WeightShift,
     Workers,
     quantisation,
 )
@@ -50,6 +51,7 @@ def compare(
     rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
+    weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
@@ -64,7 +66,7 @@ def compare(
     from spikedeploy.worlds import parsed
 
     tables = energy_tables(energy or ())
-    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     entries = line_up(env, files or (), listed(chips), limits is Limits.on, rounded)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(replace(comparison, tables=tables))

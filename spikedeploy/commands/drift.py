@@ -26,6 +26,7 @@ from spikedeploy.commands.options import (
     Spikes,
     State,
     Thresholds,
+    WeightShift,
     quantisation,
     reading,
 )
@@ -54,6 +55,7 @@ def drift(
     rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
+    weight_shift: WeightShift = 0,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Leave headroom for half of the inputs.")
     ] = False,
@@ -106,7 +108,7 @@ def drift(
         artifact,
         datasheet(chip),
         inputs,
-        quantisation(quantise, rounding, headroom, thresholds),
+        quantisation(quantise, rounding, headroom, thresholds, weight_shift),
         calibrate,
         tune,
         tau,

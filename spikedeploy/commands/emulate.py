@@ -24,6 +24,7 @@ from spikedeploy.commands.options import (
     Spikes,
     State,
     Thresholds,
+    WeightShift,
     quantisation,
     reading,
 )
@@ -68,6 +69,7 @@ def emulate(
     rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
+    weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
     """Play recorded spikes into any NIR network, and count what the chip does."""
@@ -89,7 +91,7 @@ def emulate(
         like=like,
     )
     tables = energy_tables(energy or ())
-    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     result = play(
         file,
         chip,

@@ -175,16 +175,27 @@ Thresholds = Annotated[
         "--thresholds", min=1, help="Most distinct thresholds of a layer, with --quantise channel."
     ),
 ]
+WeightShift = Annotated[
+    int, typer.Option("--weight-shift", min=0, help="Bits that a Xylo shifts weights to the left.")
+]
 
 
 def quantisation(
-    quantise: Granularity, rounding: Fraction | None, headroom: Room, thresholds: int | None
+    quantise: Granularity,
+    rounding: Fraction | None,
+    headroom: Room,
+    thresholds: int | None,
+    weight_shift: int,
 ) -> "Quantisation":
-    """What the four options ask for."""
+    """What the five options ask for."""
     from runtime.quantisation import Quantisation
 
     return Quantisation(
-        quantise.value, rounding.value if rounding else None, headroom.value, thresholds
+        quantise.value,
+        rounding.value if rounding else None,
+        headroom.value,
+        thresholds,
+        weight_shift=weight_shift,
     )
 
 

@@ -20,6 +20,7 @@ from spikedeploy.commands.options import (
     Rounding,
     Seed,
     Thresholds,
+    WeightShift,
     quantisation,
 )
 
@@ -48,6 +49,7 @@ def run(
     rounding: Rounding = None,
     headroom: Headroom = Room.none,
     thresholds: Thresholds = None,
+    weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
     """Let one policy drive the robot, and say how it went and what it cost."""
@@ -61,7 +63,7 @@ def run(
 
     tables = energy_tables(energy or ())
     numbers = range(seed, seed + episodes)
-    rounded = quantisation(quantise, rounding, headroom, thresholds)
+    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     comparison = play(
         policy, env, chip, numbers, video, sampled, parsed(set_ or ()), limits is Limits.on, rounded
     )

@@ -41,6 +41,8 @@ def experiment(
     results  folder of kart.md and kart/
     train    False writes the page of what there is
     """
+    for trial in design.trials():
+        _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
     failed: dict[str, str] = {}
     with Board(design.folder, len(jobs)) as board:
@@ -55,6 +57,14 @@ def experiment(
     files = write(design, results)
     done = [part.done for part in design.parts]
     return Outcome(sum(done), len(done), failed, not whole, files)
+
+
+def _check(trial: Trial) -> None:
+    """Refuse settings that it does not have, before the first of all trainings has begun."""
+    try:
+        trial.config  # noqa: B018 - reading it is what may fail
+    except ConfigError as error:
+        raise ConfigError(f"{trial.name}: {error}") from error
 
 
 def _chosen(design: Design, only: Sequence[str]) -> list[Drive | Trial]:

@@ -33,6 +33,7 @@ class NirController:
     sampled  actions are drawn, as in SpikingController
     graph    of the file
     program  whose operations are counted; the float twin's is the one without rounding
+    remarks  of the compiler, on what the chip does otherwise than the file says
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class NirController:
             artifact, self.chip, "total", sampled, limits=limits, quantisation=quantisation
         )
         self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
+        self.remarks = self.program.remarks
         self._before = self._controller.ledger
 
     def reset(self, seed: int) -> None:
