@@ -10,7 +10,6 @@ from runtime.chips.xylo_a2 import LIMITS as A2
 from runtime.chips.xylo_a2 import ROCKPOOL, XYLO_A2
 
 TAKEN = "taken from Xylo-Audio 2, for want of a trace of this chip"
-EVIDENCE = "computes as xylo-a2; no trace of this chip"
 LIMITS = replace(
     A2,
     neurons=992,
@@ -40,5 +39,4 @@ XYLO_A3 = replace(
         "shift_max": XYLO_A2.sources["shift_max"],
         "read": f"{ROCKPOOL}: 992 hidden neurons, and 32 outputs of their own",
     },
-    evidence=EVIDENCE,
 )

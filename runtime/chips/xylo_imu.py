@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from runtime.chips.xylo_a2 import LIMITS as A2
 from runtime.chips.xylo_a2 import ROCKPOOL, XYLO_A2, XYLO_V2
-from runtime.chips.xylo_a3 import EVIDENCE, TAKEN
+from runtime.chips.xylo_a3 import TAKEN
 
 LIMITS = replace(
     A2,
@@ -40,5 +40,4 @@ XYLO_IMU = replace(
         "shift_max": XYLO_A2.sources["shift_max"],
         "read": f"{ROCKPOOL}: 496 hidden neurons, and 16 outputs of their own",
     },
-    evidence=EVIDENCE,
 )
