@@ -88,7 +88,7 @@ def page_of_text(document: Document) -> str:
     steps = [f"* {name}: {said}" for name, said in stepped(document)]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
     if steps:
-        lines += ["", "How the networks are stepped:", "", *steps]
+        lines += ["How the networks are stepped:", "", *steps, ""]
     return "\n".join(lines)
 
 
