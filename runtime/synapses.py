@@ -159,12 +159,11 @@ class Cheapest:
 
     def __init__(self, gather: Gather | None, union: Union, dense: Dense, costs: Costs) -> None:
         self.gather, self.union, self.dense = gather, union, dense
-        batch = dense.shape[1]
-        united = [costs.united(a / batch) * batch for a in range(dense.shape[2] * batch + 1)]
         # by the number of axons that spiked at all: whether their union beats the dense product,
         # and up to how many spikes fetching them one by one beats both
-        self._union = [cost < costs.dense for cost in united]
-        self._spikes = [costs.affordable(min(cost, costs.dense)) for cost in united]
+        united = costs.united(dense.shape[2], dense.shape[1])
+        self._union = (united < costs.dense).tolist()
+        self._spikes = costs.affordable(np.minimum(united, costs.dense)).tolist()
 
     @property
     def has_choice(self) -> bool:

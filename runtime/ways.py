@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.raster import Raster
 
@@ -30,18 +31,18 @@ class Costs:
     union: tuple[tuple[int, float], ...]
     gather: tuple[tuple[int, float], ...] = ()
 
-    def united(self, axons: float) -> float:
-        """Time when so many axons of one of the batch spiked [us]."""
+    def united(self, axons: int, batch: int) -> NDArray[np.float64]:
+        """Time when 0, 1, … all axons of the batch spiked [us]."""
         at, costs = zip(*self.union, strict=True)
-        return float(np.interp(axons, at, costs))
+        return np.asarray(np.interp(np.arange(axons * batch + 1) / batch, at, costs) * batch)
 
-    def affordable(self, budget: float) -> int:
+    def affordable(self, budget: NDArray[np.float64]) -> NDArray[np.int64]:
         """Most spikes whose weights can be fetched one by one in that time [us]; -1 for none."""
         if not self.gather:
-            return -1
+            return np.full(budget.shape, -1)
         (_, none), (spikes, some) = self.gather
         each = max(some - none, 1e-9) / spikes
-        return max(-1, int((budget - none) / each))
+        return np.maximum((budget - none) / each, -1).astype(np.int64)
 
 
 def measured(dense: Way, union: Way, gather: Way | None, shape: tuple[int, int, int]) -> Costs:
