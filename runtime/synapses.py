@@ -159,11 +159,12 @@ class Cheapest:
 
     def __init__(self, gather: Gather | None, union: Union, dense: Dense, costs: Costs) -> None:
         self.gather, self.union, self.dense = gather, union, dense
-        # by the number of axons that spiked at all: whether their union beats the dense product,
-        # and up to how many spikes fetching them one by one beats both
-        united = costs.united(dense.shape[2], dense.shape[1])
-        self._union = (united < costs.dense).tolist()
-        self._spikes = costs.affordable(np.minimum(united, costs.dense)).tolist()
+        self._batch = dense.shape[1]
+        # by the number of axons that spiked at all, in the mean of a batch: whether their union
+        # beats the dense product, and up to how many spikes fetching them one by one beats both
+        united, product = costs.united(dense.shape[2]), costs.dense / self._batch
+        self._union = (united < product).tolist()
+        self._spikes = costs.affordable(np.minimum(united, product)).tolist()
 
     @property
     def has_choice(self) -> bool:
@@ -172,7 +173,7 @@ class Cheapest:
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums."""
-        axons = raster.active()
+        axons = raster.active() // self._batch
         most = self._spikes[axons]
         # every axon spiked at least once; only where that is not too much, count exactly
         if self.gather is not None and axons <= most and raster.spikes() <= most:

@@ -31,10 +31,10 @@ class Costs:
     union: tuple[tuple[int, float], ...]
     gather: tuple[tuple[int, float], ...] = ()
 
-    def united(self, axons: int, batch: int) -> NDArray[np.float64]:
-        """Time when 0, 1, … all axons of the batch spiked [us]."""
+    def united(self, axons: int) -> NDArray[np.float64]:
+        """Time for one of the batch when none, one, … all of its axons spiked [us]."""
         at, costs = zip(*self.union, strict=True)
-        return np.asarray(np.interp(np.arange(axons * batch + 1) / batch, at, costs) * batch)
+        return np.asarray(np.interp(np.arange(axons + 1), at, costs))
 
     def affordable(self, budget: NDArray[np.float64]) -> NDArray[np.int64]:
         """Most spikes whose weights can be fetched one by one in that time [us]; -1 for none."""
