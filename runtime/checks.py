@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.bounds import Bounds, harmless, room
+from runtime.bounds import Bounds, bounds, harmless, room
 from runtime.chip import FixedPoint
-from runtime.program import Layer
+from runtime.program import Layer, Program
 from runtime.raster import Raster
 
 Floats = NDArray[np.floating]
@@ -68,3 +68,9 @@ class Checks:
             # the one before left, and the current
             highest = 2 * max(highest, 0.0) + self._push
         return -self._room <= lowest and highest <= self._room
+
+
+def proven(program: Program, layer: Layer, fixed: FixedPoint, timesteps: int) -> bool:
+    """Whether no spikes in a window from zero can make a number of the layer that does not fit."""
+    limits = bounds(program, layer, fixed, timesteps)
+    return Checks(layer, fixed, limits, timesteps, None).proven

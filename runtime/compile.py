@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from runtime.artifact import Artifact
 from runtime.chip import Chip
 from runtime.convention import Convention
+from runtime.design import design
 from runtime.discrete import Discrete, discretise
 from runtime.errors import ConfigError, RuleError
 from runtime.event_point import EventPoint
@@ -47,8 +48,9 @@ def compile(
     if not limits:
         chip = replace(chip, delay_max=ENDLESS)
     wires = wiring(artifact.graph, artifact.convention)
-    if limits:
-        refuse(artifact, chip, ROOM)
+    plan = design(artifact, chip, chip.limits) if limits and chip.limits else None
+    if plan:
+        refuse(plan, ROOM)
     if chip.events is not None:
         held = for_xylo(artifact, chip, chip.events, wires, stagger)
         program = quantise_xylo(held, chip.events, quantisation)
@@ -59,8 +61,8 @@ def compile(
         )
     else:
         program = _layered(artifact, chip, wires, quantisation, stagger, limits)
-    if limits:  # last: the compiler itself is more precise
-        refuse(artifact, chip, ARITHMETIC)
+    if plan:  # last: the compiler itself is more precise
+        refuse(plan, ARITHMETIC)
     return program
 
 

@@ -49,8 +49,9 @@ def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
     values = np.asarray(getattr(layer, name), np.float64)
     largest = float(np.abs(values).max(initial=0.0))
     if largest * scale > LARGEST:
+        rule = "threshold-range" if name == "threshold" else "bias"
         raise RuleError(
-            f"rule state-bits: layer {layer.name!r}: {name} {largest:g} is {largest * scale:g} "
-            f"beside weights that are whole; float32 holds {LARGEST:.3g}. Rescale the layer."
+            f"rule {rule}: layer {layer.name!r}: {name} {largest:g} is {largest * scale:g} beside "
+            f"weights that are whole; float32 holds {LARGEST:.3g}. Rescale the layer."
         )
     return (values * scale).astype(np.float32)

@@ -55,21 +55,12 @@ class Window:
         self.waiting = self.interpreted = False
         self._silent = np.zeros((batch, layer.size), np.int64)
         self._limits = bounds(program, layer, fixed, None if kept else timesteps) if fixed else None
-        self._prepare(np.float64)
-        worth = batch >= MANY or not self.proven
-        # a membrane that just spikes must be well within what float32 holds
-        if fixed and worth and single(layer, fixed) > 4 * layer.threshold.max():
-            self._prepare(np.float32)
+        self._prepare(np.float32 if self._short() else np.float64)
 
     def reset(self) -> None:
         """Forget the state."""
         self.states[-1] = 0.0
         self._silent[:] = 0
-
-    @property
-    def proven(self) -> bool:
-        """Whether no spikes at all can make a number that does not fit."""
-        return self._checks is not None and self._checks.proven
 
     @property
     def ordinary(self) -> bool:
@@ -93,6 +84,24 @@ class Window:
         self.spikes.fill(False)
         return Raster(self.spikes)
 
+    def _short(self) -> bool:
+        """Whether float32 is worth trying."""
+        fixed, (_, batch, _) = self.program.chip.fixed, self.spikes.shape
+        # a membrane that just spikes must be well within what float32 holds
+        if not fixed or single(self.layer, fixed) <= 4 * self.layer.threshold.max():
+            return False
+        checks = self._checked(np.float64)
+        return batch >= MANY or not (checks and checks.proven)
+
+    def _checked(self, dtype: type[np.floating]) -> Checks | None:
+        """What tells whether states of this type may be believed; None where nothing is rounded."""
+        fixed = self.program.chip.fixed
+        if not fixed or not self._limits:
+            return None
+        window = None if self.kept else len(self.spikes)
+        most = single(self.layer, fixed) if dtype == np.float32 else None
+        return Checks(self.layer, fixed, self._limits, window, most)
+
     def _prepare(self, dtype: type[np.floating]) -> None:
         """Memory for states of this type, and what runs in it."""
         program, layer, fixed = self.program, self.layer, self.program.chip.fixed
@@ -103,11 +112,7 @@ class Window:
         self._advance = Advance(
             program, layer, self.states, self._drive.sums, self.spikes, self.kept
         )
-        self._checks = None
-        if fixed and self._limits:
-            window = None if self.kept else timesteps
-            most = single(layer, fixed) if dtype == np.float32 else None
-            self._checks = Checks(layer, fixed, self._limits, window, most)
+        self._checks = self._checked(dtype)
 
     def _again(self, arriving: Sequence[Raster]) -> Raster:
         """The window in wider numbers, and from now on all; or by the specification."""

@@ -1,5 +1,6 @@
 """The pipeline: every layer's window, one after another, with the spikes that go between them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from runtime.raster import Raster
 from runtime.recorder import Recorder
 from runtime.relay import Relay
 from runtime.scratch import Scratch
-from runtime.tally import Observation, Tally
+from runtime.tally import Observation, Ran, Tally
 from runtime.wave import Wave, suits
 
 
@@ -51,23 +52,18 @@ class Pipeline:
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.program, self.schedule = program, schedule
-        largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
-        scratch = Scratch(largest * np.dtype(np.float64).itemsize)
-        self.windows = [
-            Window(program, layer, schedule.timesteps, batch, schedule.kept, scratch)
-            for layer in program.layers
-        ]
         self._wave: Wave | None = None
-        once = not schedule.kept and all(window.proven for window in self.windows)
-        if once and suits(program, schedule.timesteps, batch):
-            self._wave = Wave(program, self.windows, schedule.timesteps)
+        if not schedule.kept and suits(program, schedule.timesteps, batch):
+            self._wave = Wave(program, schedule.timesteps)
+        self._windows = [] if self._wave else _windows(program, schedule, batch)
+        self.windows: Sequence[Ran] = self._wave.windows if self._wave else self._windows
         self.tally = Tally(program, self.windows, schedule.steps)
         self._emitted: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
         # layer, its window, and what it hears how many rows late
         self._route = [
             (window.layer, window, list(zip(_sources(window.layer), late, strict=True)))
-            for window, late in zip(self.windows, schedule.late, strict=True)
+            for window, late in zip(self._windows, schedule.late, strict=False)
         ]
         memory = max(self._lag, *(max(late) for late in schedule.late))
         self._relay = Relay(program.sizes, memory, batch)
@@ -76,7 +72,7 @@ class Pipeline:
         """Forget every current, membrane and spike."""
         self._relay.reset()
         if self.schedule.kept:
-            for window in self.windows:
+            for window in self._windows:
                 window.reset()
 
     def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
@@ -131,6 +127,16 @@ class Pipeline:
             spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
             recordings[window.layer.name] = Recording(current, membrane, spikes)
         return recordings
+
+
+def _windows(program: Program, schedule: Schedule, batch: int) -> list[Window]:
+    """A window for each layer; they share the memory that is needed only for a moment."""
+    largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
+    scratch = Scratch(largest * np.dtype(np.float64).itemsize)
+    return [
+        Window(program, layer, schedule.timesteps, batch, schedule.kept, scratch)
+        for layer in program.layers
+    ]
 
 
 def _sources(layer: Layer) -> list[str]:

@@ -4,9 +4,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import TypeAlias
 
 from runtime import rules_of_layers, rules_of_networks, rules_of_nodes, rules_of_weights
-from runtime.artifact import Artifact
-from runtime.chip import Chip
-from runtime.design import Design, design
+from runtime.design import Design
 from runtime.errors import RuleError
 from runtime.ruling import Ruling
 
@@ -75,13 +73,11 @@ def judged(plan: Design, names: Collection[str] = RULES) -> list[Ruling]:
     return rulings
 
 
-def refuse(artifact: Artifact, chip: Chip, names: Collection[str] = RULES) -> None:
+def refuse(plan: Design, names: Collection[str] = RULES) -> None:
     """Refuse a network that breaks one of these rules of the chip, by the first that it breaks."""
-    if chip.limits is None:
-        return
-    for ruling in judged(design(artifact, chip, chip.limits), names):
+    for ruling in judged(plan, names):
         if ruling.failed:
             raise RuleError(
-                f"{ruling.describe(chip.name)} Or emulate the arithmetic alone with --limits off "
-                "(limits=False)."
+                f"{ruling.describe(plan.chip.name)} Or emulate the arithmetic alone with --limits "
+                "off (limits=False)."
             )

@@ -4,15 +4,46 @@ Taking is part of every inference and must be quick; counting is done for many a
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kernels import Window
 from runtime.ledger import EVENTS, Counts
 from runtime.program import Layer, Program
 from runtime.raster import Raster
+
+
+class Ran(Protocol):
+    """What a window shows of the layer that ran in it, as Window has it."""
+
+    @property
+    def layer(self) -> Layer:
+        """Whose window it is."""
+
+    @property
+    def states(self) -> NDArray[Any]:
+        """(T + 1, 2, B, N)."""
+
+    @property
+    def spikes(self) -> NDArray[np.bool_]:
+        """(T, B, N)."""
+
+    @property
+    def ordinary(self) -> bool:
+        """Whether it ran, and ran fast."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it let the window pass."""
+
+    @property
+    def interpreted(self) -> bool:
+        """Whether the interpreter ran it."""
+
+    @property
+    def overflows(self) -> Any:  # noqa: ANN401
+        """(B,) numbers that did not fit, where it was interpreted."""
 
 
 class Observation(NamedTuple):
@@ -37,7 +68,7 @@ class Tally:
     steps: chip timesteps that a window stands for, those in which a layer only waits included.
     """
 
-    def __init__(self, program: Program, windows: Sequence[Window], steps: int) -> None:
+    def __init__(self, program: Program, windows: Sequence[Ran], steps: int) -> None:
         self.steps = steps
         self.timesteps, self.batch, _ = windows[0].spikes.shape
         self._program, self._windows = program, windows
@@ -100,7 +131,7 @@ class Tally:
 class Busy:
     """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
 
-    def __init__(self, window: Window) -> None:
+    def __init__(self, window: Ran) -> None:
         self._window = window
         voltage_bias = window.layer.voltage_bias
         self._biased = voltage_bias != 0 if voltage_bias.any() else None

@@ -6,19 +6,21 @@ calls per timestep, for all layers at once.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from itertools import count, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.advance import Advance
 from runtime.bounds import bounds
+from runtime.checks import proven
 from runtime.program import Layer, Program
 from runtime.synapses import EXACT_FLOAT32
 
-if TYPE_CHECKING:
-    from runtime.kernels import Window
+Floats = NDArray[np.float64]
+Bits = NDArray[np.bool_]
 
 # timesteps that are computed between two matrix products: fewer make more products, more let the
 # layers start later
@@ -31,19 +33,33 @@ LARGEST = 50_000
 SHORTEST = 4 * CHUNK
 
 
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """The window of one layer, a view of the stack; with what a Tally asks a Window.
+
+    states: (T + 1, 2, 1, N).
+    spikes: (T, 1, N).
+    """
+
+    layer: Layer
+    states: Floats
+    spikes: Bits
+    ordinary: bool = True
+    waiting: bool = False
+    interpreted: bool = False
+    overflows: int = 0
+
+
 class Wave:
     """All layers of a program in one stack, for windows of T timesteps of one copy.
 
-    windows: of the layers; what they hold becomes a view of the stack.
+    windows: of the layers.
     """
 
-    def __init__(self, program: Program, windows: "Sequence[Window]", timesteps: int) -> None:
+    def __init__(self, program: Program, timesteps: int) -> None:
         layers, width = program.layers, program.width
-        sizes = [layer.size for layer in layers]
-        ends = np.cumsum(sizes)
-        self._places = [
-            slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True)
-        ]
+        ends = [0, *np.cumsum([layer.size for layer in layers]).tolist()]
+        self._places = [slice(*edges) for edges in pairwise(ends)]
         self._chunks = -(-timesteps // CHUNK) + len(layers) - 1
         rows, neurons = self._chunks * CHUNK, ends[-1]
         # a chunk of rows earlier than the others comes what the input did
@@ -58,10 +74,14 @@ class Wave:
         stack = _stacked(layers)
         spikes = self._fired[CHUNK:, None, width:]
         self._advance = Advance(program, stack, self._states, self._drive, spikes, kept=False)
-        for k, (window, place) in enumerate(zip(windows, self._places, strict=True)):
-            start = k * CHUNK
-            window.states = self._states[start : start + timesteps + 1, :, :, place]
-            window.spikes = spikes[start : start + timesteps, :, place]
+        self.windows = [
+            Strip(
+                layer,
+                self._states[start : start + timesteps + 1, :, :, place],
+                spikes[start : start + timesteps, :, place],
+            )
+            for layer, place, start in zip(layers, self._places, count(0, CHUNK), strict=False)
+        ]
 
     def run(self, rows: NDArray[Any]) -> None:
         """Fill the windows, given the spikes of the input (T, 1, M)."""
@@ -99,8 +119,11 @@ def suits(program: Program, timesteps: int, batch: int) -> bool:
     if not chained or late or not last or (program.readout and program.readout.lag):
         return False
     one = 1 << fixed.mantissa_shift
-    limits = [bounds(program, layer, fixed, timesteps) for layer in layers]
-    return all(limit.partial * one < EXACT_FLOAT32 for limit in limits)
+    return all(
+        proven(program, layer, fixed, timesteps)
+        and bounds(program, layer, fixed, timesteps).partial * one < EXACT_FLOAT32
+        for layer in layers
+    )
 
 
 def _block(

@@ -84,7 +84,11 @@ def test_an_impossible_width_is_refused():
     ("weight", "threshold", "message"),
     [
         # 127 / 1e-3 * 1e36 > 3.4e38
-        (1e-3, 1e36, "rule state-bits: layer 'n2': threshold 1e.36 is 1.27e.41 beside .* whole"),
+        (
+            1e-3,
+            1e36,
+            "rule threshold-range: layer 'n2': threshold 1e.36 is 1.27e.41 beside .* whole",
+        ),
         (1e-310, 1.0, "rule weight-bits: layer 'n2': the largest weight is 1e-310"),
     ],
 )

@@ -386,8 +386,8 @@ def test_every_rule_is_documented():
 
 
 COMPILER = [
-    "compile", "headroom", "linear", "program", "quantize", "quantize_xylo", "step_quantize",
-    "step_rules", "wiring", "xylo_layers",
+    "compile", "float_quantize", "headroom", "linear", "program", "quantize", "quantize_xylo",
+    "step_quantize", "step_rules", "wiring", "xylo_layers",
 ]  # fmt: skip
 
 
