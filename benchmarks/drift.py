@@ -34,20 +34,20 @@ from benchmarks.drift_page import (
     section,
     summary,
 )
-from envs.rollout import rollout
-from runtime.activity import chip_activity
-from runtime.artifact import Artifact, load
-from runtime.calibration import tuned
-from runtime.chip import Chip, chip
-from runtime.compile import compile
-from runtime.controllers import SpikingController
-from runtime.drift import drift
-from runtime.errors import RuleError
-from runtime.quantisation import Quantisation
+from spikedeploy.envs.rollout import rollout
 from spikedeploy.inputs import observed
-from spikedeploy.policies import Candidate, find
+from spikedeploy.make_env import made
+from spikedeploy.policies.policies import Candidate, find
+from spikedeploy.runtime.analysis.activity import chip_activity
+from spikedeploy.runtime.analysis.calibration import tuned
+from spikedeploy.runtime.analysis.drift import drift
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import RuleError
 from spikedeploy.seeds import EVALUATION, VALIDATION
-from spikedeploy.worlds import made
 
 POLICIES = "hexapod/popsan,kart-grid/snn,kart-gazebo/snn,kart-steer/snn"
 PLAYED = 4  # episodes from which observations come
@@ -143,7 +143,9 @@ def room(of: Subject) -> list[list[str]]:
     rows = []
     for granularity in ("layer", "channel"):
         plain, proven = (
-            compile(of.artifact, chip("loihi1"), Quantisation(granularity, headroom=headroom))
+            compile_program(
+                of.artifact, chip("loihi1"), Quantisation(granularity, headroom=headroom)
+            )
             for headroom in ("none", "proven")
         )
         lost = sum(chip_activity(plain, of.measuring.raster).saturations.values())

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.artifact import Artifact
-from runtime.drift import Drift
-from spikedeploy import drift_tables
+from spikedeploy.comparison.statistics import paired_difference
 from spikedeploy.inputs import Inputs
-from spikedeploy.policies import Candidate
-from spikedeploy.statistics import paired_difference
+from spikedeploy.policies.policies import Candidate
+from spikedeploy.reports import drift_tables
+from spikedeploy.runtime.analysis.drift import Drift
+from spikedeploy.runtime.artifact.artifact import Artifact
 
 BITS = (8, 6, 4, 2)
 FEW = 16  # thresholds that nengo-loihi lets a core hold
@@ -38,7 +38,7 @@ Written by `{command}`, which is what every number here comes from.
 Distance is van Rossum's (time constant 5 timesteps, mean over inferences and neurons), in which a
 spike more or less is 0.5; the float twin is 0. The chip is `loihi1`, with fewer stored bits of a
 weight where the table says so. Tuned ways clip the largest weights and shift thresholds as
-`runtime/calibration.py` finds best on other episodes. What was learnt from these tables stands in
+`runtime/analysis/calibration.py` finds best on other episodes. What was learnt stands in
 [docs/quantisation.md](../docs/quantisation.md#what-it-costs).
 
 ## All policies

@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.sanafe_networks import NETWORKS, program, run, scattered, simulated
-from runtime.energy import TABLES, energy, latency
-from runtime.layout import Layout, one_core_each
-from runtime.program import Program
-from runtime.traffic import traffic
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
+from spikedeploy.runtime.metrics.traffic import Layout, one_core_each, traffic
 
 TABLE = TABLES["sanafe"]
 LAYOUTS = {

@@ -23,7 +23,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import envs
+from spikedeploy import envs
 
 KARTS = tuple(name for name in envs.ENVS if name.startswith("kart"))
 Measure = Callable[[], float]
@@ -67,11 +67,11 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> Measure:
     """What collects experience as PPO does, untrained, and gives its steps per second."""
     import torch
 
-    from trainers.config import resolve
-    from trainers.episode_log import EpisodeLog
-    from trainers.ppo import Ppo
-    from trainers.ppo_config import PpoConfig
-    from trainers.run_folder import RunFolder
+    from spikedeploy.trainers.config import resolve
+    from spikedeploy.trainers.episode_log import EpisodeLog
+    from spikedeploy.trainers.ppo import Ppo
+    from spikedeploy.trainers.ppo_config import PpoConfig
+    from spikedeploy.trainers.run_folder import RunFolder
 
     torch.set_num_threads(1)
     folder = Path(tempfile.mkdtemp())

@@ -7,15 +7,17 @@ from pathlib import Path
 import nir
 import numpy as np
 
-import envs
-from runtime.artifact import Artifact, save
-from runtime.codec import Codec, Normaliser, PopulationEncoder
-from runtime.convention import Convention
-from runtime.origin import Origin
-from runtime.rate import RateEncoder
+from spikedeploy import envs
+from spikedeploy.runtime.artifact.artifact import Artifact, save
+from spikedeploy.runtime.codec.codec import Codec, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.metadata import Provenance
 
 TWO = np.array([2, 2])
-ORIGIN = Origin("spikedeploy/Hexapod-v0", "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z")
+ORIGIN = Provenance(
+    "spikedeploy/Hexapod-v0", "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z"
+)
 
 
 def write_corpus(folder: Path) -> list[Path]:
@@ -36,7 +38,7 @@ def write_corpus(folder: Path) -> list[Path]:
     traces = {name: loihi_trace(name) for name in ("lava", "brian2", "nengo", "loihi2")}
     for name, trace in {**traces, "xylo": xylo_trace()}.items():
         (folder / f"{name}.json").write_text(json.dumps(trace))
-    track = Path(envs.__file__).parent / "tracks" / "small_S.json"
+    track = Path(envs.__file__).parent / "kart" / "tracks" / "small_S.json"
     (folder / "track.json").write_bytes(track.read_bytes())
     np.save(folder / "raster.npy", np.eye(4, dtype=np.uint8))
     np.savez_compressed(folder / "rasters.npz", a=np.eye(2), b=np.ones((2, 1, 2)))

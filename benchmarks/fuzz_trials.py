@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from envs import track
-from envs.errors import EnvError
-from runtime.artifact import Artifact, load, save
-from runtime.check import check
-from runtime.chip import CHIPS, chip
-from runtime.compile import compile
-from runtime.errors import ConventionError, SpikedeployError
-from runtime.ports import ports
-from runtime.presets import PRESETS
-from runtime.quantisation import PLAIN, Quantisation
-from runtime.verify import verify
 from spikedeploy.emulate import played
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart import track
 from spikedeploy.rasters import read_rasters
+from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.artifact.presets.preset import PRESETS
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.compiler.check import check
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConventionError, SpikedeployError
+from spikedeploy.runtime.graph.ports import ports
+from spikedeploy.runtime.traces.verify import verify
 
 TIMESTEPS = 3
 # no fast kernels compute these: their machine is the interpreter
@@ -97,7 +97,7 @@ def _judged(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
     for name in CHIPS:
         check(artifact, chip(name))
         with suppress(*OURS):
-            compile(artifact, chip(name), quantisation, limits=False)
+            compile_program(artifact, chip(name), quantisation, limits=False)
 
 
 def _read_like(path: Path, _: Artifact, rng: np.random.Generator) -> None:

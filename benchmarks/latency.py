@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from snntorch import Synaptic
 from torch import Tensor, nn
 
-import envs
 import spikedeploy.zoo
-from runtime.artifact import Artifact, load
-from runtime.chip import chip
-from runtime.codec import Codec, PopulationEncoder
-from runtime.controllers import SpikingController
-from runtime.discrete import discretise
-from runtime.errors import ArtifactError
+from spikedeploy import envs
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec, PopulationEncoder
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.neurons import discretise
 
 SHIPPED = Path(spikedeploy.zoo.__file__).parent / "hexapod" / "popsan.nir"
 STEPS = 200  # of the walk, and inferences in each round

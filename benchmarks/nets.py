@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.chip import chip
-from runtime.convention import Convention
-from runtime.interpreter import trace
-from runtime.population import PopulationEncoder
-from runtime.program import Layer, Program, Synapses
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.population import PopulationEncoder
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.interpreter import trace
 
 Raster = NDArray[np.uint8]
 
@@ -95,7 +95,7 @@ def widened(net: Net, times: int, seed: int = 1) -> Net:
         neurons = weight.shape[1] * (times if k < len(net.weights) - 1 else 1)
         wide = rng.integers(-3, 4, (inputs, neurons)).astype(np.int16)
         wide[: weight.shape[0], : weight.shape[1]] = weight
-        keeps = (int(old.current_keep[0]), int(old.membrane_keep[0]))
+        keeps = (int(old.current_decay[0]), int(old.membrane_decay[0]))
         made = layer(k + 1, wide, keeps, top)
         made.threshold[: weight.shape[1]] = old.threshold
         weights.append(wide)
@@ -112,8 +112,8 @@ def layer(k: int, weight: NDArray[Any], keeps: tuple[int, int], threshold: int) 
         bias=0 * ones,
         voltage_bias=0 * ones,
         threshold=_between(threshold) * ones,
-        current_keep=keeps[0] * ones,
-        membrane_keep=keeps[1] * ones,
+        current_decay=keeps[0] * ones,
+        membrane_decay=keeps[1] * ones,
         scale=1.0,
         start=k,
     )

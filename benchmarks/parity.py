@@ -16,14 +16,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-import envs
 import spikedeploy.zoo
-from envs.rollout import rollout
-from exporters.from_nir import from_nir
-from exporters.parity import check
-from runtime.artifact import load
-from runtime.controllers import SpikingController
-from runtime.errors import ArtifactError
+from spikedeploy import envs
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters.from_nir import from_nir
+from spikedeploy.exporters.parity import check
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ArtifactError
 
 SHIPPED = sorted(Path(spikedeploy.zoo.__file__).parent.glob("*/*.nir"))
 SEED = 5_000  # of the first walk; evaluation begins at 10,000

@@ -29,12 +29,12 @@ import torch
 
 from benchmarks.nets import SHIFT, Net, Raster, bernoulli, encoded, kart, popsan, widened
 from benchmarks.peers import peers
-from runtime.bounds import bounds
-from runtime.interpreter import trace
-from runtime.machine import Machine
-from runtime.machine_pool import MachinePool
-from runtime.scratch import Scratch
-from runtime.synapses import gathering
+from spikedeploy.runtime.emulator.controllers import MachinePool
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.raster import Scratch
+from spikedeploy.runtime.families.cuba.bounds import bounds
+from spikedeploy.runtime.families.cuba_numpy.sums import gathering
 
 INPUTS = 20  # rasters of a round at batch 1
 Act = Callable[[], Any]
@@ -164,7 +164,7 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
 def gatherer(net: Net, raster: Raster) -> Machine:
     """A NumPy machine whose layers, one by one, fetch the weights of spikes and nothing else."""
     machine = Machine(net.program, 1, "none")
-    with patch("runtime.pipeline.suits", return_value=False):
+    with patch("spikedeploy.runtime.families.cuba_numpy.pipeline.suits", return_value=False):
         machine.infer(raster)
     fixed = net.program.chip.fixed
     for window, layer in zip(machine._pipeline.windows, net.program.layers, strict=True):
@@ -180,8 +180,8 @@ def memory(net: Net, raster: Raster, speeds: Times) -> Times:
     """Bytes that an inference of the compiled kernels touches, and how long that takes at least."""
     raster = raster[:INPUTS]
     traces = trace(net.program, raster)
-    heard = [raster, *(traces[a.name].spikes for a in net.program.layers)][: len(net.weights)]
-    spikes = [float(rows.sum()) / len(raster) for rows in heard]
+    presynaptic = [raster, *(traces[a.name].spikes for a in net.program.layers)][: len(net.weights)]
+    spikes = [float(rows.sum()) / len(raster) for rows in presynaptic]
     # these weights fit 8 bits
     weights = sum(n * w.shape[1] for n, w in zip(spikes, net.weights, strict=True))
     neurons = sum(w.shape[1] for w in net.weights) * net.timesteps * NEURON_BYTES

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.chip import chip
-from runtime.convention import Convention
-from runtime.layout import Layout
-from runtime.ledger import Ledger
-from runtime.machine import Machine
-from runtime.program import Layer, Program, Synapses
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.metrics.traffic import Layout
 
 Weights = NDArray[Any]
 CHIP = chip("loihi1")
@@ -49,8 +49,8 @@ def program(case: str, seed: int) -> Program:
                 bias=0 * ones,
                 voltage_bias=(bias << 6) * (rng.random(size) < 0.2),
                 threshold=(threshold << 6) * ones,
-                current_keep=current * ones,
-                membrane_keep=membrane * ones,
+                current_decay=current * ones,
+                membrane_decay=membrane * ones,
                 scale=1.0,
                 start=0,
             )
@@ -108,8 +108,8 @@ def neurons(net: Any, layer: Layer) -> Any:  # noqa: ANN401
         "threshold": float(layer.threshold[0] / 64),
         "reset_mode": "hard",
         "reset": 0.0,
-        "leak_decay": float(layer.membrane_keep[0] / 4096),
-        "input_decay": float(layer.current_keep[0] / 4096),
+        "leak_decay": float(layer.membrane_decay[0] / 4096),
+        "input_decay": float(layer.current_decay[0] / 4096),
     }
     group = net.create_neuron_group(
         layer.name,

@@ -46,7 +46,7 @@ from typing import Any
 
 import gymnasium
 
-from envs.errors import EnvError
+from spikedeploy.envs.errors import EnvError
 
 # drawing karts needs pygame, which would greet everybody on stdout
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -91,35 +91,35 @@ ENVS: dict[str, EnvSpec] = {
         EnvSpec(
             "hexapod",
             "spikedeploy/Hexapod-v0",
-            "envs.hexapod:HexapodEnv",
+            "spikedeploy.envs.hexapod.env:HexapodEnv",
             "walk straight ahead at 0.4 m/s over 3 cm bumps",
             controls=("gait",),
         ),
         EnvSpec(
             "hexapod-command",
             "spikedeploy/HexapodCommand-v0",
-            "envs.hexapod_command:HexapodCommandEnv",
+            "spikedeploy.envs.hexapod.command:HexapodCommandEnv",
             "follow commanded speed and turn rate over 5-9 cm bumps",
             controls=("gait",),
         ),
         EnvSpec(
             "kart-grid",
             "spikedeploy/KartGrid-v0",
-            "envs.kart_grid:KartGridEnv",
+            "spikedeploy.envs.kart.grid:KartGridEnv",
             "race a kart that is pushed up, down, left and right",
             controls=("random", "gap"),
         ),
         EnvSpec(
             "kart-gazebo",
             "spikedeploy/KartGazebo-v0",
-            "envs.kart_gazebo:KartGazeboEnv",
+            "spikedeploy.envs.kart.gazebo:KartGazeboEnv",
             "race a kart that either drives or turns",
             controls=("random", "gap"),
         ),
         EnvSpec(
             "kart-steer",
             "spikedeploy/KartSteer-v0",
-            "envs.kart_steer:KartSteerEnv",
+            "spikedeploy.envs.kart.steer:KartSteerEnv",
             "race a kart with throttle, brake and steering",
             controls=("random", "gap"),
         ),

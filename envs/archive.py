@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.errors import EnvError
+from spikedeploy.envs.errors import EnvError
 
 
 def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.errors import EnvError
-from envs.robot import Robot
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.hexapod.robot import Robot
 
 WIDTH, HEIGHT = 640, 480  # [pixels]
 
@@ -61,7 +61,7 @@ class Camera:
         self._gl.free()
 
 
-class Window:
+class CameraWindow:
     """MuJoCo's viewer, kept to real time."""
 
     def __init__(self, subject: Robot, period: float) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.errors import EnvError
-from envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.ghosts import Ghost, Ghosts
 
 POSE = ("x", "y", "heading", "speed")
 

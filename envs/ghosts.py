@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs import archive
-from envs.errors import EnvError
-from envs.rollout import Rollout
+from spikedeploy.envs import archive
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.rollout import Rollout
 
 VERSION = 1  # of the file's layout
 UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # of x, y, heading and speed in the file

@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.robot import STANCE
+from spikedeploy.envs.hexapod.robot import STANCE
 
 FloatArray = NDArray[np.float64]
 
 LIMIT = 10.0  # observations saturate here, as a sensor does
 
 
-class Entry(NamedTuple):
+class ObservationEntry(NamedTuple):
     """Consecutive values of an observation; each is (measured - centre) / spread.
 
     name    key in the environment's OBSERVATION
@@ -31,26 +31,26 @@ class Entry(NamedTuple):
 
 
 BODY = (
-    Entry("height", 1, 0.097, 0.03),  # [m] of the torso above the mean ground around it
-    Entry("gravity", 3, 0.0, (0.3, 0.3, 1.0)),  # [1] in the body's frame
-    Entry("heading", 1, 0.0, 1.0),  # [rad] from the course
-    Entry("velocity", 3, 0.0, 0.5),  # [m/s] in the body's frame
-    Entry("angular_velocity", 3, 0.0, 1.0),  # [rad/s] in the body's frame
-    Entry("joints", 18, STANCE, 0.6),  # [rad] leg after leg: coxa, femur, tibia
-    Entry("joint_velocity", 18, 0.0, 3.0),  # [rad/s]
-    Entry("previous", 18, 0.0, 1.0),  # [action unit] last filtered command
-    Entry("contact", 6, 0.0, 1.0),  # [1] feet on the ground
-    Entry("phase", 2, 0.0, 1.0),  # [1] sine and cosine of the gait
+    ObservationEntry("height", 1, 0.097, 0.03),  # [m] of the torso above the mean ground around it
+    ObservationEntry("gravity", 3, 0.0, (0.3, 0.3, 1.0)),  # [1] in the body's frame
+    ObservationEntry("heading", 1, 0.0, 1.0),  # [rad] from the course
+    ObservationEntry("velocity", 3, 0.0, 0.5),  # [m/s] in the body's frame
+    ObservationEntry("angular_velocity", 3, 0.0, 1.0),  # [rad/s] in the body's frame
+    ObservationEntry("joints", 18, STANCE, 0.6),  # [rad] leg after leg: coxa, femur, tibia
+    ObservationEntry("joint_velocity", 18, 0.0, 3.0),  # [rad/s]
+    ObservationEntry("previous", 18, 0.0, 1.0),  # [action unit] last filtered command
+    ObservationEntry("contact", 6, 0.0, 1.0),  # [1] feet on the ground
+    ObservationEntry("phase", 2, 0.0, 1.0),  # [1] sine and cosine of the gait
 )
 COURSE = (
-    Entry("speed", 1, 0.0, 0.4),  # [m/s] smoothed, along the course
-    Entry("lateral", 1, 0.0, 1.0),  # [m] off the course, left positive
-    Entry("lateral_velocity", 1, 0.0, 0.5),  # [m/s]
+    ObservationEntry("speed", 1, 0.0, 0.4),  # [m/s] smoothed, along the course
+    ObservationEntry("lateral", 1, 0.0, 1.0),  # [m] off the course, left positive
+    ObservationEntry("lateral_velocity", 1, 0.0, 0.5),  # [m/s]
 )
-LOAD = Entry("load", 1, 0.0, 24.0)  # [N] all feet together
+LOAD = ObservationEntry("load", 1, 0.0, 24.0)  # [N] all feet together
 
 
-def layout(entries: Sequence[Entry]) -> dict[str, slice]:
+def layout(entries: Sequence[ObservationEntry]) -> dict[str, slice]:
     """Name of each entry -> its place in the observation."""
     places, end = {}, 0
     for entry in entries:
@@ -59,7 +59,7 @@ def layout(entries: Sequence[Entry]) -> dict[str, slice]:
     return places
 
 
-def scaling(entries: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
+def scaling(entries: Sequence[ObservationEntry]) -> tuple[FloatArray, FloatArray]:
     """Centre (obs,) and spread (obs,) of every value."""
     centres = [np.broadcast_to(entry.centre, entry.size) for entry in entries]
     spreads = [np.broadcast_to(entry.spread, entry.size) for entry in entries]

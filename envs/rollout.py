@@ -12,8 +12,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from envs import archive
-from envs.errors import EnvError
+from spikedeploy.envs import archive
+from spikedeploy.envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -110,7 +110,7 @@ class Rollout:
         )
 
 
-class Take:
+class EpisodeRecorder:
     """An episode that is under way, for those who step it at their own pace.
 
     observation  (obs,) the newest
@@ -179,7 +179,7 @@ def rollout(
     frame_every: int = 1,
 ) -> Rollout:
     """Run one episode; on_frame is given a picture (H, W, 3) at reset and every so many steps."""
-    take = Take(env, seed)
+    take = EpisodeRecorder(env, seed)
     controller.reset(seed)
     _show(env, on_frame)
     while not take.over:

@@ -9,11 +9,11 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
-from runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 EXPORTERS = {
-    "nir": "exporters.to_nir:to_nir",
-    "onnx": "exporters.to_onnx:to_onnx",
+    "nir": "spikedeploy.exporters.to_nir:to_nir",
+    "onnx": "spikedeploy.exporters.to_onnx:to_onnx",
 }
 
 

@@ -10,7 +10,7 @@ BATCH = 250  # observations at a time: spikes of a PopSAN are a few kilobytes fo
 
 
 @dataclass(frozen=True)
-class Check:
+class ParityCheck:
     """One line of a parity report.
 
     name: what was compared

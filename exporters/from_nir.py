@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from exporters.to_nir import SpikingPolicy
-from runtime.artifact import Artifact, load
-from runtime.codec import Codec
-from runtime.discrete import SPIKING, discretise
-from runtime.errors import ArtifactError
-from runtime.population import PopulationEncoder
-from runtime.rate import RateEncoder
-from trainers.policies import PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.exporters.to_nir import SpikingPolicy
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.population import PopulationEncoder
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.neurons import SPIKING, discretise
+from spikedeploy.trainers.policies import PopsanPolicy, SpikingMlpPolicy
 
 DIGITS = 12  # of a decay; what dt / tau loses of it lies behind them
 

@@ -15,19 +15,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from exporters.check import Check, Gap, SpikeTally, batches
-from exporters.raster import raster as heard
-from exporters.to_nir import SpikingPolicy
-from runtime.artifact import Artifact, load
-from runtime.chip import chip
-from runtime.codec import Codec
-from runtime.compile import compile as compiled
-from runtime.errors import ArtifactError, ConfigError
-from runtime.float_graph import FloatGraph
-from runtime.machine import Machine
-from runtime.program import Program
-from runtime.xorshift import Xorshift
-from trainers.policies import Policy, PopsanPolicy
+from spikedeploy.exporters.check import Gap, ParityCheck, SpikeTally, batches
+from spikedeploy.exporters.raster import raster as presynaptic
+from spikedeploy.exporters.to_nir import SpikingPolicy
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.trainers.policies import Policy, PopsanPolicy
 
 TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in another order
 
@@ -62,17 +62,17 @@ class _Rung:
         if one.choices is not None and other.choices is not None:
             self.choices.add({"choice": one.choices}, {"choice": other.choices})
 
-    def checks(self, name: str) -> list[Check]:
+    def checks(self, name: str) -> list[ParityCheck]:
         gap = f"largest difference {self.actions.largest:.1e}, limit {TOLERANCE:.0e}"
-        spikes = Check(f"spikes: {name}", not self.spikes.differing, str(self.spikes))
+        spikes = ParityCheck(f"spikes: {name}", not self.spikes.differing, str(self.spikes))
         within = self.actions.within(TOLERANCE)
         if not self.choices.compared:
-            return [spikes, Check(f"actions: {name}", within, gap)]
-        chosen = Check(f"choices: {name}", not self.choices.differing, str(self.choices))
-        return [spikes, Check(f"scores: {name}", within, gap), chosen]
+            return [spikes, ParityCheck(f"actions: {name}", within, gap)]
+        chosen = ParityCheck(f"choices: {name}", not self.choices.differing, str(self.choices))
+        return [spikes, ParityCheck(f"scores: {name}", within, gap), chosen]
 
 
-def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[Check]:
+def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
     if not isinstance(policy, SpikingPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
@@ -94,12 +94,12 @@ def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) ->
     ]
 
 
-def _report(rung: _Rung) -> Check:
+def _report(rung: _Rung) -> ParityCheck:
     """Say how far float32 is away; nothing that it must reach."""
     detail = f"{rung.spikes}; largest difference of an action {rung.actions.largest:.1e}"
     if rung.choices.compared:
         detail += f"; choices: {rung.choices}"
-    return Check("for information: torch float32 against NumPy float64", True, detail)
+    return ParityCheck("for information: torch float32 against NumPy float64", True, detail)
 
 
 def _codec(artifact: Artifact, path: Path) -> Codec:
@@ -114,12 +114,12 @@ def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
         spikes = policy.trace(observation)
         action = spikes.pop("action")
         return _Outcome(_arrays(spikes), _numbers(action), None)
-    spoken = heard(policy, observation, Xorshift(0, policy.observations).draw)
+    spoken = presynaptic(policy, observation, Xorshift(0, policy.observations).draw)
     spikes = policy.trace(observation, spoken.transpose(0, 1))
     action = spikes.pop("action")
     if policy.head == "continuous":
         return _Outcome(_arrays(spikes), _numbers(action), None)
-    return _Outcome(_arrays(spikes), _numbers(policy.heard(spoken).mean), action.numpy())
+    return _Outcome(_arrays(spikes), _numbers(policy.presynaptic(spoken).mean), action.numpy())
 
 
 def _arrays(tensors: Mapping[str, torch.Tensor]) -> Spikes:

@@ -40,7 +40,7 @@ class OnnxGraph:
         place = self.constant(f"{name}_index", [index])
         return self.node("Gather", [OBSERVATION, place], name, axis=1)
 
-    def heard(self, name: str, width: int) -> None:
+    def presynaptic(self, name: str, width: int) -> None:
         """Put out (B, width), what a weight matrix hears, too: its operations depend on it."""
         self._heard.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width]))
 

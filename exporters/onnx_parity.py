@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from exporters.check import Check, Gap, batches
-from exporters.onnx_graph import OBSERVATION, OUTPUTS
-from trainers.onnx_session import session
-from trainers.policies import Policy
+from spikedeploy.exporters.check import Gap, ParityCheck, batches
+from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS
+from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.policies import Policy
 
 # of an action in [-1, 1], or of the largest logit: float32 sums in another order
 TOLERANCE = 1e-5
@@ -20,7 +20,7 @@ ALONE = 100  # observations that are also given one at a time, as a robot does
 Single = NDArray[np.float32]
 
 
-def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[Check]:
+def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
     single = deepcopy(policy).float()
     network = session(path)
@@ -36,9 +36,9 @@ def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     ]
 
 
-def _check(name: str, gap: Gap, count: int) -> Check:
+def _check(name: str, gap: Gap, count: int) -> ParityCheck:
     detail = f"{count:,} observations, largest difference {gap.largest:.1e}, limit {TOLERANCE:.0e}"
-    return Check(name, gap.within(TOLERANCE), detail)
+    return ParityCheck(name, gap.within(TOLERANCE), detail)
 
 
 def _compare(gap: Gap, network: Any, policy: Policy, observation: NDArray[np.float64]) -> None:  # noqa: ANN401

@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exporters.check import Check
-from exporters.nir_parity import nir_checks
-from exporters.onnx_parity import onnx_checks
-from runtime.errors import ConfigError, ObservationError
-from trainers.policies import Policy
+from spikedeploy.exporters.check import ParityCheck
+from spikedeploy.exporters.nir_parity import nir_checks
+from spikedeploy.exporters.onnx_parity import onnx_checks
+from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.trainers.policies import Policy
 
-__all__ = ["CHECKS", "Check", "check"]
+__all__ = ["CHECKS", "ParityCheck", "check"]
 
-Checks = Callable[[Policy, Path, NDArray[np.float64]], list[Check]]
+Checks = Callable[[Policy, Path, NDArray[np.float64]], list[ParityCheck]]
 
 CHECKS: dict[str, Checks] = {".nir": nir_checks, ".onnx": onnx_checks}
 
 
-def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[Check]:
+def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[ParityCheck]:
     """Return what comparing the file with the policy on observations (n, obs) has shown."""
     path = Path(path)
     if path.suffix not in CHECKS:

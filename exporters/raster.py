@@ -7,19 +7,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from trainers.policies import SpikingMlpPolicy
-from trainers.rate import RateEncoder
+from spikedeploy.trainers.policies import SpikingMlpPolicy
+from spikedeploy.trainers.rate import TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 Dice = Callable[[int, int], NDArray[np.uint8]]
 
 
-def raster(policy: SpikingMlpPolicy, observation: Tensor, dice: Dice) -> Tensor:
+def raster(policy: SpikingMlpPolicy, observation: Tensor, rng: Dice) -> Tensor:
     """Return the input spikes (T, B, M) for the observations (B, obs)."""
     encoder = policy.encoder
-    if not (isinstance(encoder, RateEncoder) and encoder.mode == "bernoulli"):
+    if not (isinstance(encoder, TorchRateEncoder) and encoder.mode == "bernoulli"):
         return policy.encode(observation)
-    drawn = torch.from_numpy(dice(len(observation), policy.timesteps))
+    drawn = torch.from_numpy(rng(len(observation), policy.timesteps))
     # s[t] = byte[t] < n
     spikes = drawn.transpose(0, 1) < encoder.levels(policy.normalizer(observation))
     return spikes.to(observation.dtype)

@@ -16,14 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from runtime.artifact import Artifact, save
-from runtime.codec import Codec, Encoder, Normaliser, PopulationEncoder, RateEncoder
-from runtime.convention import Convention, State
-from runtime.errors import ConfigError
-from runtime.origin import Origin
-from trainers.encoder import PopulationEncoder as TrainedPopulations
-from trainers.policies import Policy, PopsanPolicy, SpikingMlpPolicy
-from trainers.rate import RateEncoder as TrainedRates
+from spikedeploy.runtime.artifact.artifact import Artifact, save
+from spikedeploy.runtime.codec.codec import (
+    Codec,
+    Encoder,
+    Normaliser,
+    PopulationEncoder,
+    RateEncoder,
+)
+from spikedeploy.runtime.convention import Convention, State
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.encoder import TorchPopulationEncoder as TrainedPopulations
+from spikedeploy.trainers.policies import Policy, PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.trainers.rate import TorchRateEncoder as TrainedRates
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 
@@ -34,7 +40,7 @@ Array = NDArray[np.float64]
 
 def to_nir(
     policy: Policy,
-    origin: Origin,
+    origin: Provenance,
     path: str | Path,
     dt: float = DT,
     state: State = "reset",
@@ -48,7 +54,9 @@ def to_nir(
     return path
 
 
-def artifact(policy: Policy, origin: Origin, dt: float = DT, state: State = "reset") -> Artifact:
+def artifact(
+    policy: Policy, origin: Provenance, dt: float = DT, state: State = "reset"
+) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
     # deployment computes what the float32 weights mean, not what float32 arithmetic makes of them
     precise = deepcopy(spiking(policy)).double()

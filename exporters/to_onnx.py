@@ -16,17 +16,17 @@ import onnx
 from numpy.typing import NDArray
 from torch import Tensor
 
-from exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
-from runtime.errors import ConfigError
-from runtime.origin import Origin
-from trainers.atomic import replacing
-from trainers.features import Features
-from trainers.policies import MlpPolicy, Policy
+from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.features import Features
+from spikedeploy.trainers.policies import MlpPolicy, Policy
 
 KINDS = ("ann", "control")
 
 
-def to_onnx(policy: Policy, origin: Origin, path: str | Path, kind: str = "ann") -> Path:
+def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
     """Write the policy to `path` and return it; `kind` says what comparisons call it."""
     if not isinstance(policy, MlpPolicy):
         raise ConfigError(
@@ -47,7 +47,7 @@ def macs(policy: MlpPolicy) -> int:
     return sum(layer.get_parameter("weight").numel() for layer in policy.layers)
 
 
-def _model(policy: MlpPolicy, origin: Origin, name: str, kind: str) -> onnx.ModelProto:
+def _model(policy: MlpPolicy, origin: Provenance, name: str, kind: str) -> onnx.ModelProto:
     graph = OnnxGraph()
     _layers(graph, policy, _normalised(graph, policy, _features(graph, policy.features)))
     properties = {
@@ -118,7 +118,7 @@ def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
     """Add the network, up to its output."""
     for number, layer in enumerate(policy.layers, start=1):
         weight = graph.constant(f"weight{number}", _array(layer.get_parameter("weight")))
-        graph.heard(hidden, layer.get_parameter("weight").shape[1])
+        graph.presynaptic(hidden, layer.get_parameter("weight").shape[1])
         bias = graph.constant(f"bias{number}", _array(layer.get_parameter("bias")))
         hidden = graph.node("Gemm", [hidden, weight, bias], f"affine{number}", transB=1)
         if number < len(policy.layers):

@@ -8,25 +8,25 @@ from importlib import import_module
 
 EXPORTS = {
     # the file
-    "Artifact": "runtime.artifact:Artifact",
-    "Codec": "runtime.codec:Codec",
-    "Convention": "runtime.convention:Convention",
-    "FloatGraph": "runtime.float_graph:FloatGraph",
-    "Normaliser": "runtime.codec:Normaliser",
-    "Origin": "runtime.origin:Origin",
-    "PRESETS": "runtime.presets:PRESETS",
-    "PopulationEncoder": "runtime.population:PopulationEncoder",
-    "RateEncoder": "runtime.rate:RateEncoder",
-    "load": "runtime.artifact:load",
-    "save": "runtime.artifact:save",
+    "Artifact": "spikedeploy.runtime.artifact.artifact:Artifact",
+    "Codec": "spikedeploy.runtime.codec.codec:Codec",
+    "Convention": "spikedeploy.runtime.convention:Convention",
+    "FloatGraph": "spikedeploy.runtime.float_model.graph:FloatGraph",
+    "Normaliser": "spikedeploy.runtime.codec.codec:Normaliser",
+    "Origin": "spikedeploy.runtime.metadata:Provenance",
+    "PRESETS": "spikedeploy.runtime.artifact.presets.preset:PRESETS",
+    "PopulationEncoder": "spikedeploy.runtime.codec.population:PopulationEncoder",
+    "RateEncoder": "spikedeploy.runtime.codec.rate:RateEncoder",
+    "load": "spikedeploy.runtime.artifact.artifact:load",
+    "save": "spikedeploy.runtime.artifact.artifact:save",
     # the chip
-    "CHIPS": "runtime.chip:CHIPS",
-    "Chip": "runtime.chip:Chip",
-    "EnergyTable": "runtime.energy:EnergyTable",
-    "Ledger": "runtime.ledger:Ledger",
-    "Machine": "runtime.machine:Machine",
-    "Program": "runtime.program:Program",
-    "SpikingController": "runtime.controllers:SpikingController",
+    "CHIPS": "spikedeploy.runtime.chips.chip:CHIPS",
+    "Chip": "spikedeploy.runtime.chips.chip:Chip",
+    "EnergyTable": "spikedeploy.runtime.metrics.energy:EnergyTable",
+    "Ledger": "spikedeploy.runtime.emulator.ledger:Ledger",
+    "Machine": "spikedeploy.runtime.emulator.machine:Machine",
+    "Program": "spikedeploy.runtime.compiler.program:Program",
+    "SpikingController": "spikedeploy.runtime.emulator.controllers:SpikingController",
 }
 
 __all__ = sorted(EXPORTS)

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast, get_args
 
-from runtime.errors import ConventionError
-from runtime.record import Record, Tree
+from spikedeploy.runtime.errors import ConventionError
+from spikedeploy.runtime.metadata import Record, Tree
 
 Reset = Literal["zero", "subtract"]
 Integrator = Literal["euler", "exponential"]

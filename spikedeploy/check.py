@@ -5,14 +5,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from runtime.artifact import Artifact, load
-from runtime.check import COMPILE, Check
-from runtime.check import check as judged
-from runtime.chip import CHIPS, chip
-from runtime.errors import ConfigError
-from runtime.rules import RULES
-from runtime.ruling import Ruling, Status
-from runtime.utilisation import of_mapping, of_placement
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.compiler.check import COMPILE, DesignCheck
+from spikedeploy.runtime.compiler.check import check as judged
+from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
+from spikedeploy.runtime.design_rules.result import RuleResult, Status
+from spikedeploy.runtime.design_rules.table import RULES
+from spikedeploy.runtime.errors import ConfigError
 
 ALL = "all"
 # what a rule says of a network, by the worst that it says of a node
@@ -31,7 +31,7 @@ class Report:
 
     file: str
     artifact: Artifact
-    checks: Sequence[Check]
+    checks: Sequence[DesignCheck]
     any_does: bool
 
     @property
@@ -64,18 +64,18 @@ def check(reference: str, chips: Sequence[str], **convention: Any) -> Report:  #
     return Report(reference, artifact, checks, ALL in chips)
 
 
-def statuses(found: Check) -> dict[str, Status]:
+def statuses(found: DesignCheck) -> dict[str, Status]:
     """Rule -> the worst that it says; rules that say nothing of this chip are not applicable."""
     return {rule: worst(found.of(rule)).status for rule in (*RULES, COMPILE)}
 
 
-def worst(rulings: Sequence[Ruling]) -> Ruling:
+def worst(rulings: Sequence[RuleResult]) -> RuleResult:
     """The first failure; else the fullest that passes, what is unknown, what does not apply."""
-    silent = Ruling("", None, "not applicable")
+    silent = RuleResult("", None, "not applicable")
     return min(rulings, key=_rank, default=silent)
 
 
-def _rank(ruling: Ruling) -> tuple[int, float]:
+def _rank(ruling: RuleResult) -> tuple[int, float]:
     found = ruling.found if isinstance(ruling.found, int | float) else 0.0
     return ORDER.index(ruling.status), 0.0 if ruling.failed else -found
 
@@ -94,7 +94,7 @@ def _path(reference: str) -> Path:
     return path
 
 
-def _chip(found: Check) -> dict[str, Any]:
+def _chip(found: DesignCheck) -> dict[str, Any]:
     limits = found.chip.limits
     placements = [
         {

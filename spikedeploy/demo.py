@@ -6,15 +6,15 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
-import envs
-from envs.errors import EnvError
-from spikedeploy import report, zoo
-from spikedeploy.compare import compare
-from spikedeploy.lineup import Entry, line_up
-from spikedeploy.policies import open_policy
+from spikedeploy import envs, zoo
+from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.lineup import Entry, line_up
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.policies.policies import open_policy
+from spikedeploy.reports import report
+from spikedeploy.reports.terminal import print_comparison, progress, say
 from spikedeploy.run import DEFAULT_CHIP
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.terminal import print_comparison, progress, say
 from spikedeploy.video import Frame, Pace, captioned, mp4, side_by_side
 
 FOLDER = Path("reports/demo")

@@ -14,7 +14,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """One line of the doctor's.
 
     name    what was looked at
@@ -27,34 +27,34 @@ class Finding:
     detail: str
 
 
-def examine() -> list[Finding]:
+def examine() -> list[DoctorFinding]:
     """Everything that is looked at, in order."""
     return [*_versions(), _threads(), _rendering(), *_policies()]
 
 
-def _versions() -> Iterator[Finding]:
-    yield Finding("spikedeploy", None, f"{own()} on Python {platform.python_version()}")
+def _versions() -> Iterator[DoctorFinding]:
+    yield DoctorFinding("spikedeploy", None, f"{own()} on Python {platform.python_version()}")
     for package in RUN:
         found = installed(package)
-        yield Finding(package, found is not None, found or 'missing: pip install "."')
+        yield DoctorFinding(package, found is not None, found or 'missing: pip install "."')
     for package in TRAIN:
         missing = 'not installed: pip install ".[train]" to train and export'
-        yield Finding(package, None, installed(package) or missing)
+        yield DoctorFinding(package, None, installed(package) or missing)
 
 
-def _threads() -> Finding:
+def _threads() -> DoctorFinding:
     limits = {name: os.environ.get(name, "all") for name in THREADS}
     limit = ", ".join(f"{name}={value}" for name, value in limits.items())
-    return Finding("threads", None, f"{cores()} cores; {limit}")
+    return DoctorFinding("threads", None, f"{cores()} cores; {limit}")
 
 
-def _rendering() -> Finding:
+def _rendering() -> DoctorFinding:
     """Whether an environment can draw a picture."""
     return _tried("rendering", _draw)
 
 
 def _draw() -> str:
-    import envs
+    from spikedeploy import envs
 
     env = envs.make("hexapod", render_mode="rgb_array")
     env.reset(seed=0)
@@ -63,20 +63,20 @@ def _draw() -> str:
     return f"{width} × {height} pixels through MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')}"
 
 
-def _policies() -> Iterator[Finding]:
+def _policies() -> Iterator[DoctorFinding]:
     """Whether every shipped policy opens."""
     for name in zoo.names():
         yield _tried(name, partial(_opened, name))
 
 
 def _opened(name: str) -> str:
-    from spikedeploy.policies import find
+    from spikedeploy.policies.policies import find
 
     return f"opens, kind {find(name).kind}"
 
 
-def _tried(name: str, attempt: Callable[[], str]) -> Finding:
+def _tried(name: str, attempt: Callable[[], str]) -> DoctorFinding:
     try:
-        return Finding(name, True, attempt())
+        return DoctorFinding(name, True, attempt())
     except Exception as error:  # a doctor reports whatever is wrong
-        return Finding(name, False, f"{type(error).__name__}: {error}")
+        return DoctorFinding(name, False, f"{type(error).__name__}: {error}")

@@ -3,15 +3,14 @@
 from dataclasses import dataclass
 from typing import Any
 
-from runtime.artifact import Artifact
-from runtime.calibration import tuned, with_calibrated_headroom
-from runtime.chip import Chip
-from runtime.convention import Convention
-from runtime.drift import Drift
-from runtime.drift import drift as measured
-from runtime.quantisation import PLAIN, Quantisation
-from runtime.spike_distance import TAU
 from spikedeploy.inputs import Inputs
+from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
+from spikedeploy.runtime.analysis.drift import TAU, Drift
+from spikedeploy.runtime.analysis.drift import drift as measured
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.convention import Convention
 
 
 @dataclass(frozen=True)

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.artifact import Artifact, load
-from runtime.chip import chip as datasheet
-from runtime.compile import compile as compiled
-from runtime.energy import Estimate, energy_estimate, energy_table
-from runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
-from runtime.float_machine import FloatMachine
-from runtime.ledger import Ledger
-from runtime.machine import Machine
-from runtime.ports import Port, named, parted, ports
-from runtime.program import Program
-from runtime.quantisation import PLAIN, Quantisation
+from spikedeploy.comparison.costs import priced_by
+from spikedeploy.comparison.measures import Measures, measured, measured_again
 from spikedeploy.files import replacing
-from spikedeploy.measures import Measures, measured, measured_again
-from spikedeploy.policies import FLOAT
+from spikedeploy.policies.policies import FLOAT
 from spikedeploy.rasters import Raster, in_batch
-from spikedeploy.spiking_costs import priced_by
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
+from spikedeploy.runtime.graph.ports import Port, named, parted, ports
+from spikedeploy.runtime.metrics.energy import EnergyEstimate, energy_estimate, energy_table
 
 # bytes that a neuron takes in a timestep: current, membrane and spike, while running and recorded
 STATE = 48
@@ -109,7 +109,7 @@ class Emulation:
         return self.ledger.total(event) if self.ledger else None
 
     @property
-    def energies(self) -> dict[str, Estimate]:
+    def energies(self) -> dict[str, EnergyEstimate]:
         """[J] by each table, with the interval that it lies in."""
         if self.ledger is None:
             return {}

@@ -7,20 +7,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-import envs
-from envs.rollout import rollout
-from exporters import exporter
-from exporters.check import Check
-from exporters.parity import check
-from runtime.errors import ConfigError
-from spikedeploy import runs
-from spikedeploy.formats.run import TorchController
+from spikedeploy import envs, runs
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters import exporter
+from spikedeploy.exporters.check import ParityCheck
+from spikedeploy.exporters.parity import check
+from spikedeploy.policies.run import TorchController
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
-from trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
 if TYPE_CHECKING:
-    from runtime.convention import State
-    from trainers.policies import Policy
+    from spikedeploy.runtime.convention import State
+    from spikedeploy.trainers.policies import Policy
 
 OBSERVATIONS = 1000
 SPIKING = ("popsan", "spiking-mlp")  # kinds of policies, which NIR describes
@@ -37,7 +36,7 @@ class Exported:
 
     path: Path
     kind: str
-    checks: list[Check]
+    checks: list[ParityCheck]
 
     @property
     def passed(self) -> bool:

@@ -22,8 +22,8 @@ EXTRAS = {
     "sanafe": "sanafe",
 }
 EXPECTED = (
-    ("runtime.errors", "SpikedeployError"),
-    ("envs.errors", "EnvError"),
+    ("spikedeploy.runtime.errors", "SpikedeployError"),
+    ("spikedeploy.envs.errors", "EnvError"),
     ("gymnasium.error", "Error"),
 )
 

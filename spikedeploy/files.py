@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from trainers import atomic
+from spikedeploy.trainers import atomic
 
 
 @contextmanager

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.rollout import rollout
-from runtime.artifact import Artifact
-from runtime.codec import Codec
-from runtime.errors import ConfigError
-from runtime.ports import named, ports
-from runtime.xorshift import Xorshift
-from spikedeploy.policies import FLOAT, Candidate, find, open_policy
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.make_env import made
+from spikedeploy.policies.policies import FLOAT, Candidate, find, open_policy
 from spikedeploy.rasters import in_batch, read_rasters
-from spikedeploy.worlds import made
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.graph.ports import named, ports
 
 Raster = NDArray[np.uint8]
 
@@ -135,8 +135,8 @@ def observed(
 
 def _encoded(codec: Codec, observations: NDArray[np.float64], seed: int) -> Raster:
     """Spikes (S, T, M) of an episode's observations, with the dice of the episode."""
-    dice = Xorshift(seed, codec.encoder.width)
-    return np.concatenate([codec.encode(row[None], dice) for row in observations])
+    rng = Xorshift(seed, codec.encoder.width)
+    return np.concatenate([codec.encode(row[None], rng) for row in observations])
 
 
 def _all(seeds: Sequence[int]) -> str:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import TypeVar
 
-from runtime.errors import SpikedeployError
+from spikedeploy.runtime.errors import SpikedeployError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

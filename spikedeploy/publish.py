@@ -6,22 +6,21 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import envs
-from runtime.errors import SpikedeployError
-from spikedeploy import runs, zoo
-from spikedeploy.card import markdown
-from spikedeploy.compare import compare
-from spikedeploy.curves import curve
+from spikedeploy import envs, runs, zoo
+from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.lineup import Entry
 from spikedeploy.export import SPIKING, Exported, export
 from spikedeploy.files import as_text, replacing, write_text
-from spikedeploy.lineup import Entry
-from spikedeploy.plots import draw_curves
-from spikedeploy.policies import FLOAT, find
+from spikedeploy.policies.policies import FLOAT, find
+from spikedeploy.reports.card import markdown
+from spikedeploy.reports.curves import curve
+from spikedeploy.reports.plots import draw_curves
 from spikedeploy.run import DEFAULT_CHIP
+from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.seeds import EVALUATION
-from trainers.config import differences
-from trainers.run_folder import RunFolder
-from trainers.train import algorithm
+from spikedeploy.trainers.config import differences
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.train import algorithm
 
 
 def publish(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import ObservationError
+from spikedeploy.runtime.errors import ObservationError
 
 Raster = NDArray[Any]
 

@@ -7,16 +7,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from envs.rollout import rollout
-from runtime.errors import ConfigError
-from runtime.quantisation import PLAIN, Quantisation
-from spikedeploy.comparison import Comparison, Row
-from spikedeploy.episodes import summarise
-from spikedeploy.lineup import Entry
-from spikedeploy.policies import FLOAT, Candidate, find, open_policy
-from spikedeploy.terminal import progress
+from spikedeploy.comparison.comparison import Comparison, Row
+from spikedeploy.comparison.episodes import summarise
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.make_env import made
+from spikedeploy.policies.policies import FLOAT, Candidate, find, open_policy
+from spikedeploy.reports.terminal import progress
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import Frame, Pace, captioned, mp4
-from spikedeploy.worlds import made
 
 DEFAULT_CHIP = "loihi1"
 

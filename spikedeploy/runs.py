@@ -5,9 +5,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from runtime.errors import ConfigError
-from runtime.origin import Origin
-from spikedeploy.policies import env_id
+from spikedeploy.policies.policies import env_id
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.versions import own
 
 
@@ -27,10 +27,10 @@ def checkpoint(run: Path) -> dict[str, Any]:
     return _read(best if best.is_file() else last)
 
 
-def origin(run: Path) -> Origin:
+def origin(run: Path) -> Provenance:
     """Who made the run's policy, for the header of an exported file."""
     config = settings(run)
-    return Origin(
+    return Provenance(
         env=env_id(config["env"]["name"]) or "",
         recipe=config["recipe"],
         seed=config["seed"],

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from runtime.verdict import Verdict
-from runtime.verify import verify as verdict_of
 from spikedeploy.failures import one_line
+from spikedeploy.runtime.traces.trace_file import Verdict
+from spikedeploy.runtime.traces.verify import verify as verdict_of
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayedTrace:
     """What became of a file.
 
     verdict  None where it could not be replayed
@@ -54,12 +54,12 @@ class Replay:
         return remarks
 
 
-def replay(path: Path) -> Replay:
+def replay(path: Path) -> ReplayedTrace:
     """Replay one file."""
     try:
-        return Replay(path, verdict_of(path))
+        return ReplayedTrace(path, verdict_of(path))
     except Exception as error:
         line = one_line(error)
         if line is None:
             raise
-        return Replay(path, None, line)
+        return ReplayedTrace(path, None, line)

@@ -3,9 +3,9 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from runtime.interpreter import Interpreter
-from runtime.ledger import count
-from runtime.machine import Machine
+from spikedeploy.runtime.emulator.interpreter import Interpreter
+from spikedeploy.runtime.emulator.ledger import count
+from spikedeploy.runtime.emulator.machine import Machine
 from tests.programs import rasters
 
 runs = st.tuples(

@@ -5,8 +5,8 @@ import signal
 import time
 from pathlib import Path
 
-from runtime.errors import ConfigError
 from spikedeploy.experiments.alone import alone
+from spikedeploy.runtime.errors import ConfigError
 
 
 def write(path, text="done"):

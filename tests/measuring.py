@@ -3,12 +3,12 @@
 import nir
 import numpy as np
 
-from runtime.artifact import Artifact
-from runtime.chip import chip
-from runtime.convention import Convention
-from runtime.machine import Machine
-from runtime.neurobench import neurobench
-from runtime.program import Program, Synapses
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.metrics.neurobench import neurobench
 from tests.networks import chain, cuba, lif
 from tests.programs import layer
 

@@ -5,13 +5,15 @@ from itertools import pairwise
 import nir
 import numpy as np
 
-from runtime.artifact import Artifact
-from runtime.codec import Codec, Normaliser, PopulationEncoder
-from runtime.convention import Convention
-from runtime.origin import Origin
-from runtime.rate import RateEncoder
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.codec.codec import Codec, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.metadata import Provenance
 
-ORIGIN = Origin("spikedeploy/Hexapod-v0", "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z")
+ORIGIN = Provenance(
+    "spikedeploy/Hexapod-v0", "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z"
+)
 
 
 def cuba(size, alpha=0.9, beta=0.8, dt=1e-3, threshold=0.5, dtype=np.float64):

@@ -1,16 +1,12 @@
 """Programs that several tests build without a policy: from registers and random integers."""
 
-from pathlib import Path
-
 import numpy as np
 from hypothesis import strategies as st
 
-from runtime.chip import chip
-from runtime.convention import Convention
-from runtime.fixed import Register
-from runtime.program import Layer, Program, Synapses
-
-GOLDEN = Path(__file__).parent / "golden"
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
 
 
 def layer(fixed, name, weights, synapses, *, decays, threshold, bias=0, start=0):
@@ -22,8 +18,8 @@ def layer(fixed, name, weights, synapses, *, decays, threshold, bias=0, start=0)
         bias=0 * ones,
         voltage_bias=bias * ones,
         threshold=threshold * ones,
-        current_keep=(fixed.decay_one - decays[0] - fixed.current_decay_offset) * ones,
-        membrane_keep=(fixed.decay_one - decays[1] - fixed.membrane_decay_offset) * ones,
+        current_decay=(fixed.decay_one - decays[0] - fixed.current_decay_offset) * ones,
+        membrane_decay=(fixed.decay_one - decays[1] - fixed.membrane_decay_offset) * ones,
         scale=1.0,
         start=start,
     )
@@ -90,8 +86,8 @@ def _random_layer(rng, name, size, wires, start):
         bias=rng.integers(-top, top + 1, size) * rng.integers(0, 2),
         voltage_bias=rng.integers(-5000, 5001, size) * rng.integers(0, 2),
         threshold=rng.integers(0, 40 * top, size) << 6,
-        current_keep=_keeps(rng, size) * rng.integers(0, 2),
-        membrane_keep=_keeps(rng, size),
+        current_decay=_keeps(rng, size) * rng.integers(0, 2),
+        membrane_decay=_keeps(rng, size),
         scale=1.0,
         start=start,
     )
@@ -119,8 +115,8 @@ def chains(draw):
                 bias=rng.integers(-3, 4, size) * rng.integers(0, 2),
                 voltage_bias=rng.integers(-70, 71, size) * rng.integers(0, 2),
                 threshold=rng.integers(0, 12, size) << 6,
-                current_keep=rng.integers(0, 3900, size) * rng.integers(0, 2),
-                membrane_keep=rng.integers(0, 3900, size),
+                current_decay=rng.integers(0, 3900, size) * rng.integers(0, 2),
+                membrane_decay=rng.integers(0, 3900, size),
                 scale=1.0,
                 start=k,
             )

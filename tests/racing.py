@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 
-import envs
+from spikedeploy import envs
 
 ID = "test/Race-v0"
 

@@ -5,14 +5,13 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 
-import envs
-from runtime.artifact import save
-from runtime.origin import Origin
-from spikedeploy import zoo
+from spikedeploy import envs, zoo
+from spikedeploy.runtime.artifact.artifact import save
+from spikedeploy.runtime.metadata import Provenance
 from tests.networks import popsan
 
 ID = "test/Stroll-v0"
-ORIGIN = Origin(ID, "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z", version="0.1.0")
+ORIGIN = Provenance(ID, "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z", version="0.1.0")
 
 
 class Stroll(gymnasium.Env):
@@ -75,9 +74,9 @@ def run_folder(runs, policy, seed=0):
     """Make a run folder of an untrained policy, as a training of 5 steps would leave it."""
     import torch
 
-    from trainers.config import SacConfig
-    from trainers.policies import from_config
-    from trainers.run_folder import RunFolder
+    from spikedeploy.trainers.config import SacConfig
+    from spikedeploy.trainers.policies import from_config
+    from spikedeploy.trainers.run_folder import RunFolder
 
     torch.manual_seed(seed)
     config = {"algorithm": "sac", "recipe": "smoke", "env": {"name": "stroll"}, "policy": policy}
@@ -91,8 +90,8 @@ def ann(path, hidden=(8,), kind="ann", seed=0):
     """Write a float policy with random weights."""
     import torch
 
-    from exporters.to_onnx import to_onnx
-    from trainers.policies import MlpPolicy
+    from spikedeploy.exporters.to_onnx import to_onnx
+    from spikedeploy.trainers.policies import MlpPolicy
 
     torch.manual_seed(seed)
     return to_onnx(MlpPolicy(3, 2, hidden=hidden), ORIGIN, path, kind=kind)

@@ -6,10 +6,10 @@ import nir
 import numpy as np
 from hypothesis import strategies as st
 
-from runtime.artifact import Artifact
-from runtime.chip import chip
-from runtime.convention import Convention
-from runtime.program import Layer, Program, Synapses
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
 from tests.networks import lif
 
 
@@ -93,8 +93,8 @@ def random_cores(draw):
             bias=np.zeros(n, np.int64),
             voltage_bias=rng.integers(-bias, bias + 1, n),
             threshold=rng.integers(1, threshold + 1, n),
-            current_keep=rng.integers(0, 16, (currents, n)),
-            membrane_keep=rng.integers(0, 16, n),
+            current_decay=rng.integers(0, 16, (currents, n)),
+            membrane_decay=rng.integers(0, 16, n),
             scale=1.0,
             start=0,
             aliases=_aliases(rng, n) if name == "hidden" and draw(st.booleans()) else (),

@@ -4,12 +4,12 @@ Table of contents; nothing heavy is imported until it is used. Adding an algorit
 one line in `ALGORITHMS`, adding a recipe one entry in `trainers.recipes`.
 """
 
-from trainers.recipes import RECIPES, Recipe
+from spikedeploy.trainers.recipes import RECIPES, Recipe
 
 ALGORITHMS: dict[str, str] = {
-    "sac": "trainers.sac:Sac",
-    "distill": "trainers.distill:Distill",
-    "ppo": "trainers.ppo:Ppo",
+    "sac": "spikedeploy.trainers.sac:Sac",
+    "distill": "spikedeploy.trainers.distill:Distill",
+    "ppo": "spikedeploy.trainers.ppo:Ppo",
 }
 
 __all__ = ["ALGORITHMS", "RECIPES", "Recipe"]

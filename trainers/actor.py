@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from trainers.policy import Latent, Policy, full_precision
+from spikedeploy.trainers.policy import Latent, Policy, full_precision
 
 LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
 

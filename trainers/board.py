@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 
-class Board:
+class TensorBoardLog:
     """A TensorBoard event file in the run folder; does nothing without TensorBoard."""
 
     def __init__(self, folder: Path) -> None:

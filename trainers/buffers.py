@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
-from runtime.errors import ConfigError
-from trainers.atomic import replacing
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.atomic import replacing
 
 
 @dataclass(frozen=True)
-class Batch:
+class ReplayBatch:
     """Transitions, drawn at random.
 
     observation, following: (B, obs) raw, before and after the action
@@ -59,11 +59,11 @@ class ReplayBuffer:
         self.next = (self.next + count) % capacity
         self.size = min(self.size + count, capacity)
 
-    def sample(self, count: int, rng: np.random.Generator) -> Batch:
+    def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
         """Return transitions drawn uniformly with replacement."""
         rows = torch.from_numpy(self.rows[rng.integers(self.size, size=count)])
         observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
-        return Batch(observation, action, reward[:, 0], terminated[:, 0], following)
+        return ReplayBatch(observation, action, reward[:, 0], terminated[:, 0], following)
 
     def save(self, path: Path) -> None:
         """Write the transitions held, oldest first."""

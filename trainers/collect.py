@@ -8,10 +8,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-import envs
-from runtime.errors import ConfigError
-from trainers.config import EnvConfig
-from trainers.policy import Head
+from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.policy import Head
 
 SEEDS = 5_000  # training draws its seeds below this; validation and evaluation are above
 
@@ -99,10 +99,10 @@ class EnvBatch:
         """Return actions (B, act) drawn uniformly."""
         return self._rng.uniform(-1.0, 1.0, (len(self), self.actions))
 
-    def hoist(self, fraction: float) -> None:
+    def support_force(self, fraction: float) -> None:
         """Apply a fraction of the full hoisting force from now on, where robots can be hoisted."""
         for env in self._envs:
-            env.unwrapped.hoist = fraction
+            env.unwrapped.support_force = fraction
 
     def step(self, action: NDArray[Any]) -> Steps:
         """Step every copy."""

@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from runtime.errors import ConfigError
-from trainers.recipes import RECIPES, merged
-from trainers.settings import (
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.recipes import RECIPES, merged
+from spikedeploy.trainers.settings import (
     Count,
     EnvConfig,
     MlpConfig,

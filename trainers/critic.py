@@ -6,7 +6,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from trainers.policy import full_precision
+from spikedeploy.trainers.policy import full_precision
 
 
 class Critic(nn.Module):

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from trainers.atomic import replacing
-from trainers.metrics import read
+from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.metrics import read
 
 CURVES = {"episode_return": "training", "eval_return": "validation"}
 

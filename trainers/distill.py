@@ -13,17 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from runtime.errors import ConfigError
-from trainers.distill_config import DistillConfig
-from trainers.distill_learner import DistillLearner
-from trainers.gather import fresh, walk
-from trainers.journal import Journal
-from trainers.lessons import Lessons
-from trainers.normalizer import Moments
-from trainers.policies import from_config
-from trainers.run_folder import RunFolder
-from trainers.teachers import of_policy, score, teacher
-from trainers.validation import Validator, sparsities
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.distill_config import DistillConfig
+from spikedeploy.trainers.distill_learner import DistillLearner
+from spikedeploy.trainers.gather import fresh, walk
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.lessons import DaggerDataset
+from spikedeploy.trainers.normalizer import Moments
+from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.teachers import of_policy, score, teacher
+from spikedeploy.trainers.validation import Validator, sparsities
 
 COLUMNS = (
     "updates",
@@ -73,7 +73,7 @@ class Distill:
             )
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, envs.columns)
         self.learner = DistillLearner(config, self.policy)
-        self.lessons = Lessons(*sizes)
+        self.lessons = DaggerDataset(*sizes)
         self.updates = self.iterations = 0
         self.best = -np.inf
         self.teacher_return = np.nan

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from trainers.config import (
+from spikedeploy.trainers.config import (
     NormaliserConfig,
     Positive,
     Rate,

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from trainers import adam
-from trainers.distill_config import DistillConfig
-from trainers.policy import Policy
-from trainers.popsan import PopsanPolicy
-from trainers.rates import excess, mean_over_time, mean_rate
+from spikedeploy.trainers import adam
+from spikedeploy.trainers.distill_config import DistillConfig
+from spikedeploy.trainers.policy import Policy
+from spikedeploy.trainers.popsan import PopsanPolicy
+from spikedeploy.trainers.rates import excess, mean_over_time, mean_rate
 
 
 class DistillLearner:

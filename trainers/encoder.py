@@ -5,14 +5,14 @@ import math
 import torch
 from torch import Tensor, nn
 
-from trainers.neurons import integrate_and_fire
+from spikedeploy.trainers.neurons import integrate_and_fire
 
 REACH = 3.0  # initial centres lie evenly within this many standard deviations (Tang et al. 2020)
 INITIAL_STD = math.sqrt(0.15)  # (Tang et al. 2020)
 THRESHOLD = 0.999  # (Tang et al. 2020); below one, so that a drive of one fires at every timestep
 
 
-class PopulationEncoder(nn.Module):
+class TorchPopulationEncoder(nn.Module):
     """Gaussian receptive fields, learned, that drive integrate-and-fire neurons.
 
     mean, std: (obs, P) centre and width of each field [normalised observation]

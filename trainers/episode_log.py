@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from trainers.collect import Steps
-from trainers.metrics import Metrics
+from spikedeploy.trainers.collect import Steps
+from spikedeploy.trainers.metrics import Metrics
 
 OUTCOMES = ("finish", "crash", "gates", "lap_time")  # of the last info, where the world has them
 COLUMNS = ("env_steps", "steps", "return", "success", *OUTCOMES)

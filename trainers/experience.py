@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Moment:
+class Transition:
     """One step of every copy, B of them.
 
     perceived: (B, ...) what the policy made of the observation, see `Policy.perceive`
@@ -30,7 +30,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Batch:
+class RolloutBatch:
     """Steps in any order, N of them.
 
     advantage: (N,) of the action over what the critic expected
@@ -47,12 +47,12 @@ class Batch:
     def __len__(self) -> int:
         return len(self.advantage)
 
-    def minibatches(self, size: int) -> Iterator["Batch"]:
+    def minibatches(self, size: int) -> Iterator["RolloutBatch"]:
         """Yield all steps once, shuffled; a remainder joins the last minibatch."""
         order = torch.randperm(len(self))
         count = max(1, len(self) // size)
         for chosen in order.tensor_split(count):
-            yield Batch(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+            yield RolloutBatch(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
 def advantages(
@@ -82,7 +82,9 @@ def advantages(
     return result
 
 
-def stacked(moments: list[Moment]) -> Moment:
+def stacked(moments: list[Transition]) -> Transition:
     """Return the moments as one, with K in front of B."""
-    names = Moment.__dataclass_fields__
-    return Moment(*(torch.stack([getattr(moment, name) for moment in moments]) for name in names))
+    names = Transition.__dataclass_fields__
+    return Transition(
+        *(torch.stack([getattr(moment, name) for moment in moments]) for name in names)
+    )

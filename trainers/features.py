@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from runtime.errors import ConfigError
-from trainers.config import known
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import known
 
 FEATURES = ("all", "phase", "bilinear")
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trainers.collect import EnvBatch
-from trainers.distill_config import DistillConfig
-from trainers.teachers import Numbers, Teacher
+from spikedeploy.trainers.collect import EnvBatch
+from spikedeploy.trainers.distill_config import DistillConfig
+from spikedeploy.trainers.teachers import Numbers, Teacher
 
 
 @dataclass(frozen=True)

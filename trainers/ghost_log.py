@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from envs.ghost_recorder import POSE, GhostRecorder
-from trainers.collect import EnvBatch, Steps
-from trainers.config import EnvConfig
+from spikedeploy.envs.ghost_recorder import POSE, GhostRecorder
+from spikedeploy.trainers.collect import EnvBatch, Steps
+from spikedeploy.trainers.config import EnvConfig
 
 
 def leaves_ghosts(batch: EnvBatch) -> bool:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from trainers.policy import Head
+from spikedeploy.trainers.policy import Head
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 

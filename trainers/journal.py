@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from trainers.board import Board
-from trainers.metrics import Metrics
-from trainers.progress import ProgressBar
-from trainers.run_folder import RunFolder
+from spikedeploy.trainers.board import TensorBoardLog
+from spikedeploy.trainers.metrics import Metrics
+from spikedeploy.trainers.progress import ProgressBar
+from spikedeploy.trainers.run_folder import RunFolder
 
 
 class Journal:
@@ -13,7 +13,7 @@ class Journal:
 
     def __init__(self, run: RunFolder, columns: tuple[str, ...], bar: ProgressBar) -> None:
         self.metrics = Metrics(run.metrics, columns)
-        self.board = Board(run.path)
+        self.board = TensorBoardLog(run.path)
         self.bar = bar
 
     def at(self, step: int, total: int) -> None:

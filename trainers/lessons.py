@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 
-class Lessons:
+class DaggerDataset:
     """A growing set of labelled states, in float32.
 
     observation: (n, obs) raw

@@ -4,7 +4,7 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
-from trainers.atomic import replacing
+from spikedeploy.trainers.atomic import replacing
 
 
 class Metrics:

@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from trainers.features import Features
-from trainers.normalizer import Normalizer
-from trainers.policy import Head, Latent, Policy, full_precision
+from spikedeploy.trainers.features import Features
+from spikedeploy.trainers.normalizer import Normalizer
+from spikedeploy.trainers.policy import Head, Latent, Policy, full_precision
 
 
 class MlpPolicy(Policy):

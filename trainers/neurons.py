@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 LOW_PRECISION = (torch.bfloat16, torch.float16)
 

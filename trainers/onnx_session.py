@@ -5,7 +5,7 @@ from typing import Any
 
 import onnxruntime
 
-from runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError
 
 ERRORS_ONLY = 3  # ONNX Runtime's severity: what goes wrong is said by the exception
 

@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from runtime.errors import ConfigError
-from trainers.config import PolicyConfig, known
-from trainers.features import Features, features
-from trainers.mlp import MlpPolicy
-from trainers.policy import Head, Latent, Policy
-from trainers.popsan import PopsanPolicy
-from trainers.spiking_mlp import SpikingMlpPolicy
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import PolicyConfig, known
+from spikedeploy.trainers.features import Features, features
+from spikedeploy.trainers.mlp import MlpPolicy
+from spikedeploy.trainers.policy import Head, Latent, Policy
+from spikedeploy.trainers.popsan import PopsanPolicy
+from spikedeploy.trainers.spiking_mlp import SpikingMlpPolicy
 
 __all__ = [
     "POLICIES",

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from trainers.normalizer import Normalizer
+from spikedeploy.trainers.normalizer import Normalizer
 
 Head = Literal["continuous", "discrete"]
 

@@ -7,11 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from trainers.encoder import PopulationEncoder
-from trainers.neurons import cuba_lif, surrogate
-from trainers.normalizer import Normalizer
-from trainers.policy import Latent, Policy
-from trainers.rates import mean_over_time, mean_rate
+from spikedeploy.trainers.encoder import TorchPopulationEncoder
+from spikedeploy.trainers.neurons import cuba_lif, surrogate
+from spikedeploy.trainers.normalizer import Normalizer
+from spikedeploy.trainers.policy import Latent, Policy
+from spikedeploy.trainers.rates import mean_over_time, mean_rate
 
 
 class PopsanPolicy(Policy):
@@ -45,7 +45,7 @@ class PopsanPolicy(Policy):
         self.alpha, self.beta, self.threshold = alpha, beta, threshold
         self.surrogate, self.surrogate_width = surrogate, surrogate_width
         self.normalizer = Normalizer(observations, clip)
-        self.encoder = PopulationEncoder(observations, populations)
+        self.encoder = TorchPopulationEncoder(observations, populations)
         widths = (observations * populations, *hidden, actions * populations)
         self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
         bound = populations**-0.5

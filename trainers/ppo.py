@@ -8,17 +8,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from trainers.collect import EnvBatch, Steps
-from trainers.episode_log import EpisodeLog
-from trainers.experience import Moment
-from trainers.ghost_log import GhostLog, leaves_ghosts
-from trainers.journal import Journal
-from trainers.normalizer import Moments
-from trainers.policies import from_config
-from trainers.ppo_config import PpoConfig
-from trainers.ppo_learner import PpoLearner
-from trainers.run_folder import RunFolder
-from trainers.validation import Validator, sparsities
+from spikedeploy.trainers.collect import EnvBatch, Steps
+from spikedeploy.trainers.episode_log import EpisodeLog
+from spikedeploy.trainers.experience import Transition
+from spikedeploy.trainers.ghost_log import GhostLog, leaves_ghosts
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.normalizer import Moments
+from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.ppo_config import PpoConfig
+from spikedeploy.trainers.ppo_learner import PpoLearner
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.validation import Validator, sparsities
 
 COLUMNS = (
     "env_steps",
@@ -110,7 +110,7 @@ class Ppo:
         """Return whether the newest steps passed a multiple of `every`."""
         return self.env_steps // every > before // every
 
-    def collect(self, log: EpisodeLog) -> list[Moment]:
+    def collect(self, log: EpisodeLog) -> list[Transition]:
         """Take as many steps in every environment as the horizon says."""
         moments = []
         for _ in range(self._config.horizon):
@@ -125,7 +125,7 @@ class Ppo:
         self._observe(moments)
         return moments
 
-    def _observe(self, moments: list[Moment]) -> None:
+    def _observe(self, moments: list[Transition]) -> None:
         """Normalise by what was seen so far, until that is frozen."""
         if self.env_steps - len(moments) * len(self._envs) < self._config.normaliser.finish:
             for moment in moments:
@@ -198,8 +198,8 @@ class Ppo:
 
 def _moment(
     observation: Tensor, steps: Steps, perceived: Tensor, drawn: Tensor, log_probability: Tensor
-) -> Moment:
-    return Moment(
+) -> Transition:
+    return Transition(
         perceived=perceived,
         observation=observation,
         following=torch.from_numpy(steps.following).float(),

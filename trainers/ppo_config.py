@@ -2,7 +2,7 @@
 
 from pydantic import Field, model_validator
 
-from trainers.config import (
+from spikedeploy.trainers.config import (
     Count,
     EnvConfig,
     MlpConfig,
@@ -13,7 +13,7 @@ from trainers.config import (
     Share,
     ValidationConfig,
 )
-from trainers.settings import Ramp
+from spikedeploy.trainers.settings import Ramp
 
 
 class PpoConfig(RunConfig):

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from trainers import adam
-from trainers.critic import Critic
-from trainers.experience import Batch, Moment, advantages, stacked
-from trainers.heads import exploration
-from trainers.policy import Policy
-from trainers.ppo_config import PpoConfig
-from trainers.rates import excess
+from spikedeploy.trainers import adam
+from spikedeploy.trainers.critic import Critic
+from spikedeploy.trainers.experience import RolloutBatch, Transition, advantages, stacked
+from spikedeploy.trainers.heads import exploration
+from spikedeploy.trainers.policy import Policy
+from spikedeploy.trainers.ppo_config import PpoConfig
+from spikedeploy.trainers.rates import excess
 
 SMALL = 0.01  # initial scale of the last layer: all actions alike (Andrychowicz et al. 2021)
 
@@ -51,13 +51,13 @@ class PpoLearner:
         for group in self._actor_adam.param_groups:
             group["lr"] = self._config.actor_rate.at(step)
 
-    def learn(self, moments: list[Moment]) -> dict[str, float]:
+    def learn(self, moments: list[Transition]) -> dict[str, float]:
         """Learn from K steps of every copy; return the metrics."""
         batch = self._assessed(stacked(moments))
         rows = [row for epoch in self._epochs(batch) for row in epoch]
         return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
-    def _epochs(self, batch: Batch) -> list[list[dict[str, float]]]:
+    def _epochs(self, batch: RolloutBatch) -> list[list[dict[str, float]]]:
         """Pass over the batch until the policy has moved far enough; return the metrics."""
         passes: list[list[dict[str, float]]] = []
         for _ in range(self._config.epochs):
@@ -70,7 +70,7 @@ class PpoLearner:
         return passes
 
     @torch.no_grad()
-    def _assessed(self, steps: Moment) -> Batch:
+    def _assessed(self, steps: Transition) -> RolloutBatch:
         """Return the steps (K, B) as one batch with advantages and targets."""
         normalise = self.policy.normalizer
         value, following = (
@@ -93,9 +93,9 @@ class PpoLearner:
             (gained - gained.mean()) / (gained.std() + 1e-8),
             gained + value,
         )
-        return Batch(*(column.flatten(0, 1) for column in columns))
+        return RolloutBatch(*(column.flatten(0, 1) for column in columns))
 
-    def _update(self, part: Batch) -> dict[str, float]:
+    def _update(self, part: RolloutBatch) -> dict[str, float]:
         """Take one gradient step of actor and critic."""
         row = self._improve_actor(part)
         loss = functional.mse_loss(
@@ -104,7 +104,7 @@ class PpoLearner:
         _descend(self._critic_adam, self.critic, loss, self._config.gradient_norm)
         return {**row, "critic_loss": float(loss.detach())}
 
-    def _improve_actor(self, part: Batch) -> dict[str, float]:
+    def _improve_actor(self, part: RolloutBatch) -> dict[str, float]:
         latent = self.policy.respond(part.perceived)
         change = self.head.log_probability(latent.mean, part.drawn) - part.log_probability
         ratio = change.exp()

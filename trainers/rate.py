@@ -9,7 +9,7 @@ LEVELS = 256  # of a rate: an 8-bit register that also holds one
 Mode = Literal["regular", "bernoulli"]
 
 
-class RateEncoder(nn.Module):
+class TorchRateEncoder(nn.Module):
     """One neuron for each observation, which spikes the more often the larger the number is.
 
     low, high: (obs,) observations that never spike and that spike at every timestep
@@ -35,8 +35,8 @@ class RateEncoder(nn.Module):
         """Return spikes (T, B, obs) of normalised observations (B, obs)."""
         levels = self.levels(observation)
         if self.mode == "bernoulli":
-            dice = torch.randint(LEVELS, (timesteps, *levels.shape))
-            return (dice < levels).to(observation.dtype)
+            rng = torch.randint(LEVELS, (timesteps, *levels.shape))
+            return (rng < levels).to(observation.dtype)
         return regular(levels, timesteps).to(observation.dtype)
 
 

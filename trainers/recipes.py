@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trainers.distill_recipes import DISTILL
-from trainers.kart_recipes import KARTS
+from spikedeploy.trainers.distill_recipes import DISTILL
+from spikedeploy.trainers.kart_recipes import KARTS
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ HEXAPOD: dict[str, Any] = {"env": {"name": "hexapod"}}
 # Commands are wider and rougher: the gait must leave the hoist early and move less violently.
 COMMAND: dict[str, Any] = {
     "env": {"name": "hexapod-command"},
-    "hoist": {"finish": 60_000},
+    "support_force": {"finish": 60_000},
     "temperature": {"begin": 40_000, "finish": 120_000},
     "mean_penalty": 0.15,
     "steps": 250_000,

@@ -19,12 +19,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from runtime.errors import ConfigError
-from trainers.atomic import replacing
-from trainers.config import C, RunConfig, validated
-from trainers.policies import build
-from trainers.policy import Policy
-from trainers.versions import versions
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.config import C, RunConfig, validated
+from spikedeploy.trainers.policies import build
+from spikedeploy.trainers.policy import Policy
+from spikedeploy.trainers.versions import versions
 
 POLICY = "policy."
 

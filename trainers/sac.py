@@ -9,22 +9,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from trainers.buffers import ReplayBuffer
-from trainers.collect import EnvBatch
-from trainers.config import SacConfig
-from trainers.journal import Journal
-from trainers.normalizer import Moments
-from trainers.policies import from_config
-from trainers.run_folder import RunFolder
-from trainers.sac_learner import SacLearner
-from trainers.validation import Validator, sparsities
+from spikedeploy.trainers.buffers import ReplayBuffer
+from spikedeploy.trainers.collect import EnvBatch
+from spikedeploy.trainers.config import SacConfig
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.normalizer import Moments
+from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sac_learner import SacLearner
+from spikedeploy.trainers.validation import Validator, sparsities
 
 COLUMNS = (
     "env_steps",
     "updates",
     "episodes",
     "episode_return",
-    "hoist",
+    "support_force",
     "temperature",
     "actor_loss",
     "critic_loss",
@@ -90,7 +90,7 @@ class Sac:
 
     @property
     def _hoist(self) -> float:
-        return self._config.hoist.at(self.env_steps)
+        return self._config.support_force.at(self.env_steps)
 
     def _due(self, every: int) -> bool:
         """Return whether the newest steps passed a multiple of `every`."""
@@ -98,7 +98,7 @@ class Sac:
 
     def _collect(self) -> None:
         """Take one step in every environment and remember it."""
-        self._envs.hoist(self._hoist)
+        self._envs.support_force(self._hoist)
         steps = self._envs.step(self._actions())
         self._buffer.add(
             steps.observation, steps.action, steps.reward, steps.terminated, steps.following
@@ -149,7 +149,7 @@ class Sac:
             "env_steps": self.env_steps,
             "updates": self.updates,
             "episodes": self.episodes,
-            "hoist": self._hoist,
+            "support_force": self._hoist,
             "temperature": self._temperature,
             "steps_per_s": (self.env_steps - steps) / (now - then),
             **{name: float(loss) for name, loss in self._losses.items()},

@@ -5,14 +5,14 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from trainers.actor import GaussianActor
-from trainers.adam import adam, load, tensors, under
-from trainers.buffers import Batch
-from trainers.config import SacConfig
-from trainers.critic import TwinCritic, follow
-from trainers.normalizer import Moments
-from trainers.policy import Latent, Policy
-from trainers.rates import excess
+from spikedeploy.trainers.actor import GaussianActor
+from spikedeploy.trainers.adam import adam, load, tensors, under
+from spikedeploy.trainers.buffers import ReplayBatch
+from spikedeploy.trainers.config import SacConfig
+from spikedeploy.trainers.critic import TwinCritic, follow
+from spikedeploy.trainers.normalizer import Moments
+from spikedeploy.trainers.policy import Latent, Policy
+from spikedeploy.trainers.rates import excess
 
 AVERAGED = 10  # share of the history, one in so many, that the averaged policy spans at first
 
@@ -44,7 +44,7 @@ class SacLearner:
         share = max(self._config.averaging, AVERAGED / (updates + AVERAGED - 1))
         follow(self.policy, self.actor.policy, share)
 
-    def update(self, batch: Batch, temperature: float) -> dict[str, Tensor]:
+    def update(self, batch: ReplayBatch, temperature: float) -> dict[str, Tensor]:
         """Take one gradient step and return the losses."""
         observation = self._normalized(batch.observation)
         with self._autocast():
@@ -65,7 +65,7 @@ class SacLearner:
         return normalized
 
     @torch.no_grad()
-    def _goal(self, batch: Batch, temperature: float) -> Tensor:
+    def _goal(self, batch: ReplayBatch, temperature: float) -> Tensor:
         """Return what the critics should say (B,)."""
         action, log_prob, _ = self.actor(batch.following)
         value = torch.minimum(*self.target(self._normalized(batch.following), action))
@@ -79,7 +79,7 @@ class SacLearner:
         return nn.functional.mse_loss(first, goal) + nn.functional.mse_loss(second, goal)
 
     def _actor_loss(
-        self, observation: Tensor, batch: Batch, temperature: float
+        self, observation: Tensor, batch: ReplayBatch, temperature: float
     ) -> tuple[Tensor, Tensor]:
         """Return the actor's loss and the policy's entropy."""
         action, log_prob, latent = self.actor(batch.observation)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
@@ -105,7 +105,7 @@ class NormaliserConfig(Section):
 
 
 class ValidationConfig(Section):
-    """Deterministic episodes, without hoist, that choose the best checkpoint.
+    """Deterministic episodes, without support, that choose the best checkpoint.
 
     every: environment steps between two validations
     first_seed: episodes use this seed and those after it; 5,000 to 9,999 are kept for this
@@ -142,7 +142,7 @@ class SacConfig(RunConfig):
     mean_penalty: weight of the squared pre-tanh mean in the actor's loss
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
-    hoist: fraction of the full hoisting force
+    support_force: fraction of the full upward force
     """
 
     steps: Positive = 500_000
@@ -160,7 +160,11 @@ class SacConfig(RunConfig):
     mean_penalty: float = Field(default=0.05, ge=0)
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.13
-    hoist: Ramp = Ramp(start=1.0, end=0.0, finish=150_000)
+    support_force: Ramp = Field(
+        default=Ramp(start=1.0, end=0.0, finish=150_000),
+        # run folders before version 0.2 call it hoist
+        validation_alias=AliasChoices("support_force", "hoist"),
+    )
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     log_every: Positive = 1_000
     checkpoint_every: Positive = 25_000

@@ -7,12 +7,12 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from trainers.encoder import PopulationEncoder
-from trainers.neurons import lif, surrogate
-from trainers.normalizer import Normalizer
-from trainers.policy import Head, Latent, Policy
-from trainers.rate import RateEncoder
-from trainers.rates import mean_over_time, mean_rate
+from spikedeploy.trainers.encoder import TorchPopulationEncoder
+from spikedeploy.trainers.neurons import lif, surrogate
+from spikedeploy.trainers.normalizer import Normalizer
+from spikedeploy.trainers.policy import Head, Latent, Policy
+from spikedeploy.trainers.rate import TorchRateEncoder
+from spikedeploy.trainers.rates import mean_over_time, mean_rate
 
 Coding = Literal["regular", "bernoulli", "population"]
 
@@ -74,7 +74,7 @@ class SpikingMlpPolicy(Policy):
             rasters.append(lif(layer(rasters[-1]), self.beta, self.threshold, gradient))
         return rasters[1:]
 
-    def heard(self, raster: Tensor) -> Latent:
+    def presynaptic(self, raster: Tensor) -> Latent:
         """Return what input spikes (T, B, M) lead to."""
         layers = self.spikes(raster)
         rates = mean_over_time(layers[-1])
@@ -90,20 +90,20 @@ class SpikingMlpPolicy(Policy):
         """Return the state before deciding, for what was perceived."""
         if self.coding != "bernoulli":
             return self.latent(perceived)
-        return self.heard(perceived.transpose(0, 1).to(self.readout.weight.dtype))
+        return self.presynaptic(perceived.transpose(0, 1).to(self.readout.weight.dtype))
 
     def latent(self, observation: Tensor) -> Latent:
         """Return mean, output rates and the layers' mean rates."""
-        return self.heard(self.encode(observation))
+        return self.presynaptic(self.encode(observation))
 
     def trace(self, observation: Tensor, raster: Tensor | None = None) -> dict[str, Tensor]:
         """Return spikes (B, T, N) under "input", "lif1", "lif2" ..., and the "action".
 
         raster: (B, T, M) takes the place of the encoder's spikes
         """
-        heard = self.encode(observation) if raster is None else raster.transpose(0, 1)
+        presynaptic = self.encode(observation) if raster is None else raster.transpose(0, 1)
         # spikes have the weights' type, which float64 checks rely on
-        rasters = [heard.to(self.readout.weight.dtype)]
+        rasters = [presynaptic.to(self.readout.weight.dtype)]
         rasters += self.spikes(rasters[0])
         names = ["input", *(f"lif{k}" for k in range(1, len(rasters)))]
         spikes = {
@@ -134,5 +134,5 @@ class SpikingMlpPolicy(Policy):
 
 def _encoder(coding: Coding, observations: int, populations: int) -> nn.Module:
     if coding == "population":
-        return PopulationEncoder(observations, populations, reach=1.0)  # of numbers in [-1, 1]
-    return RateEncoder(observations, coding)
+        return TorchPopulationEncoder(observations, populations, reach=1.0)  # of numbers in [-1, 1]
+    return TorchRateEncoder(observations, coding)

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-import envs
-from runtime.errors import ConfigError
-from trainers.config import EnvConfig, ValidationConfig
-from trainers.policy import Policy
-from trainers.run_folder import RunFolder, load_policy
+from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import EnvConfig, ValidationConfig
+from spikedeploy.trainers.policy import Policy
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
 Numbers = NDArray[np.float64]
 
@@ -70,7 +70,9 @@ def of_policy(policy: Policy, env: str = "") -> Teacher:
 
 def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
     """Return the teacher's mean return on the validation seeds."""
-    from envs.rollout import rollout  # loads the drawing of frames, which training does not need
+    from spikedeploy.envs.rollout import (
+        rollout,  # loads the drawing of frames, which training does not need
+    )
 
     limit: Mapping[str, Any] = {} if config.limit is None else {"max_steps": config.limit}
     world = envs.make(env.name, **{**env.options, **limit})
@@ -84,7 +86,7 @@ def _from_run(path: str) -> Teacher:
 
 
 def _from_onnx(path: str) -> Teacher:
-    from trainers.onnx_session import session
+    from spikedeploy.trainers.onnx_session import session
 
     network = session(path)
     entry, exit_ = network.get_inputs()[0], network.get_outputs()[0]
@@ -99,8 +101,8 @@ def _from_onnx(path: str) -> Teacher:
 
 
 def _from_nir(path: str) -> Teacher:
-    from runtime.artifact import load
-    from runtime.float_graph import FloatGraph
+    from spikedeploy.runtime.artifact.artifact import load
+    from spikedeploy.runtime.float_model.graph import FloatGraph
 
     artifact = load(path)
     codec, graph = artifact.codec, FloatGraph(artifact)

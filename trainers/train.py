@@ -17,15 +17,15 @@ from typing import Any, ClassVar, Protocol, cast
 
 import torch
 
-from runtime.errors import ConfigError
-from trainers import ALGORITHMS
-from trainers.config import RunConfig, amended, known, resolve
-from trainers.curve import draw_curve
-from trainers.interrupt import Interrupt
-from trainers.journal import Journal
-from trainers.progress import ProgressBar
-from trainers.recipes import RECIPES
-from trainers.run_folder import RunFolder
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers import ALGORITHMS
+from spikedeploy.trainers.config import RunConfig, amended, known, resolve
+from spikedeploy.trainers.curve import draw_curve
+from spikedeploy.trainers.interrupt import Interrupt
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.progress import ProgressBar
+from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.run_folder import RunFolder
 
 
 class Algorithm(Protocol):

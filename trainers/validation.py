@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import torch
 
-import envs
-from trainers.config import EnvConfig, PolicyConfig, ValidationConfig
-from trainers.policy import Policy
+from spikedeploy import envs
+from spikedeploy.trainers.config import EnvConfig, PolicyConfig, ValidationConfig
+from spikedeploy.trainers.policy import Policy
 
 MEANS = {"speed": "eval_speed"}
 SQUARES = {"speed_error": "eval_speed_rmse", "turn_error": "eval_turn_rmse"}

@@ -42,8 +42,8 @@ def check(
     """
     from spikedeploy.check import ALL
     from spikedeploy.check import check as judged
-    from spikedeploy.check_tables import print_report
-    from spikedeploy.terminal import print_json
+    from spikedeploy.reports.check_tables import print_report
+    from spikedeploy.reports.terminal import print_json
 
     read = reading(
         dt=dt,

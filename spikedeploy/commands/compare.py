@@ -12,8 +12,8 @@ from spikedeploy.commands.options import (
     Granularity,
     Headroom,
     Json,
-    Limits,
     LimitsOption,
+    LimitsSwitch,
     Quantise,
     Room,
     Rounding,
@@ -46,7 +46,7 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
-    limits: LimitsOption = Limits.on,
+    limits: LimitsOption = LimitsSwitch.on,
     quantise: Quantise = Granularity.layer,
     rounding: Rounding = None,
     headroom: Headroom = Room.none,
@@ -57,17 +57,17 @@ def compare(
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
     from dataclasses import replace
 
-    from runtime.chip_options import listed
-    from runtime.energy import energy_tables
-    from spikedeploy import report
-    from spikedeploy.compare import compare as play
-    from spikedeploy.lineup import line_up
-    from spikedeploy.terminal import print_comparison, print_json
-    from spikedeploy.worlds import parsed
+    from spikedeploy.comparison.compare import compare as play
+    from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.make_env import parsed
+    from spikedeploy.reports import report
+    from spikedeploy.reports.terminal import print_comparison, print_json
+    from spikedeploy.runtime.chips.chip import listed
+    from spikedeploy.runtime.metrics.energy import energy_tables
 
     tables = energy_tables(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    entries = line_up(env, files or (), listed(chips), limits is Limits.on, rounded)
+    entries = line_up(env, files or (), listed(chips), limits is LimitsSwitch.on, rounded)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
     document = report.document(replace(comparison, tables=tables))
     if output:

@@ -7,7 +7,7 @@ def demo(json: Json = False) -> None:
     """Watch the shipped policies walk: float ANN, float SNN, and the SNN on an emulated Loihi."""
     from spikedeploy.demo import FOLDER
     from spikedeploy.demo import demo as show
-    from spikedeploy.terminal import print_json
+    from spikedeploy.reports.terminal import print_json
 
     documents = show(quiet=json)
     if json:

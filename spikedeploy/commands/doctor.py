@@ -8,7 +8,7 @@ from spikedeploy.commands.options import Json
 def doctor(json: Json = False) -> None:
     """Check versions, threads, rendering and the shipped policies; exit 1 if one fails."""
     from spikedeploy.doctor import examine
-    from spikedeploy.terminal import print_json, print_table
+    from spikedeploy.reports.terminal import print_json, print_table
 
     findings = examine()
     if json:

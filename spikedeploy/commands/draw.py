@@ -21,7 +21,7 @@ def draw(
     """Draw or edit a track; what no kart could drive is kept as a draft."""
     from spikedeploy.play.drawing import Drawing
     from spikedeploy.play.window import show
-    from spikedeploy.terminal import print_json
+    from spikedeploy.reports.terminal import print_json
 
     app = Drawing(file, copy)
     try:

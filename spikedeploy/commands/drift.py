@@ -16,8 +16,8 @@ from spikedeploy.commands.options import (
     Integrator,
     Json,
     Like,
-    Limits,
     LimitsOption,
+    LimitsSwitch,
     Quantise,
     Reset,
     Room,
@@ -65,7 +65,7 @@ def drift(
     tau: Annotated[
         float, typer.Option(min=0.01, help="Time constant of the spike distance, in timesteps.")
     ] = 5.0,
-    limits: LimitsOption = Limits.on,
+    limits: LimitsOption = LimitsSwitch.on,
     dt: Dt = None,
     reset: Reset = None,
     integrator: Integrator = None,
@@ -80,13 +80,13 @@ def drift(
     json: Json = False,
 ) -> None:
     """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
-    from runtime.artifact import load
-    from runtime.chip import chip as datasheet
-    from spikedeploy import drift_tables
     from spikedeploy.drift import drift_report
     from spikedeploy.inputs import chosen, path_of
-    from spikedeploy.terminal import print_drift, print_json
-    from spikedeploy.worlds import parsed
+    from spikedeploy.make_env import parsed
+    from spikedeploy.reports import drift_tables
+    from spikedeploy.reports.terminal import print_drift, print_json
+    from spikedeploy.runtime.artifact.artifact import load
+    from spikedeploy.runtime.chips.chip import chip as datasheet
 
     path = path_of(file)
     read = reading(
@@ -112,7 +112,7 @@ def drift(
         calibrate,
         tune,
         tau,
-        limits is Limits.on,
+        limits is LimitsSwitch.on,
     )
     if json:
         print_json(report.as_json())

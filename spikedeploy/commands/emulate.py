@@ -15,8 +15,8 @@ from spikedeploy.commands.options import (
     Integrator,
     Json,
     Like,
-    Limits,
     LimitsOption,
+    LimitsSwitch,
     Quantise,
     Reset,
     Room,
@@ -55,7 +55,7 @@ def emulate(
             help="What computes a chip: auto, numpy, numba or interpreter.", show_default="numpy"
         ),
     ] = None,
-    limits: LimitsOption = Limits.on,
+    limits: LimitsOption = LimitsSwitch.on,
     energy: Energy = None,
     dt: Dt = None,
     reset: Reset = None,
@@ -75,10 +75,10 @@ def emulate(
     """Play recorded spikes into any NIR network, and count what the chip does."""
     from dataclasses import replace
 
-    from runtime.energy import energy_tables
     from spikedeploy.emulate import emulate as play
     from spikedeploy.rasters import read_rasters
-    from spikedeploy.terminal import print_emulation, print_json
+    from spikedeploy.reports.terminal import print_emulation, print_json
+    from spikedeploy.runtime.metrics.energy import energy_tables
 
     read = reading(
         dt=dt,
@@ -97,7 +97,7 @@ def emulate(
         chip,
         read_rasters(input_),
         backend,
-        limits is Limits.on,
+        limits is LimitsSwitch.on,
         rounded,
         **read,
     )

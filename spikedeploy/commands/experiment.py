@@ -46,15 +46,15 @@ def experiment(
     """Train, export and evaluate everything that an experiment needs; go on where it stopped."""
     from importlib import import_module
 
-    from runtime.errors import ConfigError
     from spikedeploy.experiments import EXPERIMENTS
     from spikedeploy.jobs import cores
-    from spikedeploy.terminal import print_json
+    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.runtime.errors import ConfigError
 
     if name not in EXPERIMENTS:
         raise ConfigError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
     module, _, function = EXPERIMENTS[name].partition(":")
-    design = import_module("spikedeploy.experiments.kart_design").Design(
+    design = import_module("spikedeploy.experiments.kart_design").ExperimentDesign(
         seeds, controls, str(folder), tuple(set_ or ()), finishes, episodes, chip
     )
     run = getattr(import_module(module), function)

@@ -9,7 +9,7 @@ import typer
 from spikedeploy.commands.options import Json
 
 
-class State(str, Enum):
+class StateOption(str, Enum):
     """What an inference begins with."""
 
     reset = "reset"
@@ -29,13 +29,14 @@ def export(
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
     state: Annotated[
-        State, typer.Option(help="Membranes at an inference: reset as trained, or kept; nir only.")
-    ] = State.reset,
+        StateOption,
+        typer.Option(help="Membranes at an inference: reset as trained, or kept; nir only."),
+    ] = StateOption.reset,
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and prove that the file does the same."""
     from spikedeploy.export import export as write
-    from spikedeploy.terminal import print_checks, print_json
+    from spikedeploy.reports.terminal import print_checks, print_json
 
     written = write(run, to, output, observations, state=state.value)
     if json:

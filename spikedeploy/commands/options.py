@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from runtime.quantisation import Quantisation
+    from spikedeploy.runtime.compiler.quantisation import Quantisation
 
 
-class Limits(str, Enum):
+class LimitsSwitch(str, Enum):
     """Whether a chip refuses what breaks its design rules."""
 
     on = "on"
@@ -38,7 +38,7 @@ class Room(str, Enum):
 
 
 LimitsOption = Annotated[
-    Limits,
+    LimitsSwitch,
     typer.Option(
         "--limits",
         help="Refuse what breaks a design rule of the chip; 'off' emulates its arithmetic alone.",
@@ -188,7 +188,7 @@ def quantisation(
     weight_shift: int,
 ) -> "Quantisation":
     """What the five options ask for."""
-    from runtime.quantisation import Quantisation
+    from spikedeploy.runtime.compiler.quantisation import Quantisation
 
     return Quantisation(
         quantise.value,

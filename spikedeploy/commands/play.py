@@ -28,10 +28,10 @@ def play(
     json: Json = False,
 ) -> None:
     """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
+    from spikedeploy.make_env import parsed
     from spikedeploy.play.driving import Driving, session
     from spikedeploy.play.window import show
-    from spikedeploy.terminal import print_json
-    from spikedeploy.worlds import parsed
+    from spikedeploy.reports.terminal import print_json
 
     options = parsed(set_ or ()) | ({} if track is None else {"track": track})
     drive = session(env, options, policy, chip, seed, record)

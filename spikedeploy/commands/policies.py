@@ -6,8 +6,8 @@ from spikedeploy.commands.options import Json
 def policies(json: Json = False) -> None:
     """List the shipped policies, by the names that the commands take."""
     from spikedeploy import zoo
-    from spikedeploy.policies import BUILT_IN, find
-    from spikedeploy.terminal import print_json, print_table
+    from spikedeploy.policies.policies import BUILT_IN, find
+    from spikedeploy.reports.terminal import print_json, print_table
 
     rows = []
     for name in [*zoo.names(), *BUILT_IN]:

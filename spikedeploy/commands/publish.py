@@ -30,7 +30,7 @@ def publish(
     """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
     from spikedeploy import zoo
     from spikedeploy.publish import publish as write
-    from spikedeploy.terminal import print_json
+    from spikedeploy.reports.terminal import print_json
 
     files = write(run, name, episodes, output or zoo.FOLDER, workers, note, control)
     if json:

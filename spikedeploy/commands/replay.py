@@ -39,11 +39,11 @@ def replay(
     json: Json = False,
 ) -> None:
     """Replay a training's episodes as ghosts, or a drive that `play --record` kept."""
+    from spikedeploy.make_env import parsed
     from spikedeploy.play.film import film
     from spikedeploy.play.replaying import replay as open_replay
     from spikedeploy.play.window import show
-    from spikedeploy.terminal import print_json
-    from spikedeploy.worlds import parsed
+    from spikedeploy.reports.terminal import print_json
 
     first, *beside = source
     app = open_replay(first, mode, batch, spikes, chip, speed, parsed(set_ or ()), beside)

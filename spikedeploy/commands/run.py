@@ -12,8 +12,8 @@ from spikedeploy.commands.options import (
     Granularity,
     Headroom,
     Json,
-    Limits,
     LimitsOption,
+    LimitsSwitch,
     PolicyChip,
     Quantise,
     Room,
@@ -43,7 +43,7 @@ def run(
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
-    limits: LimitsOption = Limits.on,
+    limits: LimitsOption = LimitsSwitch.on,
     energy: Energy = None,
     quantise: Quantise = Granularity.layer,
     rounding: Rounding = None,
@@ -55,17 +55,25 @@ def run(
     """Let one policy drive the robot, and say how it went and what it cost."""
     from dataclasses import replace
 
-    from runtime.energy import energy_tables
-    from spikedeploy import report
+    from spikedeploy.make_env import parsed
+    from spikedeploy.reports import report
+    from spikedeploy.reports.terminal import print_comparison, print_json
     from spikedeploy.run import run as play
-    from spikedeploy.terminal import print_comparison, print_json
-    from spikedeploy.worlds import parsed
+    from spikedeploy.runtime.metrics.energy import energy_tables
 
     tables = energy_tables(energy or ())
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     comparison = play(
-        policy, env, chip, numbers, video, sampled, parsed(set_ or ()), limits is Limits.on, rounded
+        policy,
+        env,
+        chip,
+        numbers,
+        video,
+        sampled,
+        parsed(set_ or ()),
+        limits is LimitsSwitch.on,
+        rounded,
     )
     document = report.document(replace(comparison, tables=tables))
     if json:

@@ -40,8 +40,8 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
-    from spikedeploy.terminal import print_json
-    from trainers.train import train as learn
+    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.trainers.train import train as learn
 
     run = learn(
         recipe,

@@ -13,7 +13,7 @@ def verify(
     json: Json = False,
 ) -> None:
     """Replay traces; say equal or the first difference, and exit 1 if any is not equal."""
-    from spikedeploy.terminal import print_json, print_replays
+    from spikedeploy.reports.terminal import print_json, print_replays
     from spikedeploy.verify import replay
 
     replays = [replay(path) for path in traces]

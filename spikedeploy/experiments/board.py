@@ -9,12 +9,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from spikedeploy.experiments.finishes import how_far
 from spikedeploy.experiments.workers import Ended, Job
-from spikedeploy.terminal import console
+from spikedeploy.reports.terminal import console
 
 EVERY = 300.0  # between two lines where there is no terminal [s]
 
 
-class Board:
+class ProgressBoard:
     """How far the experiment and its running parts are.
 
     folder  of the trials, whose metrics tell how far they are
@@ -36,7 +36,7 @@ class Board:
         self._tasks: dict[str, TaskID] = {}
         self._spoke = time.monotonic()
 
-    def __enter__(self) -> "Board":
+    def __enter__(self) -> "ProgressBoard":
         self._bars.start()
         return self
 

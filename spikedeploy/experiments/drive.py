@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.compare import compare
+from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.lineup import Entry
 from spikedeploy.files import as_text, write_text
-from spikedeploy.lineup import Entry
-from spikedeploy.policies import FLOAT, find
+from spikedeploy.policies.policies import FLOAT, find
 from spikedeploy.seeds import EVALUATION
 
 Rows = list[dict[str, Any]]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trainers.metrics import read
+from spikedeploy.trainers.metrics import read
 
 Steps = NDArray[np.float64]
 

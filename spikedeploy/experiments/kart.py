@@ -4,18 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.errors import ConfigError
 from spikedeploy.experiments import workers
-from spikedeploy.experiments.board import Board
+from spikedeploy.experiments.board import ProgressBoard
 from spikedeploy.experiments.drive import Drive
-from spikedeploy.experiments.kart_design import Design
+from spikedeploy.experiments.kart_design import ExperimentDesign
 from spikedeploy.experiments.kart_page import write
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Ended, Job
+from spikedeploy.runtime.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """How far an experiment came.
 
     done, of     parts of it that are complete, and all of them
@@ -32,8 +32,8 @@ class Outcome:
 
 
 def experiment(
-    design: Design, only: Sequence[str], count: int, results: Path, train: bool = True
-) -> Outcome:
+    design: ExperimentDesign, only: Sequence[str], count: int, results: Path, train: bool = True
+) -> TrialOutcome:
     """Do what is missing of the experiment.
 
     only     names, or beginnings of names, of the parts to do; none stands for all
@@ -45,7 +45,7 @@ def experiment(
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
     failed: dict[str, str] = {}
-    with Board(design.folder, len(jobs)) as board:
+    with ProgressBoard(design.folder, len(jobs)) as board:
 
         def ended(end: Ended) -> None:
             board.ended(end)
@@ -56,7 +56,7 @@ def experiment(
         whole = workers.run(jobs, count, ended, board.look)
     files = write(design, results)
     done = [part.done for part in design.parts]
-    return Outcome(sum(done), len(done), failed, not whole, files)
+    return TrialOutcome(sum(done), len(done), failed, not whole, files)
 
 
 def _check(trial: Trial) -> None:
@@ -67,7 +67,7 @@ def _check(trial: Trial) -> None:
         raise ConfigError(f"{trial.name}: {error}") from error
 
 
-def _chosen(design: Design, only: Sequence[str]) -> list[Drive | Trial]:
+def _chosen(design: ExperimentDesign, only: Sequence[str]) -> list[Drive | Trial]:
     """The parts whose names begin so."""
     for beginning in only:
         if not any(part.name.startswith(beginning) for part in design.parts):
@@ -80,6 +80,6 @@ def _chosen(design: Design, only: Sequence[str]) -> list[Drive | Trial]:
     return [p for p in design.parts if not only or p.name.startswith(tuple(only))]
 
 
-def _job(part: Drive | Trial, design: Design) -> Job:
+def _job(part: Drive | Trial, design: ExperimentDesign) -> Job:
     log = Path(design.folder) / "logs" / f"{part.name}.log"
     return Job(part.name, f"{type(part).__module__}:perform", log, part.arguments())

@@ -8,7 +8,7 @@ players that are built in. All of them are then judged on the same starts, which
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import envs
+from spikedeploy import envs
 from spikedeploy.experiments.drive import Drive
 from spikedeploy.experiments.trial import Trial
 
@@ -18,7 +18,7 @@ CONTROLS = ("small", "linear")
 
 
 @dataclass(frozen=True)
-class Design:
+class ExperimentDesign:
     """What belongs to the experiment.
 
     seeds      trainings of each network, from seed 0 up

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, WORLDS, Design
+from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, WORLDS, ExperimentDesign
 from spikedeploy.experiments.kart_peers import PEERS
 from spikedeploy.experiments.kart_plot import draw
 from spikedeploy.experiments.kart_records import COUNT, NTH, Record, driving, learning, write_csv
@@ -27,7 +27,7 @@ NEAR = 0.95  # of the ANN's steps: what an SNN is asked to reach
 POINTS = 2  # of the finish rate that the chip may differ from the float twin
 
 
-def write(design: Design, results: Path) -> list[Path]:
+def write(design: ExperimentDesign, results: Path) -> list[Path]:
     """Write page, tables and picture of what is complete; the files."""
     learned, driven = learning(design), driving(design)
     folder = results / "kart"
@@ -40,7 +40,7 @@ def write(design: Design, results: Path) -> list[Path]:
     return [write_text(results / "kart.md", page(design, learned, driven)), *files]
 
 
-def _finishes(design: Design) -> list[Record]:
+def _finishes(design: ExperimentDesign) -> list[Record]:
     """One row for each finish of each complete training."""
     return [
         {"recipe": t.recipe, "seed": t.seed, "finish": n, "env_steps": steps}
@@ -70,7 +70,7 @@ The same starts, the same file; points of the finish rate, and the share of equa
 observations that the twin recorded."""
 
 
-def page(design: Design, learned: Sequence[Record], driven: Sequence[Record]) -> str:
+def page(design: ExperimentDesign, learned: Sequence[Record], driven: Sequence[Record]) -> str:
     """The page."""
     budgets = {(w, p): _budget(design, w, p) for w in WORLDS for p in NETWORKS}
     sections = {
@@ -97,12 +97,12 @@ def _command() -> str:
     return shlex.join(["spikedeploy", *sys.argv[1:]])
 
 
-def _missing(design: Design) -> list[str]:
+def _missing(design: ExperimentDesign) -> list[str]:
     done, of_all = sum(part.done for part in design.parts), len(design.parts)
     return [f"**{done} of {of_all} parts are complete.**"] if done < of_all else []
 
 
-def _facts(design: Design, budgets: Mapping[tuple[str, str], int]) -> list[str]:
+def _facts(design: ExperimentDesign, budgets: Mapping[tuple[str, str], int]) -> list[str]:
     """What someone who makes it again should know."""
     ends = f"with {design.finishes} finishes or" if design.finishes else "with"
     steps = ", ".join(f"{world} {policy} {count:,}" for (world, policy), count in budgets.items())
@@ -155,7 +155,7 @@ def _verdict(reached: bool, text: str) -> str:
     return f"- {'✓' if reached else '✗'} {text}"
 
 
-def _budget(design: Design, world: str, policy: str) -> int:
+def _budget(design: ExperimentDesign, world: str, policy: str) -> int:
     """Environment steps that a training may take."""
     recipe = f"{world}-{policy}"
     return next(trial.config.steps for trial in design.trials() if trial.recipe == recipe)

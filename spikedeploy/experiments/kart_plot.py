@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.experiments.finishes import Steps, by
-from spikedeploy.experiments.kart_design import NETWORKS, WORLDS, Design
+from spikedeploy.experiments.kart_design import NETWORKS, WORLDS, ExperimentDesign
 from spikedeploy.experiments.kart_peers import PEERS
 from spikedeploy.experiments.kart_records import COUNT
-from spikedeploy.plots import BLUE, VERMILION, save
+from spikedeploy.reports.plots import BLUE, VERMILION, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +22,7 @@ NAMES = {"ann": "float ANN", "snn": "SNN"}
 POINTS = 400  # of a line
 
 
-def draw(design: Design, path: Path) -> Path:
+def draw(design: ExperimentDesign, path: Path) -> Path:
     """Write the picture of all complete trainings of the two networks."""
     from matplotlib.figure import Figure
 
@@ -38,7 +38,7 @@ def draw(design: Design, path: Path) -> Path:
     return save(figure, path)
 
 
-def _panel(axes: "Axes", design: Design, world: str) -> None:
+def _panel(axes: "Axes", design: ExperimentDesign, world: str) -> None:
     from matplotlib.ticker import EngFormatter
 
     for place, policy in enumerate(NETWORKS):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.finishes import steps_to
-from spikedeploy.experiments.kart_design import Design
+from spikedeploy.experiments.kart_design import ExperimentDesign
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.files import replacing
 
@@ -15,7 +15,7 @@ NTH = f"finish_{COUNT}"
 Record = dict[str, Any]
 
 
-def learning(design: Design) -> list[Record]:
+def learning(design: ExperimentDesign) -> list[Record]:
     """One row for each complete training: when it finished for the first and the 300th time."""
     return [
         {
@@ -30,7 +30,7 @@ def learning(design: Design) -> list[Record]:
     ]
 
 
-def driving(design: Design) -> list[Record]:
+def driving(design: ExperimentDesign) -> list[Record]:
     """One row for each complete evaluation, of each way in which a policy was run."""
     found = []
     for trial in design.trials():

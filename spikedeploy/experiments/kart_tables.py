@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from spikedeploy.columns import ABSENT, scaled
+from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
 from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, WORLDS
 from spikedeploy.experiments.kart_peers import PEERS
 from spikedeploy.experiments.kart_records import COUNT, NTH, Record
-from spikedeploy.policies import FLOAT
-from spikedeploy.statistics import Estimate, ratio_of_medians
+from spikedeploy.policies.policies import FLOAT
+from spikedeploy.reports.columns import ABSENT, scaled
 
 
 def of(rows: Iterable[Record], world: str, policy: str, **more: object) -> list[Record]:

@@ -13,14 +13,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from runtime.errors import SpikedeployError
 from spikedeploy.experiments.alone import alone
 from spikedeploy.experiments.drive import drive
 from spikedeploy.experiments.finishes import Steps, finishes
 from spikedeploy.files import as_text, write_text
-from trainers.config import amended, differences, resolve
-from trainers.ppo_config import PpoConfig
-from trainers.run_folder import RunFolder
+from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.trainers.config import amended, differences, resolve
+from spikedeploy.trainers.ppo_config import PpoConfig
+from spikedeploy.trainers.run_folder import RunFolder
 
 STAMP = r"\d{8}-\d{6}(-\d+)?"
 
@@ -132,7 +132,7 @@ def perform(**arguments: Any) -> bool:  # noqa: ANN401
 
 def _train(trial: Trial) -> None:
     """Begin the training, or go on with it."""
-    from trainers.train import train
+    from spikedeploy.trainers.train import train
 
     if trial.run and not trial.counters:
         shutil.rmtree(trial.run)  # it was killed before its first checkpoint: nothing is lost
@@ -170,6 +170,6 @@ def _evaluate(trial: Trial) -> None:
 
 def parameters(run: Path) -> int:
     """Numbers that the run's policy has learned."""
-    from trainers.run_folder import load_policy
+    from spikedeploy.trainers.run_folder import load_policy
 
     return sum(weights.numel() for weights in load_policy(run).parameters())

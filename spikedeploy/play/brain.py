@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.ghosts import Ghost
-from runtime.artifact import load
-from runtime.chip import chip as datasheet
-from runtime.compile import compile as compiled
-from runtime.errors import ConfigError
-from runtime.float_machine import FloatMachine
-from runtime.machine import Machine
-from runtime.xorshift import Xorshift
-from spikedeploy.policies import FLOAT, Candidate
+from spikedeploy.envs.ghosts import Ghost
+from spikedeploy.policies.policies import FLOAT, Candidate
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
 
 Floats = NDArray[np.float64]
 RADIUS = 19.2  # of a kart [px]
 
 
 @dataclass(frozen=True)
-class Thoughts:
+class InferenceTrace:
     """S inferences of T timesteps each.
 
     rasters  "input" and every spiking layer -> (S, T, N) uint8
@@ -33,7 +33,7 @@ class Thoughts:
     scores: Floats
 
 
-class Brain:
+class SpikeRecorder:
     """A spiking policy that can be watched.
 
     name  for people
@@ -55,18 +55,20 @@ class Brain:
             else Machine(compiled(artifact, datasheet(chip)), ledger="none", trace=True)
         )
 
-    def think(self, observations: Floats, seed: int) -> Thoughts:
+    def think(self, observations: Floats, seed: int) -> InferenceTrace:
         """One inference for each observation (S, obs), in their order."""
         self._network.reset()
-        dice = Xorshift(max(seed, 0), self._codec.encoder.width)
+        rng = Xorshift(max(seed, 0), self._codec.encoder.width)
         rasters: dict[str, list[NDArray[np.uint8]]] = {}
         scores = []
         for observation in observations:
-            spikes = self._codec.encode(observation[None], dice)
+            spikes = self._codec.encode(observation[None], rng)
             scores.append(self._codec.scores(self._network.infer(spikes))[0])
             for name, raster in {"input": spikes[0], **self._seen()}.items():
                 rasters.setdefault(name, []).append(raster)
-        return Thoughts({name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores))
+        return InferenceTrace(
+            {name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores)
+        )
 
     def _seen(self) -> dict[str, NDArray[np.uint8]]:
         """(T, N) of each spiking layer in the last inference."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.ghosts import Ghost
+from spikedeploy.envs.ghosts import Ghost
 
 Floats = NDArray[np.float32]
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 import pygame
 
-from envs.kart_picture import draw_kart
-from envs.kart_scene import Scene
+from spikedeploy.envs.kart.picture import draw_kart
+from spikedeploy.envs.kart.scene import Scene
 from spikedeploy.play.crowd import Crowd
 from spikedeploy.play.theme import AMBER, CYAN, DIM, GREEN, RED, Colour, write
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pygame
 
-from envs.errors import EnvError
+from spikedeploy.envs.errors import EnvError
 from spikedeploy.play.drawing_picture import HEIGHT, draw_panel, draw_sketch, view_of
 from spikedeploy.play.sketch import History, Point, Sketch
 from spikedeploy.play.sketch_file import as_text, draft_of, opened, save, save_draft

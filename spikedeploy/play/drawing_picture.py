@@ -8,8 +8,8 @@ import numpy as np
 import pygame
 from numpy.typing import ArrayLike, NDArray
 
-from envs.kart_picture import KART, draw_kart
-from envs.kart_scene import NIGHT, WALL, thick_line
+from spikedeploy.envs.kart.picture import KART, draw_kart
+from spikedeploy.envs.kart.scene import NIGHT, WALL, thick_line
 from spikedeploy.play.sketch import Line, Point, Sketch
 from spikedeploy.play.theme import (
     AMBER,

@@ -7,16 +7,15 @@ from typing import Any
 import gymnasium
 import pygame
 
-import envs
-from runtime.errors import ConfigError
-from spikedeploy import zoo
+from spikedeploy import envs, zoo
+from spikedeploy.make_env import made
 from spikedeploy.play.drivers import BothHands, Commanded, Driver, Hand, Watched
 from spikedeploy.play.hud import WIDTH, draw_hud
 from spikedeploy.play.session import Session
 from spikedeploy.play.stage import is_kart, stage
 from spikedeploy.play.theme import GREEN, RED, banner
-from spikedeploy.policies import Candidate, find, open_policy
-from spikedeploy.worlds import made
+from spikedeploy.policies.policies import Candidate, find, open_policy
+from spikedeploy.runtime.errors import ConfigError
 
 HEIGHT = 800
 SIZES = {True: (HEIGHT, HEIGHT), False: (HEIGHT * 4 // 3, HEIGHT)}  # of a track, of a camera's view

@@ -8,9 +8,9 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from runtime.errors import ConfigError
 from spikedeploy.files import replacing
 from spikedeploy.play.replaying import Replay
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import mp4
 
 FPS = {".mp4": 30, ".gif": 20}  # a GIF counts in hundredths of a second

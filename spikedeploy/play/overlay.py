@@ -8,12 +8,12 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-import envs
-from runtime.errors import ConfigError
+from spikedeploy import envs
 from spikedeploy.play.crowd_picture import draw_crowd, draw_leader, one_colour
 from spikedeploy.play.reels import Facts, GhostReel
 from spikedeploy.play.source import Source
 from spikedeploy.play.theme import Colour
+from spikedeploy.runtime.errors import ConfigError
 
 COLOURS: tuple[Colour, ...] = (  # of the sources, in their order; far apart in hue, alike in weight
     (76, 201, 240),  # sky

@@ -6,7 +6,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from spikedeploy.play.brain import Thoughts
+from spikedeploy.play.brain import InferenceTrace
 from spikedeploy.play.theme import (
     AMBER,
     CYAN,
@@ -32,7 +32,7 @@ def draw_thoughts(
     surface: pygame.Surface,
     place: pygame.Rect,
     name: str,
-    thoughts: Thoughts,
+    thoughts: InferenceTrace,
     step: int,
     actions: Sequence[str],
     taken: int | None,
@@ -104,7 +104,7 @@ def _image(
 def _scores(
     surface: pygame.Surface,
     place: pygame.Rect,
-    thoughts: Thoughts,
+    thoughts: InferenceTrace,
     step: int,
     actions: Sequence[str],
     taken: int | None,

@@ -8,10 +8,10 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from envs.ghosts import Ghosts
-from envs.kart_scene import Scene, scene
-from envs.rollout import Rollout
-from envs.track import Track
+from spikedeploy.envs.ghosts import Ghosts
+from spikedeploy.envs.kart.scene import Scene, scene
+from spikedeploy.envs.kart.track import Track
+from spikedeploy.envs.rollout import Rollout
 from spikedeploy.play.brain import seen_by
 from spikedeploy.play.crowd import Crowd
 from spikedeploy.play.stage import stage
@@ -20,7 +20,7 @@ from spikedeploy.play.theme import Colour
 Facts = list[tuple[str, str]]
 
 
-class Reel(Protocol):
+class ReplayView(Protocol):
     """One batch of a replay.
 
     length  control steps
@@ -82,7 +82,7 @@ class GhostReel:
 
     def ground(self, size: tuple[int, int]) -> pygame.Surface:
         """The track with its gates and nobody on it."""
-        from envs.kart_picture import draw_gates
+        from spikedeploy.envs.kart.picture import draw_gates
 
         surface = self.place(size).ground.copy()
         draw_gates(surface, self.place(size), -1)

@@ -8,14 +8,14 @@ from typing import Any
 import gymnasium
 import pygame
 
-import envs
-from runtime.errors import ConfigError
-from spikedeploy.play.brain import Brain, Thoughts
+from spikedeploy import envs
+from spikedeploy.make_env import made
+from spikedeploy.play.brain import InferenceTrace, SpikeRecorder
 from spikedeploy.play.overlay import OverlayReel, check_alike, distinct
 from spikedeploy.play.playback import Playback
 from spikedeploy.play.rasters import WIDTH as THOUGHTS
 from spikedeploy.play.rasters import draw_thoughts
-from spikedeploy.play.reels import GhostReel, Reel, WalkReel, action_names
+from spikedeploy.play.reels import GhostReel, ReplayView, WalkReel, action_names
 from spikedeploy.play.source import Source, open_source
 from spikedeploy.play.stage import is_kart
 from spikedeploy.play.theme import (
@@ -30,8 +30,8 @@ from spikedeploy.play.theme import (
     keycaps,
     write,
 )
-from spikedeploy.policies import check_fit, find
-from spikedeploy.worlds import made
+from spikedeploy.policies.policies import check_fit, find
+from spikedeploy.runtime.errors import ConfigError
 
 HEIGHT = 800
 WIDTH = 340
@@ -62,7 +62,7 @@ class Replay:
         sources: Mapping[str, Source],
         env: gymnasium.Env[Any, Any],
         mode: str = "batch",
-        brain: Brain | None = None,
+        brain: SpikeRecorder | None = None,
         speed: float = 1.0,
     ) -> None:
         self._first = next(iter(sources.values()))
@@ -107,19 +107,19 @@ class Replay:
         return surface
 
     @property
-    def reel(self) -> Reel:
+    def reel(self) -> ReplayView:
         """The batch that is on."""
         return self._reel(self.playback.batch)
 
     @property
-    def thoughts(self) -> Thoughts | None:
+    def thoughts(self) -> InferenceTrace | None:
         """What the policy does while it sees what the leader saw."""
         return self._think(self.playback.batch)
 
     def _load(self) -> None:
         self.playback.length = self.reel.length
 
-    def _cut(self, batch: int) -> Reel:
+    def _cut(self, batch: int) -> ReplayView:
         if self._first.rollout is not None and not is_kart(self._world):
             return WalkReel(self._env, self._first.rollout)
         if len(self._sources) == 1:
@@ -133,7 +133,7 @@ class Replay:
         seen = None if source.rollout is None else source.rollout.observation
         return GhostReel(self._env, ghosts, seen)
 
-    def _thought(self, batch: int) -> Thoughts | None:
+    def _thought(self, batch: int) -> InferenceTrace | None:
         observations = self._reel(batch).observations()
         if self._brain is None or not len(observations):
             return None
@@ -233,9 +233,9 @@ def replay(
     return app
 
 
-def _brain(spikes: str | None, chip: str, env: gymnasium.Env[Any, Any]) -> Brain | None:
+def _brain(spikes: str | None, chip: str, env: gymnasium.Env[Any, Any]) -> SpikeRecorder | None:
     if spikes is None:
         return None
     candidate = find(spikes)
     check_fit(candidate, env)
-    return Brain(candidate, chip)
+    return SpikeRecorder(candidate, chip)

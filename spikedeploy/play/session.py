@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium
 
-from envs.rollout import Rollout, Take
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.play.drivers import Driver
 
 PAUSE = 1.5  # [s] that the end of an episode stays on the screen
@@ -96,7 +96,7 @@ class Session:
         """Begin the next episode; one that was under way is forgotten."""
         self._seed += 1
         self._wait = 0
-        self.take = Take(self.env, self._seed)
+        self.take = EpisodeRecorder(self.env, self._seed)
         self.driver.reset(self._seed)
         self.sums = Counter()
 

@@ -6,12 +6,12 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from envs.errors import EnvError
-from envs.track import Track, load, parse
-from envs.track_rules import check
-from runtime.errors import ConfigError
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart.track import Track, load, parse
+from spikedeploy.envs.kart.track_rules import check
 from spikedeploy.files import write_text
 from spikedeploy.play.sketch import Line, Point, Sketch
+from spikedeploy.runtime.errors import ConfigError
 
 
 def draft_of(path: Path) -> Path:

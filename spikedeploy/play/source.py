@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from envs.ghosts import Ghosts
-from envs.rollout import Rollout
-from runtime.errors import ConfigError
+from spikedeploy.envs.ghosts import Ghosts
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.runtime.errors import ConfigError
 
 
 @dataclass(frozen=True)

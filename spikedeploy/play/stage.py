@@ -15,7 +15,7 @@ def is_kart(world: Any) -> bool:  # noqa: ANN401
 def stage(world: Any, size: tuple[int, int]) -> pygame.Surface:  # noqa: ANN401
     """A picture of this size; worlds that are no karts need render_mode="rgb_array"."""
     if is_kart(world):
-        from envs.kart_picture import drawn
+        from spikedeploy.envs.kart.picture import drawn
 
         return drawn(world, size)
     frame = world.render()

@@ -6,8 +6,8 @@ from typing import Protocol, runtime_checkable
 
 import pygame
 
-from runtime.errors import ConfigError
 from spikedeploy.play.theme import NIGHT
+from spikedeploy.runtime.errors import ConfigError
 
 SCREENSHOTS = Path("screenshots")
 MOST = 25.0  # ticks between two frames

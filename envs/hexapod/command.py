@@ -1,0 +1,143 @@
+"""HexapodCommand-v0: follow a commanded forward speed and turn rate over rougher ground."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+
+from spikedeploy.envs.hexapod.disturbances import PushTable, Range
+from spikedeploy.envs.hexapod.env import CONTROL_DT, SMOOTHING, HexapodEnv
+from spikedeploy.envs.hexapod.reward import command_terms
+from spikedeploy.envs.hexapod.robot import Motion
+from spikedeploy.envs.hexapod.terrain import Field
+from spikedeploy.envs.observation import BODY, LOAD, FloatArray, ObservationEntry, layout
+
+STAND = 0.15  # probability that a command is to stand still
+SPEED = (-0.25, 0.45)  # [m/s]
+TURN = 0.8  # [rad/s] at most
+OUTER_SPEED = 0.5  # [m/s] that the outer legs can reach
+HALF_TRACK = 0.2  # [m] from the body's centre to the outer feet
+HOLD = (100, 200)  # [control steps] that a command lasts
+
+COMMANDED_BODY = tuple(
+    ObservationEntry("turn_error", 1, 0.0, 0.8) if entry.name == "heading" else entry  # [rad/s]
+    for entry in BODY
+)
+COMMAND = (
+    ObservationEntry("speed_error", 1, 0.0, 0.4),  # [m/s] commanded - smoothed, as turn_error
+    ObservationEntry("command", 2, 0.0, (0.45, 0.8)),  # [m/s], [rad/s] forward speed and turn rate
+)
+
+
+def draw_command(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw forward speed [m/s] and turn rate [rad/s] that the legs can follow together."""
+    stand = rng.random() < STAND
+    speed = rng.uniform(*SPEED)
+    turn = fastest_turn(speed) * rng.uniform(-1.0, 1.0)
+    return (0.0, 0.0) if stand else (speed, turn)
+
+
+def fastest_turn(speed: float) -> float:
+    """Turn rate [rad/s] that the outer legs can follow at a forward speed [m/s]."""
+    # |turn| <= (outer speed - |speed|) / half track
+    return min(TURN, (OUTER_SPEED - abs(speed)) / HALF_TRACK)
+
+
+class HexapodCommandEnv(HexapodEnv):
+    """Follow a speed and a turn rate that change every 2 to 4 s, on 5 to 9 cm bumps.
+
+    The same body, gait, action pipeline and options as HexapodEnv, with three differences:
+    the residual has an authority of 0.9 on the six coxae, without which the gait cannot be
+    reversed; kicks are 0.25 to 0.5 m/s; the ground is rougher. 15 % of the commands are to stand.
+
+    Observation (77,): turn_error, speed_error and command (speed, turn) take the places of
+    heading, speed, lateral and lateral_velocity. So a real robot needs no odometer of position
+    or heading; it still has to estimate the body's velocity (leg kinematics with an inertial unit)
+    and its height over the ground, and it is given the command. The rest its servos, inertial unit
+    and foot sensors measure.
+
+    Reward: 1 + 2.5 kernel(speed error, 0.12 m/s) + 2 kernel(turn error, 0.3 rad/s), less sideways
+    motion and the regularisers of HexapodEnv; at most 5.5 a step. The kernel is peaked because a
+    broad one lets a gait modulator that feels nothing score like a policy.
+
+    A fall is an up axis below 0.5 or a height below 0.035 m. An episode succeeds when it does not
+    fall and its return passes SUCCESS_RETURN; the gait alone earns about 900. The info adds
+    command_speed, command_turn, speed_error and turn_error (commanded - smoothed) to HexapodEnv's;
+    its speed is along the body and its distance the length of the path.
+    """
+
+    ENTRIES: ClassVar[tuple[ObservationEntry, ...]] = (*COMMANDED_BODY, *COMMAND, LOAD)
+    OBSERVATION: ClassVar[dict[str, slice]] = layout(ENTRIES)
+    FIELD: ClassVar[Field] = Field(length=18.0, width=18.0, start=(0.0, 0.0))
+    PUSHES: ClassVar[PushTable] = PushTable(kick=(0.25, 0.5), spin=1.0, interval=(75, 200))
+    START_HEADING: ClassVar[float] = math.pi
+    LOWEST_HEIGHT: ClassVar[float] = 0.035
+    CROUCH_HEIGHT: ClassVar[float] = 0.085
+    AUTHORITY: ClassVar[FloatArray] = np.tile([0.9, 0.5, 0.5], 6)
+
+    def __init__(self, *, terrain: Range = (0.05, 0.09), **options: Any) -> None:  # noqa: ANN401
+        super().__init__(terrain=terrain, **options)
+
+    @property
+    def command(self) -> tuple[float, float]:
+        """Forward speed [m/s] and turn rate [rad/s] that are to be followed now."""
+        return self._command
+
+    def steer(self, speed: float, turn: float) -> None:
+        """Command a speed [m/s] and a turn rate [rad/s], as far as the legs can, to the end."""
+        speed = min(max(speed, SPEED[0]), SPEED[1])
+        most = fastest_turn(speed)
+        self._command = speed, min(max(turn, -most), most)
+        self._change = math.inf
+
+    def _begin(self) -> None:
+        self._turn = 0.0
+        self._command = draw_command(self.np_random)
+        self._change = self._hold()
+
+    def _prepare(self) -> None:
+        if self._step >= self._change:
+            self._command = draw_command(self.np_random)
+            self._change = self._step + self._hold()
+
+    def _hold(self) -> int:
+        shortest, longest = HOLD
+        return int(self.np_random.integers(shortest, longest + 1))
+
+    def _track(self, motion: Motion) -> None:
+        """Follow the smoothed speed along the body, the turn rate and the length of the path."""
+        forward, _ = _planar(motion)
+        self._speed += SMOOTHING * (forward - self._speed)
+        self._turn += SMOOTHING * (motion.angular_velocity[2] - self._turn)
+        self._distance += abs(self._speed) * CONTROL_DT
+
+    def _task_terms(self, motion: Motion) -> dict[str, float]:
+        speed, turn = self._command
+        _, sideways = _planar(motion)
+        return command_terms(speed - self._speed, turn - self._turn, sideways)
+
+    def _task_observation(self, values: FloatArray, motion: Motion) -> None:
+        place = self.OBSERVATION
+        speed, turn = self._command
+        values[place["turn_error"]] = turn - self._turn
+        values[place["speed_error"]] = speed - self._speed
+        values[place["command"]] = speed, turn
+
+    def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
+        """What happened in this step, with the command in force during it."""
+        speed, turn = self._command
+        return super()._info(motion, terms, fall) | {
+            "command_speed": speed,
+            "command_turn": turn,
+            "speed_error": speed - self._speed,
+            "turn_error": turn - self._turn,
+        }
+
+
+def _planar(motion: Motion) -> tuple[float, float]:
+    """Forward and leftward speed [m/s] in the horizontal plane, relative to the heading."""
+    vx, vy, _ = motion.velocity
+    cosine, sine = math.cos(motion.heading), math.sin(motion.heading)
+    return vx * cosine + vy * sine, vy * cosine - vx * sine

@@ -1,0 +1,282 @@
+"""Hexapod-v0: walk straight ahead over rough ground."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.envs.camera import Camera, CameraWindow
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.hexapod.disturbances import Pushes, PushTable, Range, check, sample
+from spikedeploy.envs.hexapod.gait import Gait
+from spikedeploy.envs.hexapod.reward import course_terms, regularisers
+from spikedeploy.envs.hexapod.robot import GRAVITY, Motion, Robot
+from spikedeploy.envs.hexapod.terrain import Field, Terrain
+from spikedeploy.envs.observation import (
+    BODY,
+    COURSE,
+    LIMIT,
+    LOAD,
+    FloatArray,
+    ObservationEntry,
+    layout,
+    scaling,
+)
+
+CONTROL_DT = 0.02  # [s]
+SMOOTHING = 0.1  # weight of the newest value in a smoothed speed or turn rate
+FILTER = 0.6  # weight of the newest value in the command to the servos
+LOWEST_UP = 0.5  # [1] z of the body's up axis below which it has fallen
+
+
+class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
+    """Walk along the x axis at 0.4 m/s for 20 s, pushed about on 3 cm bumps.
+
+    Action (18,) in [-1, 1], a residual on the tripod gait, leg after leg coxa, femur, tibia.
+    The servos hold stance + 0.6 rad x filtered, where in every control step
+    filtered = 0.6 (gait + AUTHORITY x action) + 0.4 filtered.
+
+    Observation (77,) float64, each about +-1, saturating at +-10; OBSERVATION names its slices.
+    On a real robot the servos give joints and joint_velocity, an inertial unit gives gravity and
+    angular_velocity, switches or load cells in the feet give contact and load; previous and phase
+    are the controller's own. Height, velocity, heading, speed, lateral and lateral_velocity need
+    odometry: leg kinematics with the inertial unit, or a camera.
+
+    An episode ends after max_steps (truncated) or with a fall (terminated): the z of the body's up
+    axis below 0.5, or its centre below 0.04 m over the mean ground around it. It succeeds when it
+    does not fall and its return passes SUCCESS_RETURN. Over 1000 steps the gait alone earns about
+    1950 (0.155 m/s), a random residual about 850; 4000 is the bound that no walker reaches.
+
+    The info of a step has reward_terms (their sum is the reward), fall, success (so far) and
+    speed [m/s] smoothed · heading [rad] · lateral [m] · slip [m/s] · power [W] mean of the step ·
+    distance [m] made good · cot [1] energy / (m g distance) so far · episode_return so far.
+
+    terrain      [m] height of the bumps
+    pushes       [1] scale of the pushes, 0 for none
+    mass         [1] factor on every body
+    payload      [kg] on the torso
+    friction     [1] of the feet on the ground
+    servo_gain   [1] factor on stiffness and damping of the servos
+    max_steps    [control steps]
+    render_mode  "rgb_array", "human" or None
+    Of the physical options a number is kept, a pair (low, high) is drawn from in every episode.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - declared so by gymnasium
+        "render_modes": ["rgb_array", "human"],
+        "render_fps": 50,
+    }
+
+    CONTROL_DT: ClassVar[float] = CONTROL_DT
+    SUCCESS_RETURN: ClassVar[float] = 2500.0
+    ENTRIES: ClassVar[tuple[ObservationEntry, ...]] = (*BODY, *COURSE, LOAD)
+    OBSERVATION: ClassVar[dict[str, slice]] = layout(ENTRIES)
+    FIELD: ClassVar[Field] = Field(length=24.0, width=8.0, start=(-10.0, 0.0))
+    PUSHES: ClassVar[PushTable] = PushTable(kick=(0.125, 0.25), spin=0.5, interval=(100, 250))
+    START_HEADING: ClassVar[float] = 0.15  # [rad] at most, either way
+    LOWEST_HEIGHT: ClassVar[float] = 0.04  # [m] below which it has fallen
+    CROUCH_HEIGHT: ClassVar[float] = 0.09  # [m] below which it is paid less
+    AUTHORITY: ClassVar[FloatArray] = np.full(18, 0.5)
+
+    def __init__(
+        self,
+        *,
+        terrain: Range = 0.03,
+        pushes: float = 1.0,
+        mass: Range = (0.95, 1.05),
+        payload: Range = (-0.1, 0.3),
+        friction: Range = (0.55, 1.0),
+        servo_gain: Range = (0.85, 1.1),
+        max_steps: int = 1000,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise EnvError(f"option render_mode: {render_mode!r} is not rgb_array, human or None")
+        if max_steps < 1:
+            raise EnvError(f"option max_steps: {max_steps} is below 1")
+        self.render_mode = render_mode
+        self.max_steps = max_steps
+        self._bump = check("terrain", terrain, 0.0, 0.1)
+        self._body = {
+            "mass": check("mass", mass, 0.5, 2.0),
+            "payload": check("payload", payload, -0.5, 2.0),
+            "friction": check("friction", friction, 0.01, 5.0),
+            "servo_gain": check("servo_gain", servo_gain, 0.1, 5.0),
+        }
+        scale = check("pushes", pushes, 0.0, 10.0)
+        if isinstance(scale, tuple):
+            raise EnvError(f"option pushes: {pushes!r} is a pair; one number scales every push")
+        self._pushes = Pushes(self.PUSHES, scale)
+        self._robot = Robot(self.FIELD)
+        self._terrain = Terrain(self.FIELD, self._robot.model)
+        self._gait = Gait()
+        self._eye: Camera | CameraWindow | None = None
+        self._centre, self._spread = scaling(self.ENTRIES)
+        size = len(self._centre)
+        self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (size,), np.float64)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (18,), np.float64)
+
+    @property
+    def support_force(self) -> float:
+        """Fraction [0, 1] of the full upward pull (0.6 of the weight); only training raises it."""
+        return self._robot.support_force
+
+    @support_force.setter
+    def support_force(self, fraction: float) -> None:
+        if not 0.0 <= fraction <= 1.0:
+            raise EnvError(f"support_force: {fraction} is outside [0, 1]")
+        self._robot.support_force = float(fraction)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Start an episode: new ground, new body, new pushes, gait at a random phase."""
+        super().reset(seed=seed)
+        rng = self.np_random
+        self._terrain.roughen(sample(self._bump, rng), rng)
+        self._robot.rebuild(**{name: sample(value, rng) for name, value in self._body.items()})
+        self._gait.reset(rng.uniform(0.0, math.tau))
+        self._pushes.reset(rng)
+        x, y = self.FIELD.start
+        heading = rng.uniform(-self.START_HEADING, self.START_HEADING)
+        self._robot.place(x, y, self._terrain.ground(x, y), heading)
+        self._step = 0
+        self._action = np.zeros(18)
+        self._filtered = np.zeros(18)
+        self._speed = 0.0
+        self._energy = 0.0
+        self._distance = 0.0
+        self._return = 0.0
+        self._begin()
+        if self._eye is not None:
+            self._eye.renew()
+        if self.render_mode == "human":
+            self.render()
+        motion = self._robot.sense()
+        return self._observe(motion, self._height(motion)), {}
+
+    def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        """Move on by one control step of 20 ms."""
+        action = self._accept(action)
+        motion = self._move(action)
+        height = self._height(motion)
+        self._step += 1
+        self._energy += motion.mean_power * CONTROL_DT
+        self._track(motion)
+        terms = self._task_terms(motion)
+        terms |= regularisers(motion, height, self.CROUCH_HEIGHT, action - self._action)
+        reward = sum(terms.values())
+        self._return += reward
+        self._action = action
+        fall = -motion.gravity[2] < LOWEST_UP or height < self.LOWEST_HEIGHT
+        truncated = not fall and self._step >= self.max_steps
+        info = self._info(motion, terms, fall)
+        self._prepare()
+        observation = self._observe(motion, height)
+        if self.render_mode == "human":
+            self.render()
+        return observation, reward, fall, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a frame (480, 640, 3), or show it in a window, as render_mode says."""
+        if self.render_mode is None:
+            raise EnvError("made without render_mode; choose rgb_array or human")
+        if self._eye is None:
+            human = self.render_mode == "human"
+            self._eye = CameraWindow(self._robot, CONTROL_DT) if human else Camera(self._robot)
+        return self._eye.picture()
+
+    def close(self) -> None:
+        """Close the camera or window, if there is one."""
+        if self._eye is not None:
+            self._eye.close()
+            self._eye = None
+
+    def _accept(self, action: FloatArray) -> FloatArray:
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != (18,):
+            raise EnvError(f"action of step {self._step}: shape {action.shape} instead of (18,)")
+        if not np.isfinite(action).all():
+            raise EnvError(f"action of step {self._step}: not finite: {action}")
+        return np.minimum(np.maximum(action, -1.0), 1.0)
+
+    def _move(self, action: FloatArray) -> Motion:
+        """Push the robot if it is time, drive its servos, and measure what came of it."""
+        push = self._pushes.at(self._step, self.np_random)
+        if push is not None:
+            self._robot.push(push.kick, push.spin)
+        # filtered = 0.6 (gait + authority x action) + 0.4 filtered
+        command = self._gait.command() + self.AUTHORITY * action
+        self._filtered = FILTER * command + (1.0 - FILTER) * self._filtered
+        self._robot.drive(self._filtered)
+        self._gait.advance(CONTROL_DT)
+        return self._robot.sense()
+
+    def _height(self, motion: Motion) -> float:
+        x, y, z = motion.position
+        return z - self._terrain.ground(x, y)
+
+    def _observe(self, motion: Motion, height: float) -> FloatArray:
+        """Observation (77,) of the state that the robot is in now."""
+        place = self.OBSERVATION
+        values = np.empty(len(self._centre))
+        values[place["height"]] = height
+        values[place["gravity"]] = motion.gravity
+        values[place["velocity"]] = motion.body_velocity
+        values[place["angular_velocity"]] = motion.angular_velocity
+        values[place["joints"]] = motion.joints
+        values[place["joint_velocity"]] = motion.joint_velocity
+        values[place["previous"]] = self._filtered
+        values[place["contact"]] = motion.contact
+        values[place["phase"]] = math.sin(self._gait.phase), math.cos(self._gait.phase)
+        values[place["load"]] = motion.load.sum()
+        self._task_observation(values, motion)
+        values -= self._centre
+        values /= self._spread
+        observation: FloatArray = np.minimum(np.maximum(values, -LIMIT), LIMIT)
+        return observation
+
+    def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
+        """What happened in this step and in the episode so far."""
+        weight = self._robot.mass * GRAVITY
+        return {
+            "reward_terms": terms,
+            "speed": self._speed,
+            "heading": motion.heading,
+            "lateral": motion.position[1],
+            "slip": motion.slip,
+            "fall": fall,
+            "power": motion.mean_power,
+            # CoT = energy / (m g distance), of the first centimetre at least
+            "cot": self._energy / (weight * max(self._distance, 0.01)),
+            "distance": self._distance,
+            "episode_return": self._return,
+            "success": not fall and self._return > self.SUCCESS_RETURN,
+        }
+
+    # What makes this task this task; HexapodCommandEnv replaces the following.
+
+    def _begin(self) -> None:
+        """Draw what the task needs at reset."""
+
+    def _prepare(self) -> None:
+        """Change what the task asks for before the next observation."""
+
+    def _track(self, motion: Motion) -> None:
+        """Follow the smoothed speed along the course and the way made good."""
+        self._speed += SMOOTHING * (motion.velocity[0] - self._speed)
+        self._distance = motion.position[0] - self.FIELD.start[0]
+
+    def _task_terms(self, motion: Motion) -> dict[str, float]:
+        return course_terms(self._speed, motion.heading, motion.position[1])
+
+    def _task_observation(self, values: FloatArray, motion: Motion) -> None:
+        place = self.OBSERVATION
+        values[place["heading"]] = motion.heading
+        values[place["speed"]] = self._speed
+        values[place["lateral"]] = motion.position[1]
+        values[place["lateral_velocity"]] = motion.velocity[1]

@@ -1,0 +1,129 @@
+"""A LIDAR: how far it is to the walls along rays, all of them in one computation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.envs.errors import EnvError
+
+FloatArray = NDArray[np.float64]
+
+FULL = math.tau
+CLOSE = 1e-9  # beyond its ends a wall is hit as well, so that no ray slips through a corner
+FLAT = 1e-12  # instead of 0, where ray and wall are parallel [px]
+
+
+@dataclass(frozen=True)
+class LidarOptions:
+    """What a LIDAR is like.
+
+    count    rays
+    field    of view [rad]; less than a full circle is centred on `facing` and has an odd count
+    range    how far it sees [px]
+    noise    standard deviation of a distance [px]
+    dropout  probability that a ray sees nothing
+    facing   where the first ray of a full circle points [rad], 0 straight ahead, clockwise
+    """
+
+    count: int = 24
+    field: float = FULL
+    range: float = 350.0
+    noise: float = 0.0
+    dropout: float = 0.0
+    facing: float = 0.0
+
+    def __post_init__(self) -> None:
+        _bounds("count", self.count, 1, 1000)
+        _bounds("field", self.field, 0.0, FULL)
+        _bounds("range", self.range, 1.0, 10_000.0)
+        _bounds("noise", self.noise, 0.0, 1000.0)
+        _bounds("dropout", self.dropout, 0.0, 1.0)
+        _bounds("facing", self.facing, -FULL, FULL)
+        if self.count != int(self.count):
+            raise EnvError(f"option lidar.count: {self.count!r} is not a whole number")
+        if self.field < FULL and self.count % 2 == 0:
+            raise EnvError(
+                f"option lidar.count: {self.count} rays in less than a full circle have none in "
+                f"the middle; choose {self.count + 1}"
+            )
+
+    @classmethod
+    def of(cls, changes: Mapping[str, Any], **defaults: Any) -> LidarOptions:  # noqa: ANN401
+        """These defaults with changes by name."""
+        known = [field.name for field in fields(cls)]
+        for name in changes:
+            if name not in known:
+                raise EnvError(f"option lidar.{name} is unknown; known: {', '.join(known)}")
+        return cls(**{**defaults, **changes})
+
+    @property
+    def angles(self) -> FloatArray:
+        """(R,) of the rays from straight ahead [rad], clockwise."""
+        if self.field >= FULL:
+            return self.facing + FULL * np.arange(self.count) / self.count
+        half = self.field / 2 if self.count > 1 else 0.0
+        return self.facing + np.linspace(-half, half, self.count)
+
+
+class Lidar:
+    """A LIDAR among the walls (W, 2, 2) [px] that it was last shown.
+
+    options  what it is like
+    angles   (R,) of the rays from straight ahead [rad]
+    range    [px]
+    """
+
+    def __init__(self, options: LidarOptions) -> None:
+        self.options = options
+        self.angles = options.angles
+        self.range = float(options.range)
+        # the rays' directions, and the same turned by a quarter, (2, R, 2): of these two are those
+        # in any heading made
+        cosine, sine = np.cos(self.angles), np.sin(self.angles)
+        self._fan = np.stack((np.stack((cosine, sine), 1), np.stack((-sine, cosine), 1)))
+
+    def show(self, walls: FloatArray) -> None:
+        """Look at these walls (W, 2, 2) [px] from now on."""
+        start, along = walls[:, 0], walls[:, 1] - walls[:, 0]
+        self._across = np.ascontiguousarray(np.stack((along[:, 1], -along[:, 0])))  # (2, W)
+        self._offset = (start * self._across.T).sum(axis=1)  # (W,)
+        self._turned = np.ascontiguousarray(np.stack((-start[:, 1], start[:, 0])))  # (2, W)
+
+    def look(self, x: float, y: float, heading: float) -> FloatArray:
+        """(R,) distances [px] from a place [px] in a heading [rad]; the range where no wall is."""
+        ahead, beside = self._fan
+        rays = math.cos(heading) * ahead + math.sin(heading) * beside
+        # place + t ray = from + u along;  [a, b] = ax by - ay bx
+        # t = [from - place, along] / [ray, along],  u = [from - place, ray] / [ray, along]
+        steep = rays @ self._across
+        steep[steep == 0.0] = FLAT
+        distance = (self._offset - np.array((x, y)) @ self._across) / steep
+        share = (rays @ (self._turned - np.array(((-y,), (x,))))) / steep
+        missed = (np.abs(share - 0.5) > 0.5 + CLOSE) | (distance < 0.0)
+        distance[missed] = self.range
+        nearest: FloatArray = distance.min(axis=1, initial=self.range)
+        return nearest
+
+    def measure(self, x: float, y: float, heading: float, rng: np.random.Generator) -> FloatArray:
+        """(R,) as `look`, with the noise and the dropouts of a sensor."""
+        distance = self.look(x, y, heading)
+        if self.options.noise:
+            distance += rng.normal(0.0, self.options.noise, len(distance))
+            distance = np.minimum(np.maximum(distance, 0.0), self.range)
+        if self.options.dropout:
+            distance[rng.random(len(distance)) < self.options.dropout] = self.range
+        return distance
+
+
+def _bounds(name: str, value: object, lowest: float, highest: float) -> None:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not lowest <= value <= highest:  # type: ignore[operator]
+        raise EnvError(
+            f"option lidar.{name}: {value!r} is not a number from {lowest:g} to {highest:g}"
+        )

@@ -1,0 +1,158 @@
+"""Pictures of a kart on its track; what `render` gives, and what windows and films are made of."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+import pygame
+from numpy.typing import ArrayLike, NDArray
+
+from spikedeploy.envs.kart.scene import PLAIN, Colour, Floats, Scene, scene
+
+RADIUS = 19.2  # of a kart [px]
+SIZE = (720, 720)  # of a picture [screen px]
+
+KART: Colour = (76, 201, 240)
+NEXT: Colour = (255, 209, 102)
+PASSED: Colour = (52, 122, 98)
+HIT: Colour = (242, 114, 123)
+RAY = (76, 201, 240, 60)
+TYRE: Colour = (8, 10, 14)
+HELMET: Colour = (244, 247, 252)
+FINE = 8  # times as large is a kart drawn, then turned and smoothed
+
+
+class Place(Protocol):
+    """What a kart is drawn on: a Scene, or whatever else knows where points are."""
+
+    @property
+    def scale(self) -> float:
+        """[screen px / px]."""
+
+    def at(self, points: ArrayLike) -> Floats:
+        """Screen points (…, 2) of points (…, 2) [px] of the world."""
+
+
+def picture(world: Any, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
+    """(H, W, 3) of a kart environment as it stands."""
+    return pixels(drawn(world, size))
+
+
+def drawn(world: Any, size: tuple[int, int] = SIZE) -> pygame.Surface:  # noqa: ANN401
+    """A surface with the track, its gates, what the LIDAR sees, and the kart."""
+    place = scene(world.track, size)
+    surface = place.ground.copy()
+    draw_gates(surface, place, world.next_gate)
+    draw_scan(surface, place, world.pose, ray_angles(world), world.scan, world.lidar.range)
+    draw_kart(surface, place, facing(world), KART)
+    return surface
+
+
+def pixels(surface: pygame.Surface) -> NDArray[np.uint8]:
+    """(H, W, 3) of a surface."""
+    turned = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+    found: NDArray[np.uint8] = np.ascontiguousarray(turned, np.uint8)
+    return found
+
+
+def facing(world: Any) -> tuple[float, float, float]:  # noqa: ANN401
+    """x, y and where the kart looks; one without a heading looks where it goes."""
+    x, y, heading = world.pose
+    if not world.TURNS and np.hypot(*world.velocity) > 1.0:
+        heading = np.arctan2(world.velocity[1], world.velocity[0])
+    return x, y, heading
+
+
+def ray_angles(world: Any) -> Floats:  # noqa: ANN401
+    """Where the rays of a world's LIDAR point now (R,) [rad]."""
+    angles: Floats = np.asarray(world.lidar.angles, np.float64)
+    return angles + world.pose[2] if world.TURNS else angles
+
+
+def draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
+    """The gates but the finish, whose checkers lie on the ground; the next one glows."""
+    width = max(2, round(4.0 * place.pen))
+    for index, (a, b) in enumerate(place.at(place.track.gates)):
+        if index == next_gate:
+            _glow(surface, a, b, width)
+        elif index < len(place.track.gates) - 1:
+            colour = PASSED if index < next_gate else PLAIN
+            pygame.draw.aaline(surface, colour, tuple(a), tuple(b), width)
+
+
+def draw_scan(
+    surface: pygame.Surface,
+    place: Scene,
+    pose: tuple[float, float, float],
+    angles: Floats,
+    distances: Floats,
+    reach: float,
+) -> None:
+    """The LIDAR's rays as far as they see, and a dot where they meet a wall."""
+    centre = np.array(pose[:2])
+    ends = centre + distances[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    start, ends = place.at(centre), place.at(ends)
+    veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
+    for end in ends:
+        pygame.draw.aaline(veil, RAY, tuple(start), tuple(end))
+    surface.blit(veil, (0, 0))
+    for end in ends[distances < reach * 0.999]:
+        pygame.draw.aacircle(surface, HIT, tuple(end), max(2, round(4.0 * place.pen)))
+
+
+def draw_kart(
+    surface: pygame.Surface,
+    place: Place,
+    pose: tuple[float, float, float],
+    colour: Colour,
+    alpha: int = 255,
+) -> None:
+    """A kart from above, as large as the circle that touches walls."""
+    turn = round(-np.degrees(pose[2])) % 360
+    sprite = _sprite(colour, max(7, round(2 * RADIUS * place.scale)), turn, alpha)
+    surface.blit(sprite, sprite.get_rect(center=tuple(np.rint(place.at(pose[:2])).astype(int))))
+
+
+def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
+    """A bright line in a soft band of its own colour."""
+    veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
+    for factor, alpha in ((7, 22), (4, 44)):
+        pygame.draw.line(veil, (*NEXT, alpha), tuple(a), tuple(b), factor * width)
+    surface.blit(veil, (0, 0))
+    pygame.draw.aaline(surface, NEXT, tuple(a), tuple(b), width + 1)
+
+
+@lru_cache(maxsize=4096)
+def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
+    """A kart that is turned by whole degrees."""
+    scale = size / (2 * RADIUS * FINE)
+    sprite = pygame.transform.rotozoom(_large(colour), turn, scale)
+    sprite.set_alpha(alpha)
+    return sprite
+
+
+@lru_cache(maxsize=64)
+def _large(colour: Colour) -> pygame.Surface:
+    """A kart that looks to the right, FINE times as large as in the world."""
+    side = round(2 * RADIUS * FINE)
+    surface = pygame.Surface((side, side), pygame.SRCALPHA)
+    pygame.draw.aacircle(surface, (*colour, 56), (side / 2, side / 2), side / 2 - 1)
+
+    def box(x: float, y: float, w: float, h: float, fill: Colour, radius: float = 1.5) -> None:
+        corner = ((x + RADIUS) * FINE, (y + RADIUS) * FINE)
+        shape = pygame.Rect(*corner, w * FINE, h * FINE)
+        pygame.draw.rect(surface, fill, shape, border_radius=round(radius * FINE))
+
+    dark = (colour[0] * 5 // 9, colour[1] * 5 // 9, colour[2] * 5 // 9)
+    for y in (-13.0, 8.5):
+        box(-13.5, y, 9.0, 4.5, TYRE)
+        box(5.0, y + 0.5 if y < 0 else y, 7.5, 4.0, TYRE)
+    box(-10.5, -9.0, 3.0, 18.0, dark)  # rear axle
+    box(7.5, -9.0, 2.5, 18.0, dark)  # front axle
+    box(-15.0, -6.5, 24.0, 13.0, colour, 5.0)
+    box(6.0, -3.5, 12.0, 7.0, colour, 3.0)
+    pygame.draw.aacircle(surface, dark, (side / 2 - 2 * FINE, side / 2), 5.4 * FINE)
+    pygame.draw.aacircle(surface, HELMET, (side / 2 - 2 * FINE, side / 2), 4.0 * FINE)
+    return surface

@@ -1,0 +1,132 @@
+"""The activity of a network: spikes and membranes of every layer, in the units of the float twin.
+
+The float twin and every chip are seen through the same glass, so that they can be compared.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.registers import decay
+from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba_numpy.pipeline import Recording
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model.nodes import FloatNeurons
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Activity:
+    """What a network did with a raster.
+
+    spikes: layer -> (B, T, N).
+    reached: layer -> (B, T, N) membranes before a spike resets them [float units]; NaN where the
+        recording cannot tell, since they were reset to 0.
+    thresholds: layer -> (N,) above which a membrane spikes [float units].
+    output: (B, T, act) of the readout, or the spikes of the last layer.
+    saturations: layer -> numbers that did not fit a register.
+    """
+
+    spikes: Mapping[str, NDArray[Any]]
+    reached: Mapping[str, Floats]
+    thresholds: Mapping[str, Floats]
+    output: Floats
+    saturations: Mapping[str, int]
+
+    def parted(self, batch: int) -> "Activity":
+        """The same with its timesteps as B inferences, one after another."""
+
+        def part(rows: NDArray[Any]) -> NDArray[Any]:
+            return rows.reshape(batch, -1, rows.shape[2])
+
+        return replace(
+            self,
+            spikes={name: part(rows) for name, rows in self.spikes.items()},
+            reached={name: part(rows) for name, rows in self.reached.items()},
+            output=part(self.output),
+        )
+
+
+def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
+    """What the float twin does with the raster (B, T, M), from zero states."""
+    # one timestep after another, so that the membranes between them can be read
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    graph = FloatGraph(kept)
+    shape = next(iter(artifact.graph.inputs.values())).input_type["input"]
+    x = raster.reshape(*raster.shape[:2], *map(int, shape))
+    nodes = {
+        name: node
+        for name, node in graph.nodes.items()
+        if isinstance(node, FloatNeurons) and name in graph.spiking
+    }
+    before: dict[str, NDArray[Any] | None] = dict.fromkeys(nodes)
+    steps, reached = [], []
+    for t in range(x.shape[1]):
+        steps.append(graph.run(x[:, t : t + 1]))
+        reached.append({name: _reached(node, before[name]) for name, node in nodes.items()})
+        before = {name: node.membrane for name, node in nodes.items()}
+    return Activity(
+        spikes={name: _joined([step[name][:, 0] for step in steps]) for name in nodes},
+        reached={name: _joined([step[name] for step in reached]) for name in nodes},
+        thresholds={name: np.asarray(node.threshold).ravel() for name, node in nodes.items()},
+        output=_joined([step["output"][:, 0] for step in steps]).astype(np.float64),
+        saturations=dict.fromkeys(nodes, 0),
+    )
+
+
+def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
+    """What the program does with the raster (B, T, M), from zero states."""
+    machine = Machine(program, len(raster), "total", trace=True)
+    output, seen = machine.infer(raster), machine.recordings
+    return Activity(
+        spikes={name: ran.spikes for name, ran in seen.items()},
+        reached={
+            layer.name: layer.scale * _before_reset(program, layer, seen[layer.name])
+            for layer in program.layers
+        },
+        thresholds={layer.name: layer.threshold * layer.scale for layer in program.layers},
+        output=output,
+        saturations=machine.ledger.by_layer("saturation"),
+    )
+
+
+def _reached(node: FloatNeurons, before: NDArray[Any] | None) -> NDArray[Any]:
+    """The membrane (B, *N) of the last timestep before its reset."""
+    # V = b V + I + leak
+    kept = node.leak if before is None else node.b * before + node.leak
+    return np.asarray(node.current + kept)
+
+
+def _joined(rows: list[NDArray[Any]]) -> NDArray[Any]:
+    """Rows (B, T, N) of the timesteps (B, *N)."""
+    return np.stack([row.reshape(len(row), -1) for row in rows], axis=1)
+
+
+def _before_reset(program: Program, layer: Layer, seen: Recording) -> NDArray[Any]:
+    """Membranes (B, T, N) before a spike reset them [state units]."""
+    current, membrane = seen.current, seen.membrane
+    fixed, numbers = program.chip.fixed, program.chip.arithmetic
+    before = np.concatenate([np.zeros_like(membrane[:, :1]), membrane[:, :-1]], axis=1)
+    if numbers is None:
+        return np.asarray(layer.membrane_decay * before + current + layer.voltage_bias)
+    if fixed is not None:
+        return _fixed_before_reset(fixed, layer, before, current)
+    if program.convention.reset == "subtract":
+        return np.asarray(membrane + layer.threshold * seen.spikes)
+    return np.where(seen.spikes > 0, np.nan, membrane)
+
+
+def _fixed_before_reset(
+    fixed: CubaFixedPoint, layer: Layer, before: NDArray[Any], current: NDArray[Any]
+) -> NDArray[Any]:
+    # v = keep_v v + (u + bias)      each as its register holds it
+    push = fixed.push.fit(current + layer.voltage_bias)
+    kept = decay(before, layer.membrane_decay.astype(np.int64), fixed.decay_bits)
+    return fixed.membrane.fit(kept + push)

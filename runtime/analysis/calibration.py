@@ -1,0 +1,132 @@
+"""Calibration: scales and thresholds that are chosen on recorded inputs.
+
+Layer by layer, in the order in which they hear each other, so that each is judged on the spikes
+that it will hear on the chip. What was chosen on one recording says nothing about another: measure
+on a second one.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.analysis.activity import Activity
+from spikedeploy.runtime.analysis.drift import TAU, activity, van_rossum
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation, Tuning
+from spikedeploy.runtime.errors import RuleError
+
+Raster = NDArray[np.uint8]
+
+# what tuning tries; no change comes first, and so wins among equals. Clipping pays where a few
+# weights are much larger than the others.
+REACHES = (1.0, 0.8, 0.9, 1.15, 1.3, 1.5, 1.75, 2.0, 2.5, 3.0)
+THRESHOLDS = (1.0, 0.8, 0.85, 0.9, 0.95, 0.975, 1.025, 1.05, 1.1, 1.15, 1.2)
+
+# smallest part of the scale at which headroom is still looked for, and how near to the largest
+LEAST = 1e-5
+NEAR = 1.02
+
+
+def with_calibrated_headroom(
+    artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation = PLAIN
+) -> Quantisation:
+    """The largest scales at which no number overflows while the chip hears the raster (B, T, M)."""
+    for name in _layers(artifact, on, quantisation):
+        quantisation = _roomy(artifact, on, raster, quantisation, name)
+    over = _overflowing(_ran(artifact, on, raster, quantisation))
+    if over:
+        raise RuleError(
+            f"layer {over[0]!r}: its numbers overflow on these inputs at every scale tried, since "
+            "feedback drives them. Choose headroom 'proven'."
+        )
+    return quantisation
+
+
+def tuned(
+    artifact: Artifact,
+    on: Chip,
+    raster: Raster,
+    quantisation: Quantisation = PLAIN,
+    tau: float = TAU,
+) -> Quantisation:
+    """The reach, then the factor of thresholds, that bring each layer nearest to the float twin.
+
+    raster: (B, T, M).
+    tau: [timesteps] of the distance of van Rossum, which is what is made small.
+    """
+    twin = activity(artifact, None, raster)
+
+    def distance(name: str, tuning: Tuning) -> float:
+        try:
+            program = compile_program(artifact, on, _with(quantisation, name, tuning), limits=False)
+        except RuleError:  # a scale at which a threshold or all weights vanish
+            return np.inf
+        seen = activity(artifact, _up_to(program, name), raster)
+        return float(van_rossum(twin.spikes[name], seen.spikes[name], tau).mean())
+
+    for name in _layers(artifact, on, quantisation):
+        old = quantisation.of(name)
+        reaches = [replace(old, reach=old.reach * reach) for reach in REACHES]
+        best = min(reaches, key=lambda each: distance(name, each))
+        factors = [replace(best, threshold=old.threshold * factor) for factor in THRESHOLDS]
+        best = min(factors, key=lambda each: distance(name, each))
+        quantisation = _with(quantisation, name, best)
+    return quantisation
+
+
+def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[str]:
+    if on.fixed is None:
+        raise RuleError(
+            f"{on.name}: calibration chooses scales of Loihi's arithmetic, which it does not have. "
+            "Leave it out."
+        )
+    return [
+        layer.name for layer in compile_program(artifact, on, quantisation, limits=False).layers
+    ]
+
+
+def _roomy(
+    artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation, name: str
+) -> Quantisation:
+    """The quantisation with the largest reach of a layer at which it does not overflow."""
+
+    def fits(reach: float) -> bool:
+        return name not in _overflowing(_ran(artifact, on, raster, reaching(reach)))
+
+    def reaching(reach: float) -> Quantisation:
+        return _with(quantisation, name, replace(old, reach=reach))
+
+    old = quantisation.of(name)
+    low = high = old.reach
+    while not fits(low):
+        high, low = low, low / 2
+        if low < LEAST * old.reach:
+            return quantisation
+    while high / low > NEAR:
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return quantisation if low == old.reach else reaching(low)
+
+
+def _ran(artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation) -> Activity:
+    return activity(artifact, compile_program(artifact, on, quantisation, limits=False), raster)
+
+
+def _up_to(program: Program, name: str) -> Program:
+    """The program without what comes after a layer, which costs time and changes nothing."""
+    if not program.feed_forward:
+        return program
+    place = [layer.name for layer in program.layers].index(name)
+    return replace(program, layers=program.layers[: place + 1], output=name, readout=None)
+
+
+def _overflowing(seen: Activity) -> list[str]:
+    return [name for name, lost in seen.saturations.items() if lost]
+
+
+def _with(quantisation: Quantisation, layer: str, tuning: Tuning) -> Quantisation:
+    return replace(quantisation, tuned={**quantisation.tuned, layer: tuning})

@@ -1,0 +1,293 @@
+"""Drift: what a chip does otherwise than the float twin, where it begins, and what causes it.
+
+Ablation: a network on its way to the chip, one kind of rounding after another.
+
+Each rung is computed in float64, on the chip's scale, so that what differs between two rungs is the
+one thing that was rounded. The last rung is the chip.
+
+How far two rasters are apart: the distance of van Rossum, exact for spikes on a grid.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.analysis.activity import Activity, chip_activity, float_activity
+from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ObservationError
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+
+RUNGS = ("weights", "thresholds", "decays", "states")
+
+
+def rungs(floats: Program, program: Program) -> Iterator[tuple[str, Program]]:
+    """The programs from rounded weights to the chip; none where the arithmetic is not Loihi's.
+
+    floats: the same network on the ideal chip.
+    """
+    fixed = program.chip.fixed
+    if fixed is None:
+        return
+    # delays are the chip's on every rung
+    ideal = replace(chip("ideal"), delay_max=program.chip.delay_max)
+    for rung in RUNGS[:-1]:
+        layers = tuple(_rounded(floats.layer(a.name), a, fixed, rung) for a in program.layers)
+        yield rung, replace(program, chip=ideal, layers=layers)
+    yield RUNGS[-1], program
+
+
+def _rounded(before: Layer, after: Layer, fixed: CubaFixedPoint, rung: str) -> Layer:
+    """The layer in float64 and state units, rounded as far as the rung."""
+    units, one = 1.0 / after.scale, float(1 << fixed.mantissa_shift)
+    thresholds, decays = rung != "weights", rung == "decays"
+    return replace(
+        after,
+        synapses=tuple(
+            replace(s, weight=s.weight.astype(np.float64) * one) for s in after.synapses
+        ),
+        bias=after.bias * one,
+        threshold=after.threshold.astype(np.float64) if thresholds else before.threshold * units,
+        voltage_bias=after.voltage_bias * 1.0 if thresholds else before.voltage_bias * units,
+        current_decay=after.current_decay / fixed.decay_one if decays else before.current_decay,
+        membrane_decay=after.membrane_decay / fixed.decay_one if decays else before.membrane_decay,
+    )
+
+
+Floats = NDArray[np.float64]
+
+# [timesteps] time constant of the kernel
+TAU = 5.0
+
+
+def van_rossum(one: NDArray[Any], other: NDArray[Any], tau: float = TAU) -> Floats:
+    """Distance D**2 (B, N) of spike trains (B, T, N), by (van Rossum 2001, eq. 3).
+
+        f(t) = sum over spikes of H(t - t_i) exp(-(t - t_i) / tau)
+        D**2 = 1/tau integral from 0 to infinity of (f(t) - g(t))**2 dt
+
+    A spike more or less is 1/2; two that are far apart are 1; as tau vanishes, D**2 is half the
+    number of spikes that differ.
+
+    tau: [timesteps].
+    """
+    more = one.astype(np.float64) - other.astype(np.float64)
+    keep = np.exp(-1.0 / tau)
+    apart = np.zeros(more[:, 0].shape)
+    total = np.zeros_like(apart)
+    for t in range(more.shape[1]):
+        # e = e exp(-1/tau) + difference     D^2 += e^2 (1 - exp(-2/tau)) / 2
+        apart = keep * apart + more[:, t]
+        total += apart**2 * (1 - keep**2) / 2
+    # what is left decays for ever: e^2 exp(-2/tau) / 2
+    return np.asarray(total + apart**2 * keep**2 / 2)
+
+
+@dataclass(frozen=True)
+class LayerDrift:
+    """How a layer's spikes differ from the float twin's.
+
+    name: of the node.
+    neurons: N.
+    float_rate, chip_rate: spikes for each neuron and timestep.
+    differing: part of neuron-timesteps in which the number of spikes differs.
+    distance: of van Rossum, mean over inferences and neurons; a spike too many is 1/2.
+    lost, woken: neurons that spike in float and never on the chip, and the other way round.
+    saturations: numbers that did not fit a register.
+    first: (inference, timestep, neuron) of the first difference, or None.
+    """
+
+    name: str
+    neurons: int
+    float_rate: float
+    chip_rate: float
+    differing: float
+    distance: float
+    lost: int
+    woken: int
+    saturations: int
+    first: tuple[int, int, int] | None
+
+
+@dataclass(frozen=True)
+class OutputDrift:
+    """How far the outputs are apart.
+
+    kind: "action", after the codec; "choice", where the codec chooses one of several; "output", of
+        the readout in each timestep, or spikes.
+    rms: root of the mean square of the differences; of choices the part that differs.
+    largest: difference; of choices 1 where any differs.
+    """
+
+    kind: Literal["action", "choice", "output"]
+    rms: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """The network with some of the chip's roundings (runtime.ablation).
+
+    name: of the rounding that was added last.
+    distance: layer -> of van Rossum, as in LayerDrift.
+    output: against the float twin.
+    """
+
+    name: str
+    distance: Mapping[str, float]
+    output: OutputDrift
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A chip against the float twin on a raster.
+
+    chip: its name.
+    quantisation: in words.
+    inferences, timesteps: B and T of the raster.
+    tau: [timesteps] of the distance.
+    layers: in the order in which they hear each other.
+    diverged: inferences in which any spike differs.
+    first: difference, None where there is none.
+    output: of the whole network.
+    rungs: from rounded weights to the chip; empty where the arithmetic has none.
+    findings: layers that are dead or saturated.
+    """
+
+    chip: str
+    quantisation: str
+    inferences: int
+    timesteps: int
+    tau: float
+    layers: tuple[LayerDrift, ...]
+    diverged: int
+    first: Divergence | None
+    output: OutputDrift
+    rungs: tuple[Rung, ...]
+    findings: tuple[Finding, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields, plain."""
+        return asdict(self)
+
+
+def drift(
+    artifact: Artifact,
+    on: Chip,
+    raster: NDArray[np.uint8],
+    quantisation: Quantisation = PLAIN,
+    tau: float = TAU,
+    limits: bool = True,
+) -> Drift:
+    """Compare the chip with the float twin on the raster (B, T, M).
+
+    limits: refuse what breaks a design rule of the chip.
+
+    Where the convention keeps states, the B inferences follow one another; else each begins anew.
+    """
+    _check(artifact, raster)
+    program = compile_program(artifact, on, quantisation, limits=limits)
+    floats = compile_program(artifact, chip("ideal")) if on.fixed else None
+    twin = activity(artifact, None, raster)
+    steps = rungs(floats, program) if floats else [("chip", program)]
+    ladder = {name: activity(artifact, step, raster) for name, step in steps}
+    seen = list(ladder.values())[-1]
+    names = [layer.name for layer in program.layers]
+    return Drift(
+        chip=on.name,
+        quantisation=quantisation.describe(),
+        inferences=raster.shape[0],
+        timesteps=raster.shape[1],
+        tau=tau,
+        layers=tuple(_layer(name, twin, seen, tau) for name in names),
+        diverged=_diverged(twin, seen, names),
+        first=first(twin, seen, names),
+        output=output_drift(artifact, twin.output, seen.output),
+        rungs=tuple(_rung(artifact, name, twin, ran, tau) for name, ran in ladder.items())
+        if floats
+        else (),
+        findings=tuple(diagnose(floats, program, raster, twin, ladder)),
+    )
+
+
+def activity(artifact: Artifact, program: Program | None, raster: NDArray[np.uint8]) -> Activity:
+    """What a program, or without one the float twin, does with the raster (B, T, M).
+
+    Inferences begin anew or follow one another, as the convention says.
+    """
+    kept = artifact.convention.state == "kept"
+    rows = raster.reshape(1, -1, raster.shape[2]) if kept else raster
+    ran = chip_activity(program, rows) if program else float_activity(artifact, rows)
+    return ran.parted(len(raster))
+
+
+def output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
+    """How far the outputs (B, T, act) of the float twin and of a chip are apart."""
+    codec = artifact.codec
+    if codec is None or codec.timesteps != before.shape[1]:
+        return _apart("output", after - before)
+    actions = codec.decode(before), codec.decode(after)
+    if codec.chooses:
+        share = float((actions[0] != actions[1]).mean())
+        return OutputDrift("choice", share, float(share > 0))
+    return _apart("action", actions[1] - actions[0])
+
+
+def layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[str, float]:
+    """Mean distance of van Rossum of every layer over inferences and neurons."""
+    return {
+        name: float(van_rossum(twin.spikes[name], spikes, tau).mean())
+        for name, spikes in seen.spikes.items()
+    }
+
+
+def _check(artifact: Artifact, raster: NDArray[Any]) -> None:
+    width = int(np.prod(next(iter(artifact.graph.inputs.values())).input_type["input"]))
+    if raster.ndim != 3 or raster.shape[2] != width or not raster.size:
+        raise ObservationError(
+            f"the raster has shape {raster.shape}; the network takes (B, T, {width}), with at "
+            "least one timestep. Give the raster of this network."
+        )
+
+
+def _apart(kind: Literal["action", "output"], difference: Floats) -> OutputDrift:
+    return OutputDrift(
+        kind, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max())
+    )
+
+
+def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> LayerDrift:
+    before, after = twin.spikes[name], seen.spikes[name]
+    spiked, spikes = before.any(axis=(0, 1)), after.any(axis=(0, 1))
+    different = np.argwhere(before != after)
+    return LayerDrift(
+        name=name,
+        neurons=before.shape[2],
+        float_rate=float(before.mean()),
+        chip_rate=float(after.mean()),
+        differing=len(different) / before.size,
+        distance=float(van_rossum(before, after, tau).mean()),
+        lost=int((spiked & ~spikes).sum()),
+        woken=int((spikes & ~spiked).sum()),
+        saturations=seen.saturations[name],
+        first=(int(different[0][0]), int(different[0][1]), int(different[0][2]))
+        if len(different)
+        else None,
+    )
+
+
+def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
+    differ = [(twin.spikes[name] != seen.spikes[name]).any(axis=(1, 2)) for name in names]
+    return int(np.any(differ, axis=0).sum())
+
+
+def _rung(artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float) -> Rung:
+    distances = layer_distances(twin, ran, tau)
+    return Rung(name, distances, output_drift(artifact, twin.output, ran.output))

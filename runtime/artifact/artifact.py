@@ -1,0 +1,243 @@
+"""The artifact: one `.nir` file that is all a robot needs. The only reader and writer of `.nir`."""
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import nir
+import numpy as np
+
+from spikedeploy.runtime.artifact.hdf5 import read_graph
+from spikedeploy.runtime.artifact.infer_dt import inferred_convention, timestep
+from spikedeploy.runtime.artifact.presets.preset import read_like
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
+from spikedeploy.runtime.errors import ArtifactError, ConventionError
+from spikedeploy.runtime.graph.nesting import flattened
+from spikedeploy.runtime.graph.neurons import NEURONS, discretise
+from spikedeploy.runtime.graph.order import delay_timesteps
+from spikedeploy.runtime.graph.validate import DERIVED, check_graph
+from spikedeploy.runtime.metadata import Provenance, Record, Tree
+
+SCHEMA = 1
+KEY = "spikedeploy"
+
+
+@dataclass(frozen=True, eq=False)
+class Artifact:
+    """A network with everything that NIR leaves open.
+
+    graph: standard NIR nodes, which any NIR tool can open; graphs inside it are taken apart.
+    codec: observation to spikes and output to action; None in files of other tools.
+    convention: how the graph is stepped; inferred or given for files of other tools.
+    origin: who made it; None in files of other tools.
+    """
+
+    graph: nir.NIRGraph
+    codec: Codec | None
+    convention: Convention
+    origin: Provenance | None = None
+
+    def __post_init__(self) -> None:
+        # frozen for others; what is inside an inner graph must be seen by everyone
+        object.__setattr__(self, "graph", flattened(self.graph))
+        check_graph(self.graph)
+        for name in sorted(self.graph.nodes):
+            if isinstance(self.graph.nodes[name], NEURONS):
+                discretise(name, self.graph.nodes[name], self.convention)
+            if isinstance(self.graph.nodes[name], nir.Delay):
+                delay_timesteps(name, self.graph.nodes[name], self.convention)
+        if self.codec is not None:
+            _check_width(self.graph, self.codec)
+
+
+def save(artifact: Artifact, path: str | Path) -> None:
+    """Write the artifact: same artifact, same bytes; interrupted, the old file stays as it was."""
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        nir.write(part, _stamped(artifact))
+        part.replace(path)
+    except (OSError, TypeError, ValueError) as error:
+        raise ArtifactError(
+            f"cannot write {path}: {error}. Check the folder and the metadata of the graph."
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load(
+    path: str | Path,
+    dt: float | None = None,
+    reset: Reset | None = None,
+    integrator: Integrator | None = None,
+    delay: int | None = None,
+    state: State | None = None,
+    spikes: Spikes | None = None,
+    floor: Floor | None = None,
+    like: str | None = None,
+) -> Artifact:
+    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says.
+
+    like: name of one of runtime.presets.PRESETS, whose tool's reading of the file it shall be.
+    """
+    options = {
+        "dt": dt,
+        "reset": reset,
+        "integrator": integrator,
+        "delay": delay,
+        "state": state,
+        "spikes": spikes,
+        "floor": floor,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        graph = _read(Path(path))
+        if like is not None:
+            return _like(graph, like, given)
+        if KEY in graph.metadata:
+            return _ours(graph, given)
+        return Artifact(graph, None, inferred_convention(graph, given))
+    except (ArtifactError, ConventionError) as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def digest(artifact: Artifact) -> str:
+    """SHA-256 of all that decides what the policy does: network, codec and convention."""
+    nodes = {name: _parameters(node) for name, node in artifact.graph.nodes.items()}
+    edges = repr(sorted(artifact.graph.edges))
+    sha = hashlib.sha256()
+    for part in _parts("", {**_record(artifact), "nodes": nodes, "edges": edges}):
+        sha.update(part)
+    return sha.hexdigest()
+
+
+def _parameters(node: nir.NIRNode) -> dict[str, object]:
+    values = {field: value for field, value in vars(node).items() if field not in DERIVED}
+    return {**values, "type": type(node).__name__}
+
+
+def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
+    """Names and values in the order of the names; numbers as they lie in memory."""
+    for name, value in sorted(tree.items()):
+        here = f"{path}/{name}"
+        if isinstance(value, dict):
+            yield from _parts(here, value)
+        elif isinstance(value, str):
+            yield f"{here} {value}".encode()
+        else:
+            numbers = np.ascontiguousarray(value)
+            yield f"{here} {numbers.dtype.str} {numbers.shape}".encode() + numbers.tobytes()
+
+
+def _stamped(artifact: Artifact) -> nir.NIRGraph:
+    """The graph in a fixed order, with the metadata that makes it an artifact."""
+    record = _record(artifact)
+    if artifact.origin is not None:
+        record["origin"] = replace(artifact.origin, sha256=digest(artifact)).to_record()
+    return nir.NIRGraph(
+        nodes=dict(sorted(artifact.graph.nodes.items())),
+        edges=sorted(artifact.graph.edges),
+        metadata={**artifact.graph.metadata, KEY: record},
+        type_check=False,
+    )
+
+
+def _record(artifact: Artifact) -> Tree:
+    """The metadata without the origin."""
+    record: Tree = {"schema": SCHEMA, "convention": artifact.convention.to_record()}
+    if artifact.codec is not None:
+        record["codec"] = artifact.codec.to_record()
+    return record
+
+
+def _read(path: Path) -> nir.NIRGraph:
+    """The graph in the file, sound."""
+    if not path.is_file():
+        raise ArtifactError("there is no such file. Check the path.")
+    if not h5py.is_hdf5(path):
+        raise ArtifactError(
+            "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
+            "NIR tool wrote; if it is that one, its download or copy was cut short."
+        )
+    graph = flattened(read_graph(path))
+    check_graph(graph)
+    return graph
+
+
+def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
+    """The artifact of a graph with our metadata."""
+    record = Record(graph.metadata, "file").record(KEY)
+    _check_schema(record)
+    convention = _stated_convention(record.record("convention"))
+    _check_timestep(graph, convention)
+    codec = Codec.from_record(record.record("codec")) if "codec" in record else None
+    origin = Provenance.from_record(record.record("origin")) if "origin" in record else None
+    del graph.metadata[KEY]
+    stated = Artifact(graph, codec, convention, origin)
+    if origin is not None:
+        _check_digest(stated, origin)
+    return replace(stated, convention=convention.given(given))
+
+
+def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
+    """The artifact that another tool makes of a graph; of ours it knows the nodes, not the rest."""
+    codec = _ours(graph, {}).codec if KEY in graph.metadata else None
+    read, convention = read_like(graph, tool, given)
+    return Artifact(read, codec, convention)
+
+
+def _stated_convention(record: Record) -> Convention:
+    try:
+        return Convention.from_record(record)
+    except ConventionError as error:
+        raise ArtifactError(f"metadata {record.where}: {error}") from error
+
+
+def _check_schema(record: Record) -> None:
+    record.only("schema", "convention", "codec", "origin")
+    if (schema := record.whole("schema")) != SCHEMA:
+        raise ArtifactError(
+            f"metadata {record.where}.schema is {schema}; this version reads {SCHEMA}. "
+            "Update spikedeploy, or export the policy again."
+        )
+
+
+def _check_timestep(graph: nir.NIRGraph, convention: Convention) -> None:
+    """Refuse a dt that the gains of the same file contradict."""
+    evidence = timestep(graph)
+    if evidence.dt is None or not evidence.confirmed:
+        return
+    if not np.isclose(evidence.dt, convention.dt, rtol=1e-3):
+        raise ArtifactError(
+            f"the metadata say dt = {convention.dt:g} s, the nodes {evidence.dt:g} s "
+            f"({evidence.reason}). Export the policy again."
+        )
+
+
+def _check_digest(artifact: Artifact, origin: Provenance) -> None:
+    if (found := digest(artifact)) != origin.sha256:
+        raise ArtifactError(
+            f"the policy is not the one that was exported: its SHA-256 is {found[:12]}…, the "
+            f"origin says {origin.sha256[:12]}…. Export the policy again; if the change is "
+            f"meant, delete metadata/{KEY}/origin from the file."
+        )
+
+
+def _check_width(graph: nir.NIRGraph, codec: Codec) -> None:
+    if len(graph.inputs) != 1 or len(graph.outputs) != 1:
+        raise ArtifactError(
+            f"the codec is for one raster and one output; the graph has the inputs "
+            f"{', '.join(sorted(graph.inputs))} and the outputs "
+            f"{', '.join(sorted(graph.outputs))}. Join them, or store the graph without a codec."
+        )
+    for name, node in graph.inputs.items():
+        width = int(np.prod(node.input_type["input"]))
+        if width != codec.encoder.width:
+            raise ArtifactError(
+                f"the codec makes {codec.encoder.width} spike trains, node {name!r} takes {width}. "
+                "Export the policy again."
+            )

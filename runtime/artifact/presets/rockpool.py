@@ -1,0 +1,57 @@
+"""What Rockpool's import makes of a NIR file."""
+
+import nir
+import numpy as np
+
+from spikedeploy.runtime.artifact.presets.nodes import at_rest, changed, demand, share, with_gain
+from spikedeploy.runtime.artifact.presets.nodes import values as numbers
+from spikedeploy.runtime.artifact.presets.preset import Edges, Nodes, Preset
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ConventionError
+
+TOOL = "Rockpool 3.1.0"
+
+
+def _timestep(node: nir.CubaLIF) -> float:
+    """The dt that a layer is given; the export writes r = tau exp(-dt/tau)/dt."""
+    return float((numbers(node.tau_mem) / (1 + numbers(node.r))).min())
+
+
+def _convention(nodes: Nodes, _: float | None) -> Convention:
+    layers = {n: node for n, node in sorted(nodes.items()) if isinstance(node, nir.CubaLIF)}
+    if not layers:
+        raise ConventionError(
+            f"{TOOL} takes its timestep from r of CubaLIF nodes, and there are none. Read the file "
+            "without the preset."
+        )
+    for name, node in layers.items():
+        demand(_timestep(node) > 0, name, TOOL, "takes dt = tau_mem/(1 + r), which is not above 0")
+    dt = min(_timestep(node) for node in layers.values())
+    source = f"as {TOOL} reads it: dt = tau_mem/(1 + r) of each layer"
+    return Convention(dt, "subtract", "exponential", source=source, spikes="many")
+
+
+def _read(nodes: Nodes, edges: Edges, convention: Convention) -> None:
+    for name, node in nodes.items():
+        if isinstance(node, nir.CubaLIF):
+            nodes[name] = _neuron(node, convention)
+
+
+def _neuron(node: nir.CubaLIF, convention: Convention) -> nir.NIRNode:
+    """I = a (I + x); V = b V + I + v_leak: r and w_in are left out, v_leak is a bias."""
+    # layers whose dt differ are stepped together all the same
+    stretch = convention.dt / _timestep(node)
+    tau_syn, tau_mem = stretch * numbers(node.tau_syn), stretch * numbers(node.tau_mem)
+    own = at_rest(changed(node, tau_syn=tau_syn, tau_mem=tau_mem))
+    leak = numbers(node.v_leak) / share(tau_mem, convention)
+    return with_gain(changed(own, v_leak=leak), convention, np.exp(-convention.dt / tau_syn))
+
+
+ROCKPOOL = Preset(
+    tool=TOOL,
+    kinds=(nir.Affine, nir.Linear, nir.CubaLIF),
+    convention=_convention,
+    options=(),
+    reading=_read,
+    source="rockpool 3.1.0, nn/modules/torch/nir.py and lif_torch.py",
+)

@@ -1,0 +1,200 @@
+"""The datasheet of a chip: widths, rounding, overflow, limits, delays.
+
+Options of a chip: fields of its datasheet and of its arithmetic, replaced by other values.
+"""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import Field, dataclass, field, fields, replace
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, get_args, get_origin
+
+from spikedeploy.runtime.chips import CHIPS
+from spikedeploy.runtime.chips.limits import Limits
+from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
+from spikedeploy.runtime.errors import ChipError
+
+if TYPE_CHECKING:
+    from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+    from spikedeploy.runtime.families.cuba.spinnaker2 import CubaFloat32
+    from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+    from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
+
+__all__ = ["CHIPS", "Chip", "chip"]
+
+
+@dataclass(frozen=True)
+class Chip:
+    """Everything about a chip that decides what a network does on it.
+
+    name: as in the table CHIPS.
+    summary: one line.
+    arithmetic: what its numbers are and how they are added up; None computes in float64.
+    resets: what a spike may do to the membrane, as in Convention.
+    delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
+        convention.
+    delay_max: [timesteps] longest delay that a synapse can add up to.
+    energy_tables: names of the tables in runtime.energy that price its events.
+    sources: field name to where its value comes from and how sure it is.
+    evidence: what its emulation was compared with, and what came out.
+    limits: what fits on it, with sources of their own; None where nothing limits it.
+    """
+
+    name: str
+    summary: str
+    arithmetic: "CubaFixedPoint | XyloArithmetic | IntegrateAndFire | CubaFloat32 | None"
+    resets: tuple[str, ...]
+    delay: int
+    delay_max: int
+    energy_tables: tuple[str, ...]
+    sources: Mapping[str, str] = field(compare=False)
+    evidence: str = field(default="compared with nothing", compare=False)
+    limits: Limits | None = None
+
+    @property
+    def fixed(self) -> "CubaFixedPoint | None":
+        """Its arithmetic, if it is that of Loihi."""
+        from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+
+        return self.arithmetic if isinstance(self.arithmetic, CubaFixedPoint) else None
+
+    @property
+    def events(self) -> "XyloArithmetic | None":
+        """Its arithmetic, if it is that of Xylo."""
+        from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
+
+        return self.arithmetic if isinstance(self.arithmetic, XyloArithmetic) else None
+
+    @property
+    def steps(self) -> "IntegrateAndFire | None":
+        """Its arithmetic, if it is that of neurons without a synaptic current."""
+        from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+
+        return self.arithmetic if isinstance(self.arithmetic, IntegrateAndFire) else None
+
+    @property
+    def spikes_max(self) -> int:
+        """Spikes of a neuron in a timestep."""
+        numbers = self.events or self.steps
+        return numbers.spikes_max if numbers else 1
+
+    @property
+    def input_spikes_max(self) -> int:
+        """Spikes of an input channel in a timestep."""
+        return self.events.events_max if self.events else 1
+
+
+def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
+    """The chip called `name`, with some fields of it or of its arithmetic replaced.
+
+    They may also stand in the name, as on a command line: "int:weight_bits=4,membrane=12". Where a
+    register is given as a number, that is its bits; "12-wrap" says what overflows do too.
+    """
+    name, _, options = name.partition(":")
+    if name not in CHIPS:
+        raise ChipError(f"there is no chip {name!r}{like(name, CHIPS)}. Known: {', '.join(CHIPS)}.")
+    module, attribute = CHIPS[name].split(":")
+    datasheet: Chip = getattr(import_module(module), attribute)
+    return overridden(datasheet, {**spelled(datasheet, options), **overrides})
+
+
+# not for a line of text: they are made of other things
+WHOLE = ("name", "arithmetic", "sources")
+
+
+def overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":
+    """The datasheet with these fields of it, or of its arithmetic, replaced."""
+    numbers = datasheet.arithmetic
+    own = {f.name for f in fields(datasheet)}
+    inside = {f.name for f in fields(numbers)} if numbers else set()
+    for key in overrides:
+        _field(datasheet, key)
+    inner = {k: _filled(numbers, k, v) for k, v in overrides.items() if k in inside}
+    outer = {k: v for k, v in overrides.items() if k in own and k not in inside}
+    return replace(datasheet, **{"arithmetic": numbers and replace(numbers, **inner), **outer})
+
+
+def spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
+    """The options in a text like "weight_bits=4,membrane=12-wrap"."""
+    options: dict[str, Any] = {}
+    for part in filter(None, text.split(",")):
+        key, given, value = part.partition("=")
+        key, value = key.strip(), value.strip()
+        if not (given and value):
+            raise ChipError(
+                f"chip {datasheet.name!r}: option {part!r} has no value. Write it as "
+                f"{datasheet.name}:{key or 'weight_bits'}=4, with commas between options."
+            )
+        options[key] = _read(datasheet, _field(datasheet, key), value)
+    return options
+
+
+def listed(text: str) -> list[str]:
+    """The chips in a text like "loihi1,int:weight_bits=4,membrane=12,odin", options included."""
+    names: list[str] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        # an option without a chip before it belongs to the chip before the comma
+        if names and "=" in part and ":" not in part:
+            names[-1] += f",{part}"
+        else:
+            names.append(part)
+    return names
+
+
+def like(name: str, known: Iterable[str]) -> str:
+    """A hint at what may have been meant."""
+    close = difflib.get_close_matches(name, list(known), n=2)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
+
+
+def _field(datasheet: "Chip", key: str) -> "Field[Any]":
+    numbers = datasheet.arithmetic
+    every = (*fields(datasheet), *(fields(numbers) if numbers else ()))
+    known = {f.name: f for f in every if f.init}
+    if key not in known:
+        raise ChipError(f"chip {datasheet.name!r} has no option {key!r}{like(key, known)}.")
+    return known[key]
+
+
+def _filled(numbers: Any, key: str, value: Any) -> Any:  # noqa: ANN401
+    """The value of a field, where a number means the bits of the register that is there."""
+    present = getattr(numbers, key)
+    if isinstance(present, Register) and isinstance(value, int):
+        return replace(present, bits=value)
+    return value
+
+
+def _read(datasheet: "Chip", field: "Field[Any]", text: str) -> Any:  # noqa: ANN401
+    """The value of a field in a text, by the field's type."""
+    kind: Any = field.type
+    if field.name in WHOLE:
+        raise ChipError(f"chip {datasheet.name!r}: {field.name!r} cannot be given as text.")
+    if kind is Register:
+        return _register(datasheet, field.name, text)
+    if type(None) in get_args(kind):
+        return None if text == "none" else _whole(datasheet, field.name, text)
+    if get_origin(kind) is tuple:
+        parts = text.split("/")
+        numeric = get_args(kind)[0] is int
+        return tuple(_whole(datasheet, field.name, p) for p in parts) if numeric else tuple(parts)
+    return _whole(datasheet, field.name, text) if kind is int else text
+
+
+def _register(datasheet: "Chip", key: str, text: str) -> Register:
+    present: Register = getattr(datasheet.arithmetic, key)
+    bits, _, overflow = text.partition("-")
+    if overflow and overflow not in OVERFLOWS:
+        raise ChipError(
+            f"chip {datasheet.name!r}: {key} {text!r} overflows in an unknown way. Write its bits, "
+            f"and after a '-' one of {', '.join(OVERFLOWS)}: {key}={present.bits}-saturate."
+        )
+    return Register(_whole(datasheet, key, bits), overflow or present.overflow, present.between)
+
+
+def _whole(datasheet: "Chip", key: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise ChipError(
+            f"chip {datasheet.name!r}: {key} must be a whole number, found {text!r}."
+        ) from None

@@ -1,0 +1,113 @@
+"""Integer arithmetic as chips do it: arrays of int64 in, arrays of int64 out.
+
+Rounding: how a float becomes a whole number of a chip.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.errors import ChipError, ConfigError
+
+# bits of a register whose sums int64 still holds
+WIDEST = 62
+
+Integers = NDArray[np.int64]
+Overflow = Literal["none", "wrap", "wrap-once", "clip", "saturate"]
+OVERFLOWS: tuple[Overflow, ...] = get_args(Overflow)
+
+
+def decay(x: Integers, keep: Integers, bits: int) -> Integers:
+    """What is left of x after a timestep: keep / 2**bits of it, rounded toward zero."""
+    # y = sign(x) * ((|x| * keep) >> bits)
+    return cast("Integers", np.sign(x) * (np.abs(x) * keep >> bits))
+
+
+def shift_decay(x: Integers, shift: Integers) -> Integers:
+    """What x loses in a timestep: x >> shift, rounded down, and 1 toward zero where that is 0."""
+    lost = x >> shift
+    return np.where(lost == 0, np.sign(x), lost)
+
+
+@dataclass(frozen=True)
+class Register:
+    """A signed register of the chip and what happens to a number that does not fit.
+
+    bits: width with the sign.
+    overflow: "none" is not modelled; "wrap" is two's complement; "wrap-once" is lava's current
+        (lava PyLifModelBitAcc): the width is added or subtracted once, and the two edges are
+        read as +2**(bits - 1); "clip" saturates at the largest magnitude on both sides;
+        "saturate" at the edges of two's complement, where the lower is one further out.
+    between: a narrower range, to which numbers are clipped after that (nengo-loihi's vmin, vmax).
+    """
+
+    bits: int
+    overflow: Overflow
+    between: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.bits <= WIDEST:
+            raise ChipError(f"a register of {self.bits} bits; choose 2 to {WIDEST}, sign included.")
+        if self.overflow not in OVERFLOWS:
+            raise ChipError(
+                f"overflow {self.overflow!r} is unknown. Choose one of {', '.join(OVERFLOWS)}."
+            )
+
+    @property
+    def limit(self) -> int:
+        """Largest magnitude that fits whatever the overflow: 2**(bits - 1) - 1, if not less."""
+        edge = (1 << (self.bits - 1)) - 1
+        return min(edge, *map(abs, self.between)) if self.between else edge
+
+    def fit(self, x: Integers) -> Integers:
+        """The numbers x as the register holds them."""
+        held = _OVERFLOWS[self.overflow](x, self.bits)
+        return held if self.between is None else np.asarray(np.clip(held, *self.between))
+
+
+def _unchanged(x: Integers, bits: int) -> Integers:
+    return x
+
+
+def _wrap(x: Integers, bits: int) -> Integers:
+    half = 1 << (bits - 1)
+    return (x + half) % (2 * half) - half
+
+
+def _wrap_once(x: Integers, bits: int) -> Integers:
+    half = 1 << (bits - 1)
+    return np.asarray(x - 2 * half * (x > half) + 2 * half * (x <= -half))
+
+
+def _clip(x: Integers, bits: int) -> Integers:
+    limit = (1 << (bits - 1)) - 1
+    return np.asarray(np.clip(x, -limit, limit))
+
+
+def _saturate(x: Integers, bits: int) -> Integers:
+    half = 1 << (bits - 1)
+    return np.asarray(np.clip(x, -half, half - 1))
+
+
+_OVERFLOWS: dict[Overflow, Callable[[Integers, int], Integers]] = {
+    "none": _unchanged,
+    "wrap": _wrap,
+    "wrap-once": _wrap_once,
+    "clip": _clip,
+    "saturate": _saturate,
+}
+
+
+Rounding = Literal["nearest", "truncate"]
+
+
+def rounded(values: NDArray[Any], rounding: Rounding) -> NDArray[np.int64]:
+    """The values as whole numbers: the nearest, half to even; or without their fractions."""
+    if rounding not in get_args(Rounding):
+        raise ConfigError(f"rounding {rounding!r} is unknown. Choose 'nearest' or 'truncate'.")
+    # the product with a scale may fall a last bit short of the whole number that it means
+    whole = np.rint(values) if rounding == "nearest" else np.trunc(values * (1 + 1e-12))
+    return whole.astype(np.int64)

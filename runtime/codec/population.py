@@ -1,0 +1,161 @@
+"""Population coding: a number becomes the spikes of neurons with Gaussian receptive fields.
+
+Spike patterns: all that a neuron under a constant drive can do in T timesteps, as a table.
+
+The membrane never decreases when the drive increases, as long as the spikes before are the same; so
+each pattern belongs to one interval of drives, and there are few. Looking a drive up among the
+edges of the intervals gives the bits of going through the timesteps, in a third of the time.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.metadata import Record, Tree
+
+Drives = NDArray[np.floating]
+
+# timesteps up to which tables are worth their memory: the number of patterns grows with T * T
+LONGEST = 64
+
+
+def spike_pattern(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uint8]:
+    """Spikes (T, ...) of the drives (...), at most one per timestep, each taking the threshold."""
+    if timesteps > LONGEST:
+        return integrated(drive, threshold, timesteps)
+    table = patterns(threshold, timesteps, drive.dtype.str)
+    return np.asarray(table.spikes.take(table.edges.searchsorted(drive), axis=1))
+
+
+def integrated(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uint8]:
+    """The same, timestep by timestep: the definition."""
+    spikes = np.empty((timesteps, *drive.shape), np.bool_)
+    membrane = drive.copy()
+    for t in range(timesteps):
+        if t:
+            # v = (v - threshold * s) + A
+            membrane -= threshold * spikes[t - 1]
+            membrane += drive
+        # s = v > threshold
+        np.greater(membrane, threshold, out=spikes[t])
+    return spikes.view(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Patterns:
+    """Every pattern of the drives from 0 to 1.
+
+    edges: (K - 1,) the largest drive of each pattern but the last, increasing.
+    spikes: (T, K).
+    """
+
+    edges: Drives
+    spikes: NDArray[np.uint8]
+
+
+@lru_cache(maxsize=16)
+def patterns(threshold: float, timesteps: int, dtype: str) -> Patterns:
+    """All patterns, their edges found by bisection down to neighbouring numbers."""
+    low, high = np.zeros(1, dtype), np.ones(1, dtype)
+    edges = [np.empty(0, dtype)]
+    while low.size:
+        differ = _differ(low, high, threshold, timesteps)
+        low, high = low[differ], high[differ]
+        neighbours = np.nextafter(low, high) == high
+        edges.append(low[neighbours])
+        low, high = low[~neighbours], high[~neighbours]
+        middle = low + (high - low) / 2
+        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+    found = np.sort(np.concatenate(edges))
+    one_of_each = np.append(found, np.ones(1, dtype))
+    return Patterns(found, integrated(one_of_each, threshold, timesteps))
+
+
+def _differ(low: Drives, high: Drives, threshold: float, timesteps: int) -> NDArray[np.bool_]:
+    """Whether the ends of each interval have different patterns."""
+    at_low, at_high = (integrated(ends, threshold, timesteps) for ends in (low, high))
+    return np.asarray((at_low != at_high).any(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationEncoder:
+    """P neurons for each observed number, spiking deterministically (Tang et al. 2020, PopSAN).
+
+    mean: (obs, P) centre of each receptive field, in units of the normalised observation.
+    std: (obs, P) its width.
+    threshold: membrane above which a neuron spikes and loses that much (soft reset).
+    """
+
+    kind: ClassVar[str] = "population"
+
+    mean: NDArray[np.floating]
+    std: NDArray[np.floating]
+    threshold: float = 0.999
+
+    def __post_init__(self) -> None:
+        if self.mean.ndim != 2 or self.mean.shape != self.std.shape:
+            raise ArtifactError(
+                "population encoder: mean and std must both have shape (obs, P), found "
+                f"{self.mean.shape} and {self.std.shape}. Export the policy again."
+            )
+        if not (np.isfinite(self.mean).all() and (self.std > 0).all() and self.threshold > 0):
+            raise ArtifactError(
+                "population encoder: mean must be finite, std and threshold above 0, found "
+                f"{self.mean.max()}, {self.std.min()} and {self.threshold}. "
+                "Export the policy again."
+            )
+
+    @property
+    def observed(self) -> int:
+        """Numbers taken in: obs."""
+        return int(self.mean.shape[0])
+
+    @property
+    def width(self) -> int:
+        """Neurons: M = obs * P; neuron i * P + p is the p-th of observation i."""
+        return int(self.mean.size)
+
+    @property
+    def random(self) -> bool:
+        """Whether the same observation may spike otherwise next time."""
+        return False
+
+    def encode(
+        self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
+    ) -> NDArray[np.uint8]:
+        """Spikes (B, T, M) of the normalised observations x (B, obs); no dice are thrown."""
+        spikes = spike_pattern(self._drive(x), self.threshold, timesteps)
+        return np.asarray(spikes.swapaxes(0, 1))
+
+    def astype(self, dtype: DTypeLike) -> "PopulationEncoder":
+        """The same encoder computing in another float type."""
+        return PopulationEncoder(self.mean.astype(dtype), self.std.astype(dtype), self.threshold)
+
+    def to_record(self) -> Tree:
+        """What the file stores."""
+        return {
+            "mean": self.mean.astype(np.float64),
+            "std": self.std.astype(np.float64),
+            "threshold": self.threshold,
+        }
+
+    @classmethod
+    def from_record(cls, record: Record) -> "PopulationEncoder":
+        """The encoder that a file holds."""
+        record.only("kind", "mean", "std", "threshold")
+        return cls(record.array("mean"), record.array("std"), record.number("threshold"))
+
+    def _drive(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Stimulation A (B, M), the same in every timestep."""
+        # A = exp(-1/2 ((x - mean) / std)^2)
+        drive = x[:, :, None] - self.mean
+        drive /= self.std
+        drive *= drive
+        drive *= -0.5
+        np.exp(drive, out=drive)
+        return drive.reshape(len(x), -1)

@@ -1,0 +1,120 @@
+"""Rate coding: a number becomes the spikes of one neuron, the more the larger it is."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar, Literal, cast, get_args
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.metadata import Record, Tree
+
+Mode = Literal["regular", "bernoulli"]
+LEVELS = 256  # of a rate: an 8-bit register that also holds one
+
+
+@dataclass(frozen=True, eq=False)
+class RateEncoder:
+    """One neuron for each observed number, in the arithmetic of an 8-bit circuit.
+
+        n = round(256 clip((x - low) / (high - low), 0, 1))      halves to even
+
+    low: (obs,) normalised observations that never spike.
+    high: (obs,) those that spike in every timestep.
+    mode: "regular": n is added to an 8-bit accumulator that begins half full, and a carry is a
+        spike, so spikes are evenly spaced and short windows are not biased. "bernoulli": a spike
+        where a random byte is below n.
+    """
+
+    kind: ClassVar[str] = "rate"
+
+    low: NDArray[np.floating]
+    high: NDArray[np.floating]
+    mode: Mode = "regular"
+
+    def __post_init__(self) -> None:
+        if self.low.ndim != 1 or self.low.shape != self.high.shape:
+            raise ArtifactError(
+                "rate encoder: low and high must both have shape (obs,), found "
+                f"{self.low.shape} and {self.high.shape}. Export the policy again."
+            )
+        if not (np.isfinite(self.low).all() and np.isfinite(self.high - self.low).all()):
+            raise ArtifactError(
+                "rate encoder: low and high must be finite. Export the policy again."
+            )
+        if not (self.high > self.low).all():
+            (worst,) = (self.high <= self.low).nonzero()
+            raise ArtifactError(
+                f"rate encoder: high must be above low, found {self.high[worst[0]]} and "
+                f"{self.low[worst[0]]} at index {worst[0]}. Export the policy again."
+            )
+        if self.mode not in get_args(Mode):
+            raise ArtifactError(
+                f"rate encoder: mode {self.mode!r} is unknown; known are "
+                f"{', '.join(get_args(Mode))}. Export the policy again."
+            )
+
+    @property
+    def observed(self) -> int:
+        """Numbers taken in: obs."""
+        return int(self.low.size)
+
+    @property
+    def width(self) -> int:
+        """Neurons: M = obs."""
+        return int(self.low.size)
+
+    @property
+    def random(self) -> bool:
+        """Whether the same observation may spike otherwise next time."""
+        return self.mode == "bernoulli"
+
+    def encode(
+        self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
+    ) -> NDArray[np.uint8]:
+        """Spikes (B, T, M) of the normalised observations x (B, obs)."""
+        levels = self.levels(x)
+        if self.mode == "regular":
+            return np.asarray(_carries(timesteps).take(levels, axis=1).swapaxes(0, 1))
+        drawn = (rng or Xorshift(0, self.width)).draw(len(x), timesteps)
+        # s[t] = byte[t] < n
+        return (drawn < levels[:, None]).view(np.uint8)
+
+    def levels(self, x: NDArray[np.floating]) -> NDArray[np.int64]:
+        """Rates n (B, obs) of normalised observations (B, obs) [1/256 per timestep]."""
+        share = x - self.low
+        share /= self.high - self.low
+        # np.clip does the same in three times the time at batch 1
+        np.maximum(share, 0, out=share)
+        np.minimum(share, 1, out=share)
+        share *= LEVELS
+        return np.rint(share).astype(np.int64)
+
+    def astype(self, dtype: DTypeLike) -> "RateEncoder":
+        """The same encoder computing in another float type."""
+        return RateEncoder(self.low.astype(dtype), self.high.astype(dtype), self.mode)
+
+    def to_record(self) -> Tree:
+        """What the file stores."""
+        return {
+            "low": self.low.astype(np.float64),
+            "high": self.high.astype(np.float64),
+            "mode": self.mode,
+        }
+
+    @classmethod
+    def from_record(cls, record: Record) -> "RateEncoder":
+        """The encoder that a file holds."""
+        record.only("kind", "low", "high", "mode")
+        return cls(record.array("low"), record.array("high"), cast("Mode", record.text("mode")))
+
+
+@lru_cache(maxsize=16)
+def _carries(timesteps: int) -> NDArray[np.uint8]:
+    """Spikes (T, 257) of the accumulator for each rate."""
+    clock, levels = np.arange(timesteps + 1)[:, None], np.arange(LEVELS + 1)
+    # c[t] = floor((n t + 128) / 256) ; s[t] = c[t + 1] - c[t]
+    carried = (clock * levels + LEVELS // 2) // LEVELS
+    return np.diff(carried, axis=0).astype(np.uint8)

@@ -1,0 +1,212 @@
+"""All between spikes as matrices: chains of weights, windows, sums and delays, one for each lag.
+
+A chain without spikes in it is linear but for its biases. So what it does to a unit impulse of a
+source is a row of its matrix, and what it does to nothing is its bias.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.float_model.nodes import build
+from spikedeploy.runtime.graph.order import Timing, sources
+from spikedeploy.runtime.graph.shapes import multiplications
+from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS
+
+Floats: TypeAlias = NDArray[np.float64]
+# what arrives how many timesteps late, (R, *shape)
+Parts: TypeAlias = dict[int, Floats]
+
+# impulses are quick through these: most rows of their input are silent
+DENSE = (nir.Affine, nir.Linear)
+BIASED = (nir.Affine, *CONVOLUTIONS)
+LINEAR = (nir.Linear, *BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
+
+# bytes of matrices beyond which a network is a mistake on a chip: 33 million weights
+LARGEST = 1 << 28
+# multiplications that finding a matrix may take
+HARDEST = 1 << 34
+# numbers that the impulses sent at once may fill, and how many are sent at most
+ENOUGH = 1 << 22
+MOST = 256
+
+
+@dataclass(frozen=True, eq=False)
+class LinearBlock:
+    """The nodes without spikes that lead to one target.
+
+    target: name of a spiking node or an Output.
+    names: of the nodes, each after those that it hears.
+    sources: the spiking nodes and Inputs that they, or the target, hear.
+    """
+
+    target: str
+    names: tuple[str, ...]
+    sources: tuple[str, ...]
+
+
+class Linear:
+    """The linear part of a graph, and the memory that its matrices may take."""
+
+    def __init__(self, graph: nir.NIRGraph, timing: Timing, convention: Convention) -> None:
+        self._graph, self._timing = graph, timing
+        self._inside = {n for n, node in graph.nodes.items() if isinstance(node, LINEAR)}
+        self._nodes = {
+            name: build(name, _unbiased(graph.nodes[name]), convention, np.float64)
+            for name in self._inside
+        }
+        self._bytes = 0
+
+    def region(self, target: str) -> LinearBlock:
+        """The region before a target."""
+        inside, presynaptic, waiting = set[str](), set[str](), [target]
+        while waiting:
+            for name in sources(self._graph, waiting.pop()):
+                if name not in self._inside:
+                    presynaptic.add(name)
+                elif name not in inside:
+                    inside.add(name)
+                    waiting.append(name)
+        return LinearBlock(target, tuple(self._ordered(inside)), tuple(sorted(presynaptic)))
+
+    def matrices(self, region: LinearBlock, source: str) -> dict[int, Floats]:
+        """(M, N) from a source to the target, by the timesteps that it takes."""
+        size = self._size(source)
+        self._check_room(region.target, size)
+        self._check_work(region, source)
+        found: dict[int, Floats] = {}
+        for first, impulses in self._impulses(region, source):
+            for lag, rows in self._respond(region, {source: {0: impulses}}).items():
+                if lag not in found:
+                    found[lag] = self._room(region.target, size)
+                found[lag][first : first + len(rows)] = rows.reshape(len(rows), -1)
+        # a Delay of different steps may leave nothing in one of them
+        return {lag: m for lag, m in sorted(found.items()) if m.any()} or dict([min(found.items())])
+
+    def bias(self, region: LinearBlock) -> Floats:
+        """(N,) that arrives at the target in every timestep."""
+        parts = self._respond(region, {}, biased=True)
+        for lag, rows in parts.items():
+            if lag and rows.any():
+                raise RuleError(
+                    f"rule bias: node {region.target!r}: a bias reaches it through a delay of "
+                    f"{lag} timesteps, so that it would begin late, which no chip does. Put the "
+                    "bias behind the delay."
+                )
+        nothing = np.zeros((1, self._size(region.target)))
+        return np.asarray(parts.get(0, nothing).reshape(-1))
+
+    def _room(self, target: str, size: int) -> Floats:
+        """Memory of a matrix."""
+        self._check_room(target, size)
+        self._bytes += 8 * size * self._size(target)
+        return np.zeros((size, self._size(target)))
+
+    def _check_room(self, target: str, size: int) -> None:
+        if (found := self._bytes + 8 * size * self._size(target)) > LARGEST:
+            raise RuleError(
+                f"rule matrix: node {target!r}: as one matrix for each pair of layers, which a "
+                f"chip's axons need, the weights take {found} bytes by here; at most {LARGEST}. "
+                "Run the network in float, or make its convolutions smaller."
+            )
+
+    def _check_work(self, region: LinearBlock, source: str) -> None:
+        """Refuse windows so large that sending all impulses through them takes minutes."""
+        nodes = [n for n in region.names if not isinstance(self._graph.nodes[n], DENSE)]
+        each = sum(multiplications(n, self._graph.nodes[n], self._shape(n)) for n in nodes)
+        if (found := each * self._size(source)) > HARDEST:
+            raise RuleError(
+                f"rule matrix: node {region.target!r}: the matrix from {source!r} takes {found} "
+                f"multiplications; at most {HARDEST}. Run the network in float, or make its "
+                "convolutions smaller."
+            )
+
+    def _impulses(self, region: LinearBlock, source: str) -> Iterator[tuple[int, Floats]]:
+        """Rows of the identity as (R, *shape), a few at a time, and the number of the first."""
+        shape = self._shape(source)
+        names = (source, *region.names, region.target)
+        some = min(max(1, ENOUGH // max(map(self._size, names))), MOST)
+        size = self._size(source)
+        for first in range(0, size, some):
+            rows = np.zeros((min(some, size - first), size))
+            np.fill_diagonal(rows[:, first:], 1.0)
+            yield first, rows.reshape(len(rows), *shape)
+
+    def _respond(
+        self, region: LinearBlock, start: Mapping[str, Parts], biased: bool = False
+    ) -> Parts:
+        """What arrives at the target when the sources put out `start`."""
+        put = dict(start)
+        for name in region.names:
+            put[name] = self._through(name, self._arriving(name, put))
+            if biased and isinstance(self._graph.nodes[name], BIASED):
+                _add(put[name], 0, self._bias(name))
+        return self._arriving(region.target, put)
+
+    def _arriving(self, name: str, put: Mapping[str, Parts]) -> Parts:
+        arriving: Parts = {}
+        for source in sources(self._graph, name):
+            late = (source, name) in self._timing.late
+            for lag, rows in put.get(source, {}).items():
+                _add(arriving, lag + late, rows)
+        return arriving
+
+    def _through(self, name: str, arriving: Parts) -> Parts:
+        """What a node makes of what arrives, its bias left out."""
+        if (steps := self._timing.delays.get(name)) is None:
+            compute = self._nodes[name]
+            return {lag: np.asarray(compute(rows[None])[0]) for lag, rows in arriving.items()}
+        put: Parts = {}
+        for lag, rows in arriving.items():
+            for step in np.unique(steps).tolist():
+                _add(put, lag + step, np.where(steps == step, rows, 0.0))
+        return put
+
+    def _bias(self, name: str) -> Floats:
+        node = self._graph.nodes[name]
+        shape = self._shape(name)
+        bias = node.bias.astype(np.float64)
+        if isinstance(node, CONVOLUTIONS):
+            bias = bias.reshape(-1, *(1 for _ in shape[1:]))
+        return np.broadcast_to(bias, shape)[None]
+
+    def _shape(self, name: str) -> tuple[int, ...]:
+        return tuple(int(n) for n in self._graph.nodes[name].output_type["output"])
+
+    def _size(self, name: str) -> int:
+        return math.prod(self._shape(name))
+
+    def _ordered(self, inside: set[str]) -> list[str]:
+        """The nodes, each after those that it hears; a loop of them would echo for ever."""
+        before = {name: inside.intersection(sources(self._graph, name)) for name in inside}
+        names: dict[str, None] = {}
+        while len(names) < len(inside):
+            ready = sorted(n for n in inside if n not in names and before[n] <= names.keys())
+            if not ready:
+                raise RuleError(
+                    f"rule recurrence: nodes {', '.join(sorted(inside - names.keys()))}: a loop "
+                    "without a spiking node, in which values go round for ever; a chip has none. "
+                    "Put a neuron into it, or run the graph in float."
+                )
+            names.update(dict.fromkeys(ready))
+        return list(names)
+
+
+def _unbiased(node: nir.NIRNode) -> nir.NIRNode:
+    if not isinstance(node, BIASED):
+        return node
+    plain = copy(node)
+    plain.bias = np.zeros_like(node.bias)
+    return plain
+
+
+def _add(parts: Parts, lag: int, rows: Floats) -> None:
+    parts[lag] = parts[lag] + rows if lag in parts else rows

@@ -1,0 +1,279 @@
+"""The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs.
+
+What leaves a chip where it is more than one readout of one layer: computed by the host.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.graph.ports import Port, joined
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadoutTerm:
+    """What an Output node hears of one layer.
+
+    layer: name.
+    weight: (N, act) axon-major; None passes the spikes on as they are.
+    lag: [timesteps] by which it trails the spikes.
+    """
+
+    layer: str
+    weight: Floats | None
+    lag: int
+
+
+@dataclass(frozen=True, eq=False)
+class HostOutput:
+    """One Output node.
+
+    port: its name and shape.
+    taps: what it hears.
+    bias: (act,) added in every timestep.
+    """
+
+    port: Port
+    taps: tuple[ReadoutTerm, ...]
+    bias: Floats
+
+
+def leaving(outlets: Sequence[HostOutput], spikes: Mapping[str, NDArray[Any]]) -> Floats:
+    """Output (B, T, act) of all outlets side by side, from the spikes (B, T, N) of each layer."""
+    return np.concatenate([_heard(outlet, spikes) for outlet in outlets], axis=2)
+
+
+def _heard(outlet: HostOutput, spikes: Mapping[str, NDArray[Any]]) -> Floats:
+    batch, timesteps, _ = spikes[outlet.taps[0].layer].shape
+    output = np.zeros((batch, timesteps, outlet.port.size)) + outlet.bias
+    for tap in outlet.taps:
+        rows = spikes[tap.layer][:, : max(0, timesteps - tap.lag)].astype(np.float64)
+        output[:, timesteps - rows.shape[1] :] += rows if tap.weight is None else rows @ tap.weight
+    return output
+
+
+Numbers = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Synapses:
+    """All connections from one source to one layer.
+
+    source: name of a layer, or of the program's input.
+    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
+    delay: [timesteps] from a spike of the source to its arrival.
+    shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
+        weight exponent as lava reads it. Only the interpreter knows it.
+    current: which current of the neurons they feed, where neurons have several.
+    """
+
+    source: str
+    weight: Numbers
+    delay: int
+    shift: int = 0
+    current: int = 0
+
+    @cached_property
+    def fan_out(self) -> NDArray[np.int64]:
+        """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
+        return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One population of neurons; on integer chips everything but `scale` holds integers.
+
+    name: of the NIR node.
+    synapses: what it listens to.
+    bias: (N,) weights of an axon that spikes in every timestep.
+    voltage_bias: (N,) added to the membrane in every timestep [state units].
+    threshold: (N,) membrane above which a neuron spikes [state units].
+    current_decay: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
+    membrane_decay: (N,) likewise of the membrane. Where decays are shifts, both hold the shift,
+        that of K currents as (K, N); where the leak is linear, this is what it takes [state units].
+    scale: float units of current and membrane per state unit; (N,) where neurons differ.
+    start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
+    aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
+    """
+
+    name: str
+    synapses: tuple[Synapses, ...]
+    bias: Numbers
+    voltage_bias: Numbers
+    threshold: Numbers
+    current_decay: Numbers
+    membrane_decay: Numbers
+    scale: float | NDArray[np.float64]
+    start: int
+    aliases: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Neurons: N."""
+        return int(self.threshold.size)
+
+    @cached_property
+    def bias_fan_out(self) -> int:
+        """Non-zero biases: what the always-on axon costs in SOPs per timestep."""
+        return int(np.count_nonzero(self.bias))
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """The last affine map, which the host computes in float64.
+
+    weight: (N, act) axon-major.
+    bias: (act,).
+    lag: rows by which its output trails the spikes; the delay of the convention.
+    """
+
+    weight: NDArray[np.float64]
+    bias: NDArray[np.float64]
+    lag: int
+
+    def __call__(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
+        """Output (..., act) of the spikes (..., N)."""
+        # BLAS wants two axes, and dot() is @ for those in a hurry
+        flat = spikes.reshape(-1, len(self.weight)).dot(self.weight) + self.bias
+        return np.asarray(flat.reshape(*spikes.shape[:-1], -1))
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Everything that a Machine runs.
+
+    Time is counted in chip timesteps from the first input row. A layer runs T timesteps from its
+    start: its window. With biases staggered, layer k starts k timesteps later than the input, so
+    that row t of every window means the same as without delays.
+
+    chip: whose arithmetic is used.
+    convention: of the artifact; reset and state are read from it.
+    input: name of the input.
+    width: M of the input.
+    layers: in an order in which no layer comes before one that it hears without delay.
+    output: name of the layer that the readout or the host listens to.
+    readout: None where the spikes themselves are the output.
+    remarks: what of it is not as in the artifact, besides rounding and its convention; sentences.
+    inputs: the Input nodes side by side in the input; empty where there was no graph.
+    outputs: the Output nodes side by side in the output; likewise.
+    outlets: what the host makes of the spikes where several layers leave the chip; then it stands
+        for output and readout.
+    """
+
+    chip: Chip
+    convention: Convention
+    input: str
+    width: int
+    layers: tuple[Layer, ...]
+    output: str
+    readout: Readout | None
+    remarks: tuple[str, ...] = ()
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    outlets: tuple[HostOutput, ...] = ()
+
+    def __post_init__(self) -> None:
+        presynaptic = {self.input}
+        for layer in self.layers:
+            for synapses in layer.synapses:
+                self._check(layer, synapses, presynaptic)
+            presynaptic.add(layer.name)
+
+    def joined(self, rasters: Mapping[str, Numbers]) -> Numbers:
+        """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
+        return joined(self.inputs, rasters)
+
+    def layer(self, name: str) -> Layer:
+        """The layer called `name`."""
+        return self._by_name[name]
+
+    def lag(self, layer: Layer, synapses: Synapses) -> int:
+        """Rows by which the layer's window trails what it hears: 0 where starts make up delays."""
+        start = 0 if synapses.source == self.input else self.layer(synapses.source).start
+        return start + synapses.delay - layer.start
+
+    @cached_property
+    def lags(self) -> tuple[tuple[int, ...], ...]:
+        """The lag of each synapse of each layer."""
+        return tuple(tuple(self.lag(a, s) for s in a.synapses) for a in self.layers)
+
+    @cached_property
+    def delays(self) -> tuple[tuple[int, ...], ...]:
+        """The delay of each synapse of each layer."""
+        return tuple(tuple(s.delay for s in a.synapses) for a in self.layers)
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Neurons of the input and of each layer."""
+        return {self.input: self.width, **{layer.name: layer.size for layer in self.layers}}
+
+    @cached_property
+    def to_host(self) -> frozenset[str]:
+        """Names of the layers whose spikes leave the chip."""
+        return frozenset({tap.layer for outlet in self.outlets for tap in outlet.taps}) or (
+            frozenset({self.output})
+        )
+
+    @property
+    def readouts(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
+        """The layers that the host listens to through weights, and those weights (N, act)."""
+        if self.readout is not None:
+            return ((self.output, self.readout.weight),)
+        taps = [tap for outlet in self.outlets for tap in outlet.taps]
+        return tuple((tap.layer, tap.weight) for tap in taps if tap.weight is not None)
+
+    @cached_property
+    def feed_forward(self) -> bool:
+        """Whether every layer hears only the input and layers before it."""
+        presynaptic = {self.input}
+        for layer in self.layers:
+            if any(s.source not in presynaptic for s in layer.synapses):
+                return False
+            presynaptic.add(layer.name)
+        return True
+
+    @cached_property
+    def output_apart(self) -> bool:
+        """Whether the output layer hears other layers only, and none hears it (Xylo's outputs)."""
+        wires = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
+        presynaptic = {source for source, target in wires if target == self.output}
+        heard_by = {target for source, target in wires if source == self.output}
+        return self.input not in presynaptic and not heard_by
+
+    def steps(self, timesteps: int) -> int:
+        """Chip timesteps of one inference of T timesteps."""
+        return timesteps + self._fill
+
+    @cached_property
+    def _fill(self) -> int:
+        """Timesteps until the last layer starts."""
+        return max(layer.start for layer in self.layers)
+
+    @cached_property
+    def _by_name(self) -> dict[str, Layer]:
+        return {layer.name: layer for layer in self.layers}
+
+    def _check(self, layer: Layer, synapses: Synapses, presynaptic: set[str]) -> None:
+        edge = f"layer {layer.name!r}: the synapses from {synapses.source!r}"
+        if synapses.delay > self.chip.delay_max:
+            raise RuleError(
+                f"rule delay: {edge} need a delay of {synapses.delay} timesteps; {self.chip.name} "
+                f"has at most {self.chip.delay_max}. Shorten the delay, or the skip connection."
+            )
+        if self.lag(layer, synapses) < 0 or (
+            synapses.delay == 0 and synapses.source not in presynaptic
+        ):
+            raise RuleError(
+                f"rule delay: {edge} deliver a spike {synapses.delay} timesteps after it was "
+                f"emitted, too early or too late for a layer that starts at {layer.start}. Compile "
+                "with stagger=False, or remove the feedback."
+            )

@@ -1,0 +1,106 @@
+"""How a float network becomes integers: which neurons share a scale, rounding, headroom, tuning."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from spikedeploy.runtime.chips.registers import Rounding
+from spikedeploy.runtime.errors import ConfigError
+
+Granularity = Literal["layer", "channel"]
+Headroom = Literal["none", "proven"]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What calibration found for a layer (runtime.calibration).
+
+    reach: below 1, the part of the largest scale that is used, which leaves headroom; above 1, how
+        far the largest weight reaches beyond what the chip holds: it is clipped, so that the others
+        keep more of their bits.
+    threshold: the thresholds are multiplied by this before they are rounded.
+    """
+
+    reach: float = 1.0
+    threshold: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("reach", self.reach), ("threshold", self.threshold)):
+            if not 0 < value < float("inf"):
+                raise ConfigError(f"tuning: {name} is {value}; it must be above 0 and finite.")
+
+
+UNTUNED = Tuning()
+
+
+@dataclass(frozen=True)
+class Quantisation:
+    """The choices of runtime.quantize.
+
+    granularity: "layer", one scale for all neurons of a layer (Tang et al. 2020, PopSAN);
+        "channel", one for each neuron.
+    rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did; None is
+        what the chip's own tool does: on Loihi "nearest".
+    headroom: "none", the largest weight, threshold or bias fills what the chip holds; "proven", the
+        largest scale at which no spikes whatever can overflow a register.
+    thresholds: most distinct thresholds of a layer, for which scales of neurons shrink a little;
+        None is no limit. nengo-loihi 1.1.0 lets a core of Loihi 1 hold 16.
+    tuned: layer -> what calibration found.
+    weight_shift: [bits] by which a Xylo shifts all weights to the left; thresholds and biases
+        follow. States are then finer than weights, and decays lose less to rounding; they also
+        saturate sooner.
+    """
+
+    granularity: Granularity = "layer"
+    rounding: Rounding | None = None
+    headroom: Headroom = "none"
+    thresholds: int | None = None
+    tuned: Mapping[str, Tuning] = field(default_factory=dict, hash=False)
+    weight_shift: int = 0
+
+    def __post_init__(self) -> None:
+        for option, allowed in (
+            ("granularity", get_args(Granularity)),
+            ("rounding", (*get_args(Rounding), None)),
+            ("headroom", get_args(Headroom)),
+        ):
+            if (found := getattr(self, option)) not in allowed:
+                choices = " or ".join(repr(each) for each in allowed if each)
+                raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
+        if self.thresholds is None:
+            return
+        if self.thresholds < 1 or self.granularity == "layer":
+            raise ConfigError(
+                f"thresholds is {self.thresholds} with a scale for each {self.granularity}; it "
+                "must be 1 or more, and needs a scale for each 'channel'."
+            )
+
+    def only(self, chip: str, *possible: str) -> None:
+        """Refuse choices that a chip does not have."""
+        for option in ("granularity", "rounding", "headroom", "thresholds", "tuned"):
+            found = getattr(self, option)
+            if option not in possible and found != getattr(PLAIN, option):
+                raise ConfigError(
+                    f"{option} is {found!r}; on {chip} only {' and '.join(possible)} can be "
+                    "chosen. Leave it out, or choose a Loihi."
+                )
+
+    def of(self, layer: str) -> Tuning:
+        """The tuning of a layer."""
+        return self.tuned.get(layer, UNTUNED)
+
+    def describe(self) -> str:
+        """The choices in words."""
+        tuned = [
+            f"; {name!r}: reach {found.reach:.3g}, thresholds times {found.threshold:.3g}"
+            for name, found in self.tuned.items()
+            if found != UNTUNED
+        ]
+        rounding = f"rounding {self.rounding!r}" if self.rounding else "the chip's own rounding"
+        most = "" if self.thresholds is None else f" with at most {self.thresholds} thresholds"
+        scales = f"a scale for each {self.granularity}{most}"
+        shift = f", weights shifted by {self.weight_shift} bits" if self.weight_shift else ""
+        return f"{scales}, {rounding}, headroom {self.headroom!r}{shift}{''.join(tuned)}"
+
+
+PLAIN = Quantisation()

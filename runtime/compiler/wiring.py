@@ -1,0 +1,144 @@
+"""The wiring of a graph: which spiking node hears which, and in what order they run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.compiler.linear import LINEAR, Linear, LinearBlock
+from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.graph.neurons import SPIKING
+from spikedeploy.runtime.graph.order import timing
+from spikedeploy.runtime.graph.ports import Port, ports
+
+Floats = NDArray[np.float64]
+
+KNOWN = (nir.Input, nir.Output, *LINEAR, *SPIKING)
+
+
+@dataclass(frozen=True, eq=False)
+class Connection:
+    """One connection of a layer.
+
+    source: the spiking node or the input that it comes from.
+    weight: (M, N) axon-major, float.
+    lag: [timesteps] from a spike to its arrival, as the graph and its convention say.
+    """
+
+    source: str
+    weight: Floats
+    lag: int
+
+
+@dataclass(frozen=True, eq=False)
+class LayerGraph:
+    """A graph as layers of spiking nodes; neurons of any shape in a row, in C order.
+
+    input: name of the input; those of several Input nodes, joined.
+    inputs: the Input nodes, side by side in the input's axons.
+    layers: names of the spiking nodes, each after those that it hears in the same timestep.
+    wires: of each layer.
+    bias: (N,) of each layer.
+    outlets: the Output nodes.
+    """
+
+    input: str
+    inputs: tuple[Port, ...]
+    layers: tuple[str, ...]
+    wires: dict[str, tuple[Connection, ...]]
+    bias: dict[str, Floats]
+    outlets: tuple[HostOutput, ...]
+
+    @property
+    def width(self) -> int:
+        """M of the input."""
+        return sum(port.size for port in self.inputs)
+
+
+def wiring(graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
+    """The wiring of a graph; nodes that neither spike nor are linear are refused."""
+    _check_kinds(graph)
+    when = timing(graph, convention)
+    linear, inputs = Linear(graph, when, convention), ports(graph.inputs)
+    layers = tuple(name for name in when.names if isinstance(graph.nodes[name], SPIKING))
+    regions = {name: linear.region(name) for name in (*layers, *sorted(graph.outputs))}
+    name = ", ".join(port.name for port in inputs)
+    while name in layers:
+        name = f"{name}, inputs"
+    return LayerGraph(
+        input=name,
+        inputs=inputs,
+        layers=layers,
+        wires={layer: _wires(linear, regions[layer], name, inputs) for layer in layers},
+        bias={layer: linear.bias(regions[layer]) for layer in layers},
+        outlets=tuple(_outlet(graph, linear, regions[p.name], p) for p in ports(graph.outputs)),
+    )
+
+
+def _check_kinds(graph: nir.NIRGraph) -> None:
+    for name in sorted(graph.nodes):
+        node = graph.nodes[name]
+        if not isinstance(node, KNOWN):
+            raise RuleError(
+                f"rule primitive: node {name!r}: {type(node).__name__} has no place on a chip, "
+                "whose neurons send spikes and whose synapses are linear; possible are "
+                f"{', '.join(kind.__name__ for kind in KNOWN)}. Replace it, or run it in float."
+            )
+
+
+def _wires(
+    linear: Linear, region: LinearBlock, name: str, inputs: Sequence[Port]
+) -> tuple[Connection, ...]:
+    """What a layer hears of each source and how late; what all Inputs send in one matrix."""
+    rows = _rows(inputs)
+    presynaptic: dict[tuple[str, int], Floats] = {}
+    for source in region.sources:
+        for lag, matrix in linear.matrices(region, source).items():
+            if source not in rows:
+                presynaptic[source, lag] = matrix
+            elif len(rows) == 1:
+                presynaptic[name, lag] = matrix
+            else:
+                width = sum(port.size for port in inputs)
+                all_ = presynaptic.setdefault((name, lag), np.zeros((width, matrix.shape[1])))
+                all_[rows[source]] = matrix
+    return tuple(Connection(source, matrix, lag) for (source, lag), matrix in presynaptic.items())
+
+
+def _rows(inputs: Sequence[Port]) -> dict[str, slice]:
+    """The axons of each Input node among those of the input."""
+    rows, first = {}, 0
+    for port in inputs:
+        rows[port.name] = slice(first, first + port.size)
+        first += port.size
+    return rows
+
+
+def _outlet(graph: nir.NIRGraph, linear: Linear, region: LinearBlock, port: Port) -> HostOutput:
+    """What an Output node hears of the layers; the host computes it."""
+    for source in region.sources:
+        if not isinstance(graph.nodes[source], SPIKING):
+            raise RuleError(
+                f"rule outputs: node {port.name!r}: the output must come from a spiking node; it "
+                f"hears the input {source!r} with none between. Put neurons there, or run the "
+                "graph in float."
+            )
+    taps = [
+        ReadoutTerm(source, None if _is_identity(matrix) else matrix, lag)
+        for source in region.sources
+        for lag, matrix in linear.matrices(region, source).items()
+    ]
+    return HostOutput(port, tuple(taps), linear.bias(region))
+
+
+def _is_identity(matrix: Floats) -> bool:
+    square = matrix.shape[0] == matrix.shape[1]
+    return (
+        square
+        and bool((np.diagonal(matrix) == 1).all())
+        and (np.count_nonzero(matrix) == len(matrix))
+    )

@@ -1,0 +1,204 @@
+"""Design rules on what a single node is: its kind, its neurons' parameters, its weights.
+
+Design rules on maps: their kernels, the values and the signs of their weights.
+"""
+
+from collections.abc import Iterator
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.design_rules.placed import PlacedNetwork
+from spikedeploy.runtime.design_rules.result import RuleResult, Status, allowed, at_most
+from spikedeploy.runtime.graph.neurons import SPIKING
+from spikedeploy.runtime.graph.order import delay_timesteps
+from spikedeploy.runtime.graph.shapes import DENSE
+from spikedeploy.runtime.graph.windows import CONVOLUTIONS, convolution_window
+
+Floats = NDArray[np.float64]
+
+# a decay or mantissa that is a limit itself may come out a last bit beyond it
+HAIR = 1e-9
+# of the smallest mantissa: what is no more becomes 0 when it is rounded
+HALF = 0.5
+
+
+def primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Each node is of a kind that the chip has; what the host computes may be any."""
+    for name, node in sorted(design.graph.nodes.items()):
+        kind = type(node).__name__
+        if name in design.network.host:
+            yield RuleResult("primitive", name, "pass", kind, note="computed by the host")
+        else:
+            remedy = "Replace the node, or run the network in float."
+            yield allowed("primitive", name, kind, design.limits.primitives, remedy)
+
+
+def reset(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """A spike does to the membrane what the convention says, from 0."""
+    for name, node in sorted(design.graph.nodes.items()):
+        if not isinstance(node, SPIKING):
+            continue
+        if node.v_reset.any():
+            found = f"v_reset {float(node.v_reset.flat[np.abs(node.v_reset).argmax()]):g}"
+            remedy = "Shift the membrane so that it resets to 0, or run the network in float."
+            yield RuleResult("reset", name, "fail", found, "v_reset 0", "", remedy)
+        else:
+            remedy = "Train with that reset, or run the network in float."
+            found = f"reset {design.artifact.convention.reset!r}"
+            possible = tuple(f"reset {each!r}" for each in design.chip.resets)
+            yield allowed("reset", name, found, possible, remedy)
+
+
+def delay(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Delays fit into the chip's."""
+    remedy = "Shorten the delay."
+    for name, node in sorted(design.graph.nodes.items()):
+        if isinstance(node, nir.Delay):
+            steps = int(delay_timesteps(name, node, design.artifact.convention).max())
+            yield at_most("delay", name, steps, design.chip.delay_max, "timesteps", remedy)
+
+
+def recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Loops only where neurons can hear themselves."""
+    for population in design.network.populations:
+        if not population.recurrent:
+            continue
+        if design.limits.recurrence is None:
+            yield RuleResult("recurrence", population.name, "unknown", "a loop")
+        else:
+            possible = ("a loop",) if design.limits.recurrence else ()
+            remedy = "Take the loop out, or run the network in float."
+            yield allowed("recurrence", population.name, "a loop", possible, remedy)
+
+
+def decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """What a current and a membrane lose in a timestep is rounded to what the registers hold."""
+    for name, neuron in sorted(design.neurons.items()):
+        losses = {"membrane": (1 - neuron.membrane_decay, design.limits.membrane_loss)}
+        if neuron.current_decay is not None:
+            losses["current"] = (1 - neuron.current_decay, design.limits.current_loss)
+        yield RuleResult(
+            rule="decay-range",
+            node=name,
+            status=_within([(loss, span) for loss, span in losses.values()]),
+            found="a loss of " + ", ".join(f"{s} {_span(x)}" for s, (x, _) in losses.items()),
+            limit=", ".join(f"{s} {_span(np.array(y))}" for s, (_, y) in losses.items() if y)
+            or None,
+            unit="of 1 in a timestep",
+            remedy="Choose another time constant.",
+        )
+
+
+def _within(losses: list[tuple[Floats, tuple[float, float] | None]]) -> Status:
+    if any(span is not None and not _holds(span, loss) for loss, span in losses):
+        return "fail"
+    return "unknown" if any(span is None for _, span in losses) else "pass"
+
+
+def _holds(span: tuple[float, float], loss: Floats) -> bool:
+    """Whether each loss is at most half a step outside; next to an end the step is as it is."""
+    least, most = span[0] / 2, span[1] + (1 - span[1]) / 2 * (span[1] > span[0])
+    return bool(loss.min() >= least - HAIR and loss.max() <= most + HAIR)
+
+
+def _span(values: Floats) -> str:
+    least, most = float(values.min()), float(values.max())
+    return f"{least:.4g}" if least == most else f"{least:.4g} to {most:.4g}"
+
+
+def threshold_range(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Thresholds are whole numbers within their register when the largest weight fills its own."""
+    most, widest = design.limits.threshold_max, design.limits.weight_max
+    for population in filter(design.spikes, design.network.populations):
+        threshold = design.graph.nodes[population.name].v_threshold
+        largest = design.largest(population)
+        if widest is None or most is None or not largest:
+            yield RuleResult("threshold-range", population.name, "unknown")
+            continue
+        found = float(threshold.min()) * widest / largest
+        dead = found < 0 or 0 < found <= HALF
+        yield RuleResult(
+            rule="threshold-range",
+            node=population.name,
+            status="fail" if dead else "pass",
+            found=found,
+            limit=f"thresholds above {HALF}, to {most}",
+            unit="units of the smallest weight",
+            remedy="Raise the threshold, or clip the weights.",
+            note="thresholds above the range scale the weights down" if found > most else "",
+        )
+
+
+def weight_bits(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """The largest weight is not 0 beside the largest threshold."""
+    most, widest = design.limits.threshold_max, design.limits.weight_max
+    for population in filter(design.spikes, design.network.populations):
+        threshold = float(design.graph.nodes[population.name].v_threshold.max())
+        largest = design.largest(population)
+        if widest is None or most is None or not largest:
+            yield RuleResult("weight-bits", population.name, "unknown")
+            continue
+        found = min(float(widest), largest * most / threshold if threshold > 0 else widest)
+        yield RuleResult(
+            rule="weight-bits",
+            node=population.name,
+            status="pass" if found > HALF else "fail",
+            found=found,
+            limit=f"weights above {HALF}, to {widest}",
+            unit="mantissa of the largest weight",
+            remedy="Scale the weights up, or the threshold down.",
+        )
+
+
+def kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Kernels and strides of convolutions."""
+    limits = design.limits.convolutions
+    for name, node in sorted(design.graph.nodes.items()):
+        if limits is None or not isinstance(node, CONVOLUTIONS) or name in design.network.host:
+            continue
+        window = convolution_window(name, node)
+        fits = max(window.kernel) <= limits.kernel and {*window.stride} <= {*limits.strides}
+        yield RuleResult(
+            rule="kernel",
+            node=name,
+            status="pass" if fits else "fail",
+            found=f"a kernel of {_by(window.kernel)}, stride {_by(window.stride)}",
+            limit=f"kernels to {limits.kernel}, strides {', '.join(map(str, limits.strides))}",
+            remedy="Train with such a kernel.",
+        )
+
+
+def weight_values(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Different weights of a neuron, where a chip has a table of few."""
+    remedy = "Quantise to so few weights, or double sources so that each has one more."
+    limit = design.limits.weight_values
+    for name, node in sorted(design.graph.nodes.items()):
+        if limit is not None and isinstance(node, DENSE) and name not in design.network.host:
+            rows = node.weight.reshape(-1, node.weight.shape[-1])
+            found = max(len(np.unique(row[row != 0])) for row in rows)
+            yield at_most("axon-types", name, found, limit, "weights of a neuron", remedy)
+
+
+def axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Sources excite all that they reach, or inhibit all, where a chip keeps signs by source."""
+    if not design.limits.axon_signs:
+        return
+    remedy = "Train with sources of one sign, or double them."
+    for name in (*design.network.inputs, *(p.name for p in design.network.populations)):
+        fans = [connection.fan for connection in design.network.leaving(name)]
+        weights = [fan.weight for fan in fans if fan.weight is not None]
+        if weights:
+            up, down = (_any(weights, sign) for sign in (1, -1))
+            found, unit = int((up & down).sum()), "sources with weights of both signs"
+            yield at_most("sign", name, found, 0, unit, remedy)
+
+
+def _any(weights: list[NDArray[np.float64]], sign: int) -> NDArray[np.bool_]:
+    """(M,) whether a source has weights of this sign."""
+    return np.asarray(np.any([(sign * weight > 0).any(axis=1) for weight in weights], axis=0))
+
+
+def _by(extents: tuple[int, ...]) -> str:
+    return " x ".join(map(str, extents))

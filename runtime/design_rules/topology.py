@@ -1,0 +1,196 @@
+"""The topology of a graph: its populations of neurons, and the synapses between them.
+
+Unlike `wiring`, which a chip is compiled from, it takes any sound graph, so that every node of a
+network that fits nowhere can still be told why.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.design_rules.fan import SynapseCounts, merged, one_to_one, through
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.neurons import NEURONS
+from spikedeploy.runtime.graph.order import Edge, order, sources
+
+Counts = NDArray[np.int64]
+
+POPULATIONS = (*NEURONS, nir.Threshold)
+
+
+@dataclass(frozen=True, eq=False)
+class Connection:
+    """All synapses of a population that come from one source by one way."""
+
+    source: str
+    target: str
+    fan: SynapseCounts
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Neurons of one node.
+
+    name: of the node.
+    size: neurons, N.
+    shape: of the node.
+    heard: what it listens to.
+    biased: whether a map adds something to it in every timestep.
+    leaves: whether its spikes or membranes leave the chip.
+    decays: different sets of time constants among its neurons.
+    thresholds: different thresholds among them.
+    """
+
+    name: str
+    size: int
+    shape: tuple[int, ...]
+    presynaptic: tuple[Connection, ...]
+    biased: bool
+    leaves: bool
+    decays: int
+    thresholds: int
+
+    @property
+    def fan_in(self) -> int:
+        """Synapses of the neuron that has most; no more than that, where ways are many."""
+        return sum(int(connection.fan.into.max()) for connection in self.presynaptic)
+
+    @property
+    def synapses(self) -> int:
+        """All that reach it."""
+        return sum(connection.fan.synapses for connection in self.presynaptic)
+
+    @property
+    def recurrent(self) -> bool:
+        """Whether a loop closes here."""
+        return any(connection.fan.late for connection in self.presynaptic)
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """The populations of a graph.
+
+    inputs: M of each input.
+    populations: in an order in which those that close no loop come after what they hear.
+    host: names of the maps behind the last neurons, which the host computes.
+    """
+
+    inputs: dict[str, int]
+    populations: tuple[Population, ...]
+    host: tuple[str, ...]
+
+    def leaving(self, name: str) -> list[Connection]:
+        """The connections that start in an input or population."""
+        return [c for p in self.populations for c in p.presynaptic if c.source == name]
+
+    def fan_out(self, name: str, targets: Collection[str]) -> Counts:
+        """(M,) synapses that each spike of an input or population reaches in these targets."""
+        out = [c.fan.out for c in self.leaving(name) if c.target in targets]
+        return np.sum(out, axis=0) if out else np.zeros(1, np.int64)
+
+
+def topology(graph: nir.NIRGraph) -> Topology:
+    """The topology of a sound, flat graph."""
+    names, late = _order(graph)
+    ways = _ways(graph, names, late)
+    ahead = {name: {t for s, t in graph.edges if s == name} for name in graph.nodes}
+    return Topology(
+        inputs={name: _size(node) for name, node in sorted(graph.inputs.items())},
+        populations=tuple(
+            _population(graph, name, ways, late, ahead)
+            for name in names
+            if isinstance(graph.nodes[name], POPULATIONS)
+        ),
+        host=tuple(sorted(_host(graph, ahead))),
+    )
+
+
+def _order(graph: nir.NIRGraph) -> tuple[tuple[str, ...], frozenset[Edge]]:
+    """Nodes in the order of the signals, and the edges that close loops."""
+    try:
+        ordered = order(graph)
+    except ArtifactError:  # a loop without a neuron, which a Delay may open
+        into = [edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], nir.Delay)]
+        ordered = order(graph, into)
+    return ordered.names, ordered.late
+
+
+def _ways(
+    graph: nir.NIRGraph, names: tuple[str, ...], late: frozenset[Edge]
+) -> dict[str, dict[str, SynapseCounts]]:
+    """For each node by which sources, and over which fans, what it puts out is reached."""
+    ways: dict[str, dict[str, SynapseCounts]] = {}
+    for name in names:
+        node = graph.nodes[name]
+        if isinstance(node, (*POPULATIONS, nir.Input)):
+            ways[name] = {name: one_to_one(_size(node))}
+    for name in names:
+        if name not in ways:
+            found: dict[str, list[SynapseCounts]] = {}
+            for source, fan in _arriving(graph, name, ways, late):
+                found.setdefault(source, []).append(fan)
+            ways[name] = {
+                source: through(merged(fans), name, graph.nodes[name])
+                for source, fans in found.items()
+            }
+    return ways
+
+
+def _arriving(
+    graph: nir.NIRGraph, name: str, ways: dict[str, dict[str, SynapseCounts]], late: frozenset[Edge]
+) -> Iterator[tuple[str, SynapseCounts]]:
+    """What comes to a node: source and fan of every edge; a loop of maps alone is cut."""
+    for before in sources(graph, name):
+        for source, fan in ways.get(before, {}).items():
+            yield source, replace(fan, late=fan.late or (before, name) in late)
+
+
+def _population(
+    graph: nir.NIRGraph,
+    name: str,
+    ways: dict[str, dict[str, SynapseCounts]],
+    late: frozenset[Edge],
+    ahead: dict[str, set[str]],
+) -> Population:
+    node = graph.nodes[name]
+    presynaptic = tuple(
+        Connection(source, name, fan) for source, fan in _arriving(graph, name, ways, late)
+    )
+    return Population(
+        name=name,
+        size=_size(node),
+        shape=tuple(int(n) for n in node.output_type["output"]),
+        presynaptic=presynaptic,
+        biased=any(connection.fan.biased for connection in presynaptic),
+        leaves=bool(ahead[name] & (_host(graph, ahead) | set(graph.outputs))),
+        decays=_different(node, ("tau", "tau_syn", "tau_mem")),
+        thresholds=_different(node, ("v_threshold", "threshold")),
+    )
+
+
+def _different(node: nir.NIRNode, fields: tuple[str, ...]) -> int:
+    """Different sets of these parameters among the neurons of a node."""
+    found = [np.ravel(getattr(node, field)) for field in fields if hasattr(node, field)]
+    return len(np.unique(np.stack(found), axis=1).T) if found else 1
+
+
+def _host(graph: nir.NIRGraph, ahead: dict[str, set[str]]) -> set[str]:
+    """Maps from which only outputs are reached, and no neuron."""
+    found: set[str] = set()
+    waiting = list(graph.outputs)
+    while waiting:
+        target = waiting.pop()
+        for name in sources(graph, target):
+            node = graph.nodes[name]
+            inside = isinstance(node, (*POPULATIONS, nir.Input)) or name in found
+            if not inside and ahead[name] <= found | set(graph.outputs):
+                found.add(name)
+                waiting.append(name)
+    return found
+
+
+def _size(node: nir.NIRNode) -> int:
+    return int(np.prod(node.output_type["output"]))

@@ -1,0 +1,227 @@
+"""Bounds: how large the numbers of a layer can get, so that fast arithmetic is proven exact.
+
+Headroom: the largest scale at which no register of the chip can overflow, whatever the spikes.
+
+The widths count even where a reading of the chip does not model what happens beyond them.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.quantise import quantise
+
+Floats = NDArray[np.float64]
+
+# largest magnitude for which float64 decays exactly: 2**53 less 12 decay bits, with one to spare
+EXACT = 1 << 40
+
+# every whole number up to this is held by float32
+SINGLE = 1 << 24
+
+# from here on a window is as good as endless
+LONG = 100
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Largest magnitudes over the neurons of a layer, whatever the spikes.
+
+    partial: of any partial sum of weights, in any order.
+    drive: of what arrives in a timestep [state units].
+    current: [state units].
+    above: of a membrane before its reset, where it is positive [state units].
+    below: of a membrane where it is negative [state units].
+    """
+
+    partial: int
+    drive: float
+    current: float
+    above: float
+    below: float
+
+
+def room(register: Register) -> int:
+    """Largest magnitude that a register holds, and that float64 decays exactly."""
+    unbounded = register.overflow == "none" and register.between is None
+    return EXACT if unbounded else register.limit
+
+
+def bounds(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int | None) -> Bounds:
+    """Bounds of a layer that starts from 0; timesteps None is a state that is never reset."""
+    one = float(1 << fixed.mantissa_shift)
+    weights = [s.weight.astype(np.int64) for s in layer.synapses]
+    positive = sum((w.clip(min=0).sum(axis=0) for w in weights), layer.bias.clip(min=0))
+    negative = sum((-w.clip(max=0).sum(axis=0) for w in weights), -layer.bias.clip(max=0))
+    raised, above = _leaky(layer, fixed, positive * one, layer.voltage_bias, timesteps)
+    lowered, below = _leaky(layer, fixed, negative * one, -layer.voltage_bias, timesteps)
+    if program.convention.reset == "zero":
+        # no membrane stays above its threshold
+        above = np.minimum(above, layer.threshold + raised + layer.voltage_bias.clip(min=0))
+    partial = np.maximum(positive, negative).max()
+    return Bounds(
+        partial=int(partial),
+        drive=float(partial * one),
+        current=float(np.maximum(raised, lowered).max()),
+        above=float(above.max()),
+        below=float(below.max()),
+    )
+
+
+def harmless(layer: Layer, fixed: CubaFixedPoint, timesteps: int, most: int) -> int:
+    """Spikes in a window of T timesteps from zero that can take no state beyond `most`.
+
+    Each adds at most the largest weight to the sum of the magnitudes that arrive, and no state
+    exceeds that sum times the peak that follows a single arrival.
+    """
+    one = 1 << fixed.mantissa_shift
+    steady = _largest(layer.bias) * one + _largest(layer.voltage_bias)
+    left = most / _peak(layer, fixed, timesteps) - timesteps * steady
+    largest = max(_largest(synapses.weight) for synapses in layer.synapses) * one
+    return max(-1, int(left // largest)) if largest else -1
+
+
+def single(layer: Layer, fixed: CubaFixedPoint) -> int:
+    """Largest state that float32 decays exactly, and holds even if another is added to it."""
+    thresholds = layer.threshold.astype(np.int64)
+    if _largest(thresholds) >= SINGLE or _largest(layer.voltage_bias) >= SINGLE:
+        return 0
+    keeps = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
+    # the odd part of a decay is what makes a product longer
+    odd = keeps // np.maximum(keeps & -keeps, 1)
+    return SINGLE // max(int(odd.max(initial=0)), 2)
+
+
+def exact_ticks(layer: Layer, fixed: CubaFixedPoint) -> int:
+    """Decays after a reset that leave nothing to round, whatever the spikes.
+
+    All that is added to the states is a multiple of 2**shift, and each decay takes as many bits off
+    it as its fraction has: PopSAN's halves and quarters three times none of Loihi's six.
+    """
+    added = [1 << fixed.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
+    shift = min(_trailing(int(value)) for value in added)
+    keeps = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
+    bits = max(max(fixed.decay_bits - _trailing(int(keep)), 0) for keep in keeps)
+    return shift // bits if bits else LONG
+
+
+def _trailing(value: int) -> int:
+    """Zeros at the end of a binary number; of 0 there is no end."""
+    return (value & -value).bit_length() - 1 if value else LONG
+
+
+def _peak(layer: Layer, fixed: CubaFixedPoint, timesteps: int) -> float:
+    """Largest current or membrane in a window after a single arrival of 1, without rounding."""
+    keep_current = layer.current_decay / float(fixed.decay_one)
+    keep_membrane = layer.membrane_decay / float(fixed.decay_one)
+    current, membrane = np.ones(layer.size), np.ones(layer.size)
+    peak = 1.0
+    for _ in range(timesteps):
+        current = keep_current * current
+        membrane = keep_membrane * membrane + current
+        peak = max(peak, float(membrane.max()))
+    return peak
+
+
+def _largest(values: NDArray[Any]) -> int:
+    return int(np.abs(values.astype(np.int64)).max(initial=0))
+
+
+def _leaky(
+    layer: Layer, fixed: CubaFixedPoint, drive: Floats, bias: NDArray[Any], timesteps: int | None
+) -> tuple[Floats, Floats]:
+    """Largest current and membrane (N,) when so much arrives in every timestep."""
+    keep_current = layer.current_decay / float(fixed.decay_one)
+    keep_membrane = layer.membrane_decay / float(fixed.decay_one)
+    push = bias.clip(min=0).astype(np.float64)
+    if timesteps is None or timesteps > LONG:
+        current = _endless(drive, keep_current)
+        return current, _endless(current + push, keep_membrane)
+    current = membrane = np.zeros(layer.size)
+    for _ in range(timesteps):
+        current = keep_current * current + drive
+        membrane = keep_membrane * membrane + current + push
+    return current, membrane
+
+
+def _endless(drive: Floats, keep: Floats) -> Floats:
+    """Limit of x = keep x + drive: drive / (1 - keep), and endless without a leak."""
+    endless = np.where(drive > 0, np.inf, 0.0)
+    return np.divide(drive, 1 - keep, out=endless, where=keep < 1)
+
+
+# rounding may lift a bound a little over its register again; each round takes away what is over
+ROUNDS = 50
+SLACK = 1e-3
+
+
+def with_headroom(
+    program: Program,
+    floats: list[Layer],
+    fixed: CubaFixedPoint,
+    quantisation: Quantisation,
+    timesteps: int | None,
+) -> Program:
+    """The program with layers that are quantised anew, so that nothing can overflow.
+
+    floats: its layers before they were quantised.
+    timesteps: T of an inference; None is a state that is never reset.
+    """
+    layers = (_proven(program, a, fixed, quantisation, timesteps) for a in floats)
+    return replace(program, layers=tuple(layers))
+
+
+def excess(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int | None) -> float:
+    """How many times the largest that fits its register a number of the layer can become."""
+    worst = bounds(program, layer, fixed, timesteps)
+    push = worst.current + float(np.abs(layer.voltage_bias).max(initial=0))
+    return max(
+        worst.drive / fixed.accumulator.limit,
+        worst.current / fixed.current.limit,
+        push / fixed.push.limit,
+        worst.above / fixed.membrane.limit,
+        worst.below / fixed.membrane.limit,
+    )
+
+
+def _proven(
+    program: Program,
+    layer: Layer,
+    fixed: CubaFixedPoint,
+    quantisation: Quantisation,
+    timesteps: int | None,
+) -> Layer:
+    each = quantisation.granularity == "channel"
+    share = np.ones(layer.size if each else 1)
+    for _ in range(ROUNDS):
+        quantised = quantise(layer, fixed, quantisation, share if each else float(share[0]))
+        parts = [_alone(quantised, n) for n in range(layer.size)] if each else [quantised]
+        over = np.array([excess(program, part, fixed, timesteps) for part in parts])
+        if (over <= 1).all():
+            return quantised
+        if not np.isfinite(over).all():
+            break
+        share = np.where(over > 1, share / over * (1 - SLACK), share)
+    raise RuleError(
+        f"rule headroom: layer {layer.name!r}: no scale keeps its membranes from overflowing for "
+        "ever, since they do not leak. Choose headroom 'none', or calibrate it on recorded inputs."
+    )
+
+
+def _alone(layer: Layer, n: int) -> Layer:
+    """The layer with one of its neurons."""
+    return replace(
+        layer,
+        synapses=tuple(replace(s, weight=s.weight[:, n : n + 1]) for s in layer.synapses),
+        **{
+            name: getattr(layer, name)[n : n + 1]
+            for name in ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
+        },
+    )

@@ -1,0 +1,136 @@
+"""Loihi's arithmetic with free widths, for exploring what a chip would need.
+
+No chip that exists: a family with free bit widths, to find out what one would need.
+
+    chip("int", weight_bits=4, decay_bits=6, membrane=Register(12, "saturate"))
+    --chip int:weight_bits=4,decay_bits=6,membrane=12-wrap
+
+Neurons are those of Loihi 1 without what is peculiar to it: registers end at the largest magnitude,
+decays are stored without offsets, weights use all their bits, and a spike may reset to zero or
+subtract.
+"""
+
+from dataclasses import dataclass, field
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.errors import ChipError
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+
+# float64, which the kernels compute in, holds every product of such a state and such a decay
+WIDEST_STATE = 36
+WIDEST_DECAY = 16
+# what a synapse is stored in
+WIDEST_WEIGHT = 16
+
+
+@dataclass(frozen=True)
+class CubaFreeWidth(CubaFixedPoint):
+    """The integer CuBa-LIF neurons of FixedPoint; fields that follow from others are not given.
+
+    weight_bits: where sign_mode is "mixed", with the sign: -(2**(n - 1) - 1) to 2**(n - 1) - 1;
+        where it is "split", of the magnitude. Weights have no bits that are dropped: a narrow
+        weight is a small number, and the threshold follows it.
+    threshold_bits: of a threshold's mantissa, unsigned; fewer where a membrane could not be above.
+    """
+
+    weight_bits_allowed: tuple[int, ...] = field(init=False)
+    threshold_max: int = field(init=False)
+    decay_max: int = field(init=False)
+    threshold_bits: int
+
+    def __post_init__(self) -> None:
+        mixed = self.sign_mode == "mixed"
+        widths = range(2, WIDEST_WEIGHT + 1) if mixed else range(1, WIDEST_WEIGHT)
+        reach = (self.membrane.limit - 1) >> self.mantissa_shift
+        # a frozen dataclass is written on in no other way
+        object.__setattr__(self, "weight_bits_allowed", tuple(widths))
+        object.__setattr__(self, "threshold_max", min((1 << self.threshold_bits) - 1, reach))
+        object.__setattr__(self, "decay_max", self.decay_one)
+        super().__post_init__()
+        self._check_widths()
+
+    @property
+    def weight_step(self) -> int:
+        """Distance between two neighbouring weights."""
+        return 1
+
+    @property
+    def weight_max(self) -> int:
+        """Largest weight of either sign."""
+        return (1 << (self.weight_bits - (self.sign_mode == "mixed"))) - 1
+
+    def _check_widths(self) -> None:
+        if not 1 <= self.decay_bits <= WIDEST_DECAY:
+            raise ChipError(f"decay_bits is {self.decay_bits}; choose 1 to {WIDEST_DECAY}.")
+        if not 0 <= self.mantissa_shift <= WIDEST_DECAY:
+            raise ChipError(f"mantissa_shift is {self.mantissa_shift}; choose 0 to {WIDEST_DECAY}.")
+        for name in ("accumulator", "current", "push", "membrane"):
+            register = getattr(self, name)
+            if register.bits > WIDEST_STATE:
+                raise ChipError(f"{name} has {register.bits} bits; choose at most {WIDEST_STATE}.")
+            if register.overflow == "none" and name in ("current", "membrane"):
+                raise ChipError(f"{name} must end somewhere. Choose what an overflow does.")
+        if self.threshold_max < 1:
+            raise ChipError(
+                f"threshold_bits is {self.threshold_bits}, membrane has {self.membrane.bits} bits "
+                f"and mantissa_shift is {self.mantissa_shift}: no threshold above 0 is left. "
+                "Choose a wider membrane, or a smaller mantissa_shift."
+            )
+
+
+DEFINED = "by definition"
+FREE = f"{DEFINED}; free"
+FOLLOWS = f"{DEFINED}; follows from the others"
+
+INT = Chip(
+    name="int",
+    summary="no chip: free bit widths for weights, decays, thresholds and states",
+    arithmetic=CubaFreeWidth(
+        weight_bits=8,
+        sign_mode="mixed",
+        step_rounding="zero",
+        exponents="exact",
+        mantissa_shift=6,
+        bias_mantissa_max=(1 << 15) - 1,
+        bias_exponent_max=0,
+        decay_bits=12,
+        current_decay_offset=0,
+        membrane_decay_offset=0,
+        accumulator=Register(24, "clip"),
+        current=Register(24, "clip"),
+        push=Register(24, "none"),
+        membrane=Register(24, "clip"),
+        refractory=1,
+        threshold_bits=17,
+    ),
+    resets=("zero", "subtract"),
+    delay=0,
+    delay_max=63,
+    energy_tables=(),
+    sources={
+        "weight_bits": f"{FREE}, 1 to 16",
+        "weight_bits_allowed": DEFINED,
+        "sign_mode": FREE,
+        "step_rounding": f"{DEFINED}: weights have a step of 1, so nothing is rounded",
+        "exponents": f"{DEFINED}: there are none",
+        "mantissa_shift": f"{FREE}, 0 to 16: fraction bits of the states",
+        "threshold_max": FOLLOWS,
+        "threshold_bits": FREE,
+        "bias_mantissa_max": FREE,
+        "bias_exponent_max": FREE,
+        "decay_bits": f"{FREE}, 1 to 16",
+        "decay_max": FOLLOWS,
+        "current_decay_offset": FREE,
+        "membrane_decay_offset": FREE,
+        "accumulator": f"{FREE}, 2 to 36 bits",
+        "current": f"{FREE}, 2 to 36 bits",
+        "push": f"{FREE}; {DEFINED} it is no register: the membrane takes it in at once",
+        "membrane": f"{FREE}, 2 to 36 bits",
+        "refractory": FREE,
+        "resets": f"{DEFINED}: both that a convention can name",
+        "delay": f"{FREE}; 0 leaves it to the convention",
+        "delay_max": FREE,
+    },
+    evidence="nothing to compare with: a definition",
+)

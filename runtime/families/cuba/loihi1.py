@@ -1,0 +1,178 @@
+"""Loihi 1 (Intel, 14 nm, 2018) in the readings of three emulators.
+
+`loihi1` is lava's. All agree on decays rounded toward zero, a strict threshold and reset to zero,
+and differ in what the fields step_rounding, exponents, accumulator, current, push, the decays and
+the delay say; those were not settled by anything published. Equal to their traces, that is, not
+"equal to the chip".
+"""
+
+from dataclasses import replace
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Limits, SynapticMemory
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+
+LAVA = "lava-nc 0.10.0, bit-accurate LIF and Dense models (source read, traces equal)"
+NENGO = "nengo-loihi 1.1.0, emulator and discretisation (source read)"
+BRIAN2 = "brian2-loihi 0.5.2, neurons and synapses (source read, traces equal)"
+DAVIES = "Davies et al. 2018, IEEE Micro 38(1)"
+
+_LAVA = CubaFixedPoint(
+    weight_bits=8,
+    weight_bits_allowed=(1, 2, 3, 4, 5, 6, 8),
+    sign_mode="split",
+    step_rounding="floor",
+    exponents="sum",
+    mantissa_shift=6,
+    threshold_max=(1 << 17) - 1,
+    bias_mantissa_max=(1 << 12) - 1,
+    bias_exponent_max=7,
+    decay_bits=12,
+    decay_max=(1 << 12) - 1,
+    current_decay_offset=1,
+    membrane_decay_offset=0,
+    accumulator=Register(22, "none"),
+    current=Register(24, "wrap-once"),
+    push=Register(24, "none"),
+    membrane=Register(24, "clip"),
+    refractory=1,
+)
+
+DOSSIER = "Davies et al. 2018, pp. 86-92 (secondary: a public transcription)"
+BLOCK = "nengo-loihi 1.1.0, its block of a core (source read)"
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, *SPACE, "Scale", "Delay", "IF", "LIF", "CubaLIF"),
+    cores=128,
+    neurons_per_core=1024,
+    memory=SynapticMemory(size=16384 * 64, cost="words", weight_bits=8),
+    axons_in=4096,
+    axons_out=4096,
+    decays=32,
+    thresholds=16,
+    weight_max=255,
+    threshold_max=(1 << 17) - 1,
+    current_loss=(1 / 4096, 1.0),
+    membrane_loss=(0.0, 4095 / 4096),
+    recurrence=True,
+    input_cores=True,
+    alone=False,
+    sources={
+        "primitives": "IF, LIF and CuBa-LIF are one equation with other decays; maps without a "
+        "state are synapses, delays theirs (derived)",
+        "cores": DOSSIER,
+        "neurons_per_core": f"{DOSSIER}; {BLOCK}",
+        "memory": f"{DOSSIER}: 16384 words of 64 bits; what a synapse takes: {BLOCK}",
+        "axons_in": f"{DOSSIER}; {BLOCK}",
+        "axons_out": f"{DOSSIER}; {BLOCK}",
+        "decays": "nengo-loihi 1.1.0: 32 compartment configurations, with its own 'TODO: check'",
+        "thresholds": "nengo-loihi 1.1.0: 16 threshold configurations, with its own 'TODO: check'",
+        "weight_max": f"{DAVIES}, p. 87: 8 bits and the sign of the list",
+        "threshold_max": f"{LAVA}: 17 bits unsigned; all emulators agree",
+        "current_loss": f"{LAVA} and {NENGO}: a register of 0 to 4095, and 1 that is added",
+        "membrane_loss": f"{LAVA} and {NENGO}: a register of 0 to 4095",
+        "recurrence": "lava, brian2_loihi and nengo-loihi all have it",
+        "input_cores": "PopSAN's placement (repository read): encoders and bias in cores of theirs",
+        "alone": "Frady et al. 2020, Pohoiki Springs: many chips as one (secondary)",
+    },
+)
+
+LOIHI1 = Chip(
+    name="loihi1",
+    summary="Loihi 1: 8-bit weights, 12-bit decays, 24-bit states, in lava's reading",
+    arithmetic=_LAVA,
+    resets=("zero",),
+    delay=1,
+    delay_max=62,
+    energy_tables=("davies2018", "sanafe"),
+    sources={
+        "weight_bits": f"{DAVIES}, p. 87: 1 to 9 bits with the sign",
+        "weight_bits_allowed": f"{NENGO}: 7 is not encodable",
+        "sign_mode": f"{DAVIES}, p. 87; split as PopSAN was mapped (Tang et al. 2020)",
+        "step_rounding": f"{LAVA}; brian2_loihi 0.5.2 rounds toward zero",
+        "exponents": f"{LAVA}: its Dense shifts the sum; brian2_loihi each weight",
+        "mantissa_shift": f"{LAVA}; all emulators agree",
+        "threshold_max": f"{LAVA}: 17 bits unsigned; all emulators agree",
+        "bias_mantissa_max": f"{NENGO}: 13 bits signed, -4096 unused",
+        "bias_exponent_max": f"{LAVA}: 3 bits",
+        "decay_bits": f"{LAVA}; all emulators agree",
+        "decay_max": f"{LAVA}: 12 bits",
+        "current_decay_offset": f"{LAVA} and {NENGO}; brian2_loihi takes the effective decay",
+        "membrane_decay_offset": f"{LAVA} and {NENGO}",
+        "accumulator": f"{NENGO}: 21 bits and sign, wraps; lava does not model its overflow",
+        "current": f"{LAVA}: 24 bits, one wrap; nengo-loihi wraps in two's complement",
+        "push": f"{LAVA}: not modelled; nengo-loihi wraps it in two's complement",
+        "membrane": f"{LAVA}: 24 bits, clips; nengo-loihi too",
+        "refractory": "none in lava's bit-accurate model; 1 to 64 on the chip (nengo-loihi)",
+        "resets": "all emulators agree: to zero, the current stays",
+        "delay": f"{LAVA}: a spike arrives one timestep after it was emitted",
+        "delay_max": f"{DAVIES}, p. 92: 6 bits",
+    },
+    limits=LIMITS,
+    evidence=f"equal to traces of {LAVA.partition(',')[0]}, `spikedeploy verify`",
+)
+
+LOIHI1_BRIAN2 = replace(
+    LOIHI1,
+    name="loihi1-brian2",
+    summary="Loihi 1 in brian2_loihi's reading: nothing overflows, spikes arrive at once",
+    arithmetic=replace(
+        _LAVA,
+        step_rounding="zero",
+        exponents="weight",
+        bias_mantissa_max=0,
+        bias_exponent_max=0,
+        decay_max=1 << 12,
+        current_decay_offset=0,
+        accumulator=Register(22, "none"),
+        current=Register(24, "none"),
+        membrane=Register(24, "none"),
+    ),
+    delay=0,
+    limits=replace(LIMITS, current_loss=(0.0, 1.0), membrane_loss=(0.0, 1.0)),
+    sources={
+        **LOIHI1.sources,
+        "step_rounding": f"{BRIAN2}: odd mixed weights go toward zero",
+        "exponents": f"{BRIAN2}: each weight is rounded down and clipped at 21 bits less 64",
+        "bias_mantissa_max": f"{BRIAN2}: its neurons have no bias",
+        "bias_exponent_max": f"{BRIAN2}: its neurons have no bias",
+        "decay_max": f"{BRIAN2}: effective decays of 0 to 4096",
+        "current_decay_offset": f"{BRIAN2}: takes the effective decay",
+        "membrane_decay_offset": f"{BRIAN2}: takes the effective decay",
+        "accumulator": f"{BRIAN2}: overflow is not modelled",
+        "current": f"{BRIAN2}: overflow is not modelled",
+        "push": f"{BRIAN2}: overflow is not modelled",
+        "membrane": f"{BRIAN2}: overflow is not modelled",
+        "refractory": f"{BRIAN2}: 1 to 64, as on the chip",
+        "delay": f"{BRIAN2}: a spike acts in the timestep in which it was emitted",
+    },
+    evidence=f"equal to traces of {BRIAN2.partition(',')[0]}, `spikedeploy verify`",
+)
+
+LOIHI1_NENGO = replace(
+    LOIHI1,
+    name="loihi1-nengo",
+    summary="Loihi 1 in nengo-loihi's reading: two's complement, spikes arrive at once",
+    arithmetic=replace(
+        _LAVA,
+        step_rounding="zero",
+        exponents="exact",
+        accumulator=Register(22, "wrap"),
+        current=Register(24, "wrap"),
+        push=Register(24, "wrap"),
+    ),
+    delay=0,
+    sources={
+        **LOIHI1.sources,
+        "step_rounding": f"{NENGO}: rounded when the network is built, the same way for both signs",
+        "exponents": f"{NENGO}: weights are shifted by 6 and the exponent together",
+        "accumulator": f"{NENGO}: 21 bits and sign, wraps in two's complement",
+        "current": f"{NENGO}: 23 bits and sign, wraps in two's complement",
+        "push": f"{NENGO}: current and bias wrap once more, 23 bits and sign",
+        "membrane": f"{NENGO}: clips to vmin and vmax, here the widest",
+        "refractory": f"{NENGO}: 1 to 64",
+        "delay": f"{NENGO}: what a compartment is given acts in the same timestep",
+    },
+    evidence=f"equal to traces of {NENGO.partition(',')[0]}, `spikedeploy verify`",
+)

@@ -1,0 +1,230 @@
+"""Quantisation: a layer in floats becomes the integers that a chip can hold.
+
+The scale of a layer: how many mantissas stand for a float unit.
+
+The largest weight or bias becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the
+threshold or the voltage bias would not fit then. A spike has no size, so scales never meet, neither
+those of layers nor those of neurons of a layer: threshold, bias and membrane follow the scale.
+
+Few distinct thresholds for many neurons, since a core stores only so many of them.
+
+A neuron that has a scale of its own has a threshold of its own. Scales may shrink a little, so that
+neurons share thresholds; a spike has no size, so nothing else has to follow.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.registers import Rounding, rounded
+from spikedeploy.runtime.compiler.program import Layer, Synapses
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Granularity, Quantisation
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+
+Floats = NDArray[np.float64]
+
+# (), one for a layer, or (N,), one for each of its neurons
+Scale: TypeAlias = float | Floats
+
+
+def mantissas_per_unit(
+    layer: Layer, fixed: CubaFixedPoint, granularity: Granularity, reach: float = 1.0
+) -> Scale:
+    """As many as the weights, the threshold and the bias allow.
+
+    reach: as in Tuning.
+    """
+    widest_bias = fixed.bias_mantissa_max << fixed.bias_exponent_max >> fixed.mantissa_shift
+    limits = (
+        (fixed.weight_max * max(reach, 1.0), [*(s.weight for s in layer.synapses), layer.bias]),
+        (fixed.threshold_max, [layer.threshold]),
+        (widest_bias, [layer.voltage_bias]),
+    )
+    scale = np.full(layer.size, np.inf)
+    for limit, arrays in limits:
+        found = _largest(arrays)
+        found = found if granularity == "channel" else np.full(layer.size, found.max(initial=0.0))
+        scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
+    # a neuron of zeros has no largest number
+    scale = np.where(np.isfinite(scale), scale, 1.0) * min(reach, 1.0)
+    return scale if granularity == "channel" else float(scale.min(initial=np.inf))
+
+
+def _largest(arrays: Sequence[Floats]) -> Floats:
+    """Largest magnitude of each neuron (N,)."""
+    columns = [np.abs(np.atleast_2d(array)).max(axis=0, initial=0.0) for array in arrays]
+    return np.asarray(np.max(columns, axis=0))
+
+
+ROUNDS = 60
+
+
+def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
+    """Scales (N,), at most as large, at which so many distinct threshold mantissas are enough.
+
+    The scale that loses most loses as little as possible.
+
+    thresholds: (N,) [float units].
+    """
+    whole = np.floor(scale * thresholds)
+    used = np.unique(whole[whole > 0])
+    # a threshold of 0 is one of them
+    room = max(most - int((whole <= 0).any()), 1)
+    starts = used if len(used) <= room else _starts(used, _least_ratio(used, room))
+    if not len(starts):
+        return scale
+    level = starts[(np.searchsorted(starts, whole, "right") - 1).clip(min=0)]
+    return np.asarray(np.divide(level, thresholds, out=scale.copy(), where=whole > 0))
+
+
+def _least_ratio(used: Floats, most: int) -> float:
+    """Smallest ratio of the largest to the smallest of a group with which so many groups do."""
+    low, high = 1.0, float(used[-1] / used[0]) * (1 + 1e-9)
+    for _ in range(ROUNDS):
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if len(_starts(used, middle)) <= most else (middle, high)
+    return high
+
+
+def _starts(used: Floats, ratio: float) -> Floats:
+    """The smallest of each group, whose others are at most so many times as large."""
+    starts: list[float] = []
+    for value in used.tolist():
+        if not starts or value > starts[-1] * ratio:
+            starts.append(value)
+    return np.array(starts)
+
+
+Integers = NDArray[np.int64]
+
+
+def quantise(
+    layer: Layer, fixed: CubaFixedPoint, quantisation: Quantisation = PLAIN, share: Scale = 1.0
+) -> Layer:
+    """The float layer as the chip's integers.
+
+    share: () or (N,) part of the largest scale that is used; runtime.headroom finds it.
+    """
+    _check_bias(layer, fixed)
+    tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
+    tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
+    scale = mantissas_per_unit(tuned, fixed, quantisation.granularity, tuning.reach) * share
+    if quantisation.thresholds is not None:
+        scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
+    one = 1 << fixed.mantissa_shift
+    quantised = replace(
+        layer,
+        synapses=tuple(_synapses(s, scale, fixed, rounding) for s in layer.synapses),
+        bias=_weights(layer.bias, scale, fixed, rounding),
+        voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, fixed, rounding),
+        threshold=_threshold(tuned, scale, fixed, rounding) * one,
+        current_decay=_keep(layer, "current", fixed, rounding),
+        membrane_decay=_keep(layer, "membrane", fixed, rounding),
+        scale=layer.scale / (scale * one),
+    )
+    _check_alive(layer, quantised, fixed)
+    return quantised
+
+
+def stored(weights: NDArray[Any], fixed: CubaFixedPoint, exponent: int = 0) -> NDArray[np.int16]:
+    """What the chip keeps of whole weights when it drops the bits below its weight step.
+
+    exponent: each weight then counts 2**this times, rounded down.
+    """
+    whole = weights.astype(np.int64)
+    if fixed.sign_mode == "mixed" and fixed.step_rounding == "floor":
+        steps = whole // fixed.weight_step
+    else:
+        steps = np.sign(whole) * (np.abs(whole) // fixed.weight_step)
+    kept = steps * fixed.weight_step
+    kept = kept << exponent if exponent > 0 else kept >> -exponent
+    if fixed.exponents == "weight":  # brian2_loihi clips what a weight adds to the accumulator
+        limit = fixed.accumulator.limit >> fixed.mantissa_shift
+        kept = np.clip(kept, -limit, limit)
+    return np.asarray(kept, np.int16)
+
+
+def _check_bias(layer: Layer, fixed: CubaFixedPoint) -> None:
+    if not fixed.bias_mantissa_max and layer.voltage_bias.any():
+        raise RuleError(
+            f"rule bias: layer {layer.name!r}: a voltage bias of "
+            f"{_magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
+            "or take another reading of the chip."
+        )
+
+
+def _magnitude(values: Floats) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def _synapses(
+    synapses: Synapses, scale: Scale, fixed: CubaFixedPoint, rounding: Rounding
+) -> Synapses:
+    weight = _weights(synapses.weight, scale, fixed, rounding).astype(np.int16)
+    return replace(synapses, weight=weight)
+
+
+def _weights(weights: Floats, scale: Scale, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+    """Multiples of the chip's weight step; what a reach above 1 sends further is clipped."""
+    steps = rounded(weights * scale / fixed.weight_step, rounding)
+    return np.clip(steps * fixed.weight_step, -fixed.weight_max, fixed.weight_max)
+
+
+def _threshold(layer: Layer, scale: Scale, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+    if layer.threshold.min(initial=0.0) < 0:
+        raise RuleError(
+            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
+            "below 0; the chip's thresholds are unsigned. Train with positive thresholds."
+        )
+    exact = layer.threshold * scale
+    mantissa = rounded(exact, rounding)
+    lost = (mantissa == 0) & (layer.threshold > 0)
+    if lost.any():
+        raise RuleError(
+            f"rule threshold-range: layer {layer.name!r}: threshold "
+            f"{layer.threshold[lost].min():g} is {exact[lost].min():.2g} of the smallest that the "
+            "chip can hold beside the largest weight. Clip the weights, or raise the threshold."
+        )
+    return np.minimum(mantissa, fixed.threshold_max)
+
+
+def _voltage_bias(values: Floats, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+    """Biases as mantissa * 2**exponent, with the smallest exponent that holds each value."""
+    over = np.maximum(np.abs(values) / max(fixed.bias_mantissa_max, 1), 1.0)
+    exponent = np.ceil(np.log2(over)).astype(np.int64)
+    exponent = np.minimum(exponent, fixed.bias_exponent_max)
+    mantissa = rounded(values / 2.0**exponent, rounding)
+    limit = fixed.bias_mantissa_max
+    return np.clip(mantissa, -limit, limit) << exponent
+
+
+def _keep(layer: Layer, of: str, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+    """What is left after a timestep, of 2**decay_bits, as near as the decay's register allows."""
+    keep = layer.current_decay if of == "current" else layer.membrane_decay
+    offset = fixed.current_decay_offset if of == "current" else fixed.membrane_decay_offset
+    least, most = offset, fixed.decay_max + offset
+    if (least > 0 and (keep == 1).any()) or (most < fixed.decay_one and (keep == 0).any()):
+        raise RuleError(
+            f"rule decay-range: layer {layer.name!r}: a {of} that keeps "
+            f"{'all' if least else 'nothing'} of itself is not possible; the chip takes away "
+            f"{least} to {most} of {fixed.decay_one} in each timestep. Choose another time "
+            "constant."
+        )
+    decays = rounded((1 - keep) * fixed.decay_one, rounding)
+    return fixed.decay_one - np.clip(decays, least, most)
+
+
+def _check_alive(layer: Layer, quantised: Layer, fixed: CubaFixedPoint) -> None:
+    """A layer with weights must not lose all of them to the range of its threshold or bias."""
+    before = max(_magnitude(s.weight) for s in layer.synapses)
+    if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
+        raise RuleError(
+            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
+            f"{before:g}, is too small beside its threshold ({_magnitude(layer.threshold):g}, of "
+            f"at most {fixed.threshold_max} mantissas) or bias. Scale the weights up, or the "
+            "others down."
+        )

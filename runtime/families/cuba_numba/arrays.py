@@ -1,0 +1,229 @@
+"""A program as the arrays that the compiled kernels take.
+
+The memory of the compiled kernels: how large it is, and where in it what is.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.emulator.raster import aligned, as_aligned
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.cuba.bounds import bounds, room
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba_numba import kernels
+from spikedeploy.runtime.families.cuba_numba.kernels import (
+    LENGTHS,
+    NEURONS,
+    RASTER,
+    REMEMBERS,
+    SIZE,
+    STATE,
+    Constants,
+    KernelMemory,
+)
+from spikedeploy.runtime.families.cuba_numpy.sums import EXACT_INT16
+
+Integers = NDArray[np.int64]
+
+EXACT_INT8 = (1 << 7) - 1
+EXACT_INT32 = (1 << 31) - 1
+# bits of every whole number that float64 holds
+EXACT_BITS = 53
+
+OVERFLOWS = {
+    "none": kernels.NONE,
+    "wrap": kernels.WRAP,
+    "wrap-once": kernels.WRAP_ONCE,
+    "clip": kernels.CLIP,
+}
+
+
+@lru_cache(maxsize=8)
+def constants(program: Program, late: tuple[tuple[int, ...], ...]) -> Constants:
+    """All that does not change while the program runs; shared by its machines.
+
+    late: rows by which each synapse of each layer delivers late.
+    """
+    fixed = program.chip.fixed
+    if fixed is None:
+        raise ConfigError(f"chip {program.chip.name!r} has no integers. Choose backend='numpy'.")
+    return Constants(
+        weights=_weights(program),
+        fan_out=np.concatenate([s.fan_out for a in program.layers for s in a.synapses]),
+        wires=_wires(program, late),
+        layers=_layers(program, fixed),
+        sources=_sources(program, late),
+        chip=_chip(program, fixed),
+        registers=_registers(fixed),
+        whole=_whole(program),
+        real=_real(program, fixed),
+        rooms=np.array([_rooms(fixed)] * len(program.layers)),
+    )
+
+
+def _weights(program: Program) -> NDArray[Any]:
+    """(W,) in the smallest integers that hold them."""
+    weights = [s.weight.ravel() for layer in program.layers for s in layer.synapses]
+    all_ = np.concatenate([*weights, *(layer.bias for layer in program.layers)])
+    largest = int(np.abs(all_.astype(np.int64)).max(initial=0))
+    return as_aligned(all_, np.int8 if largest <= EXACT_INT8 else _whole_type(largest))
+
+
+def _whole_type(largest: int) -> Any:  # noqa: ANN401
+    return np.int16 if largest <= EXACT_INT16 else np.int32 if largest <= EXACT_INT32 else np.int64
+
+
+def _wires(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
+    index = {name: k for k, name in enumerate(program.sizes)}
+    rows, weights, axons = [], 0, 0
+    for layer, lags in zip(program.layers, late, strict=True):
+        for synapses, lag in zip(layer.synapses, lags, strict=True):
+            rows.append((index[synapses.source], lag, weights, axons))
+            weights += synapses.weight.size
+            axons += len(synapses.weight)
+    return np.array(rows, np.int64)
+
+
+def _layers(program: Program, fixed: CubaFixedPoint) -> Integers:
+    rows, neurons, wires = [], 0, 0
+    biases = sum(s.weight.size for layer in program.layers for s in layer.synapses)
+    for layer in program.layers:
+        limits = bounds(program, layer, fixed, None)
+        careful = fixed.refractory > 1 or _too_much(layer, fixed, limits.drive)
+        bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
+        end = wires + len(layer.synapses)
+        output = layer.name in program.to_host
+        forgets = not layer.current_decay.any()
+        proven = max(limits.current, limits.above, limits.below) <= min(_rooms(fixed)[1:])
+        about = (layer.start, biases + neurons, layer.bias_fan_out, output, forgets, proven)
+        rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
+        neurons, wires = neurons + layer.size, end
+    return np.array(rows, np.int64)
+
+
+def _too_much(layer: Layer, fixed: CubaFixedPoint, drive: float) -> bool:
+    """Whether what is added in a tick could overflow the accumulator, or hide an inexact decay.
+
+    Where it cannot, a sum that float64 may hold was made from a decay that it computed exactly.
+    """
+    bias = float(np.abs(layer.voltage_bias.astype(np.int64)).max(initial=0))
+    return drive > room(fixed.accumulator) or max(drive, bias) > _exact(fixed)
+
+
+def _sources(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
+    """Without places in memory, which depend on the timesteps."""
+    remembered = dict.fromkeys(program.sizes, 0)
+    for layer, lags in zip(program.layers, late, strict=True):
+        for synapses, lag in zip(layer.synapses, lags, strict=True):
+            remembered[synapses.source] = max(remembered[synapses.source], lag)
+    lag = program.readout.lag if program.readout else 0
+    remembered[program.output] = max(remembered[program.output], lag)
+    return np.array([(n, remembered[name], 0, 0) for name, n in program.sizes.items()], np.int64)
+
+
+def _chip(program: Program, fixed: CubaFixedPoint) -> Integers:
+    subtract = program.convention.reset == "subtract"
+    return np.array([fixed.mantissa_shift, fixed.decay_bits, fixed.refractory, subtract], np.int64)
+
+
+def _registers(fixed: CubaFixedPoint) -> Integers:
+    all_ = (fixed.accumulator, fixed.current, fixed.membrane)
+    return np.array([(OVERFLOWS[r.overflow], r.bits) for r in all_], np.int64)
+
+
+def _whole(program: Program) -> Integers:
+    def order(layer: Layer) -> list[NDArray[Any]]:
+        return [layer.current_decay, layer.membrane_decay, layer.threshold, layer.voltage_bias]
+
+    return np.concatenate([np.stack(order(a)) for a in program.layers], axis=1).astype(np.int64)
+
+
+def _real(program: Program, fixed: CubaFixedPoint) -> NDArray[np.floating]:
+    """(4, N) in float32 if that holds them: a layer of 512 neurons then fits the nearest cache."""
+    real: NDArray[np.float64] = _whole(program) * np.array(
+        [[1 / fixed.decay_one]] * 2 + [[1.0]] * 2
+    )
+    single = as_aligned(real, np.float32)
+    return single if (single == real).all() else as_aligned(real, np.float64)
+
+
+def _rooms(fixed: CubaFixedPoint) -> tuple[float, float, float]:
+    """State units per weight unit, and what float64 may hold of a current and of a membrane."""
+
+    def held(register: Register) -> float:
+        return float(min(room(register), _exact(fixed)))
+
+    return float(1 << fixed.mantissa_shift), held(fixed.current), held(fixed.membrane)
+
+
+def _exact(fixed: CubaFixedPoint) -> int:
+    """Largest magnitude of three that are added, so that float64 decays their sum exactly."""
+    return 1 << (EXACT_BITS - 2 - fixed.decay_bits)
+
+
+class NativeMemory:
+    """Memory for windows of T timesteps of a batch of B, with views of what is in it.
+
+    constants: of the program; here they know their places.
+    arrays: what the kernels take.
+    slots: of each state; 2, or T + 1 to leave a trace.
+    """
+
+    def __init__(self, constants: Constants, timesteps: int, batch: int, slots: int) -> None:
+        self.timesteps, self.batch, self.slots = timesteps, batch, slots
+        layers, sources = constants.layers.copy(), constants.sources.copy()
+        neurons, rows = sources[:, NEURONS], sources[:, REMEMBERS] + timesteps
+        layers[:, STATE], states = _one_after_another(2 * slots * layers[:, SIZE])
+        sources[:, RASTER], spikes = _one_after_another(neurons * rows)
+        sources[:, LENGTHS], lengths = _one_after_another(rows)
+        self.constants = constants._replace(layers=layers, sources=sources)
+        widest = int(layers[:, SIZE].max())
+        self.arrays = KernelMemory(
+            rasters=np.zeros((batch, spikes), np.uint8),
+            lists=np.zeros((batch, spikes), np.int32),
+            lengths=np.zeros((batch, lengths), np.int64),
+            states=aligned((batch, states), np.float64),
+            silent=np.zeros((batch, int(layers[:, SIZE].sum())), np.int64),
+            sums16=aligned((widest,), np.int16),
+            sums32=aligned((widest,), np.int32),
+            sums64=aligned((widest,), np.int64),
+        )
+
+    def states(self, layer: int) -> NDArray[np.float64]:
+        """(B, slots, 2, N) current and membrane."""
+        size, at = self.constants.layers[layer, [SIZE, STATE]]
+        flat: NDArray[np.float64] = self.arrays.states[:, at : at + 2 * self.slots * size]
+        return flat.reshape(self.batch, self.slots, 2, size)
+
+    def rows(self, source: int) -> NDArray[np.uint8]:
+        """(B, T, N) spikes of a source in the window."""
+        return self._split(self.arrays.rasters, source)[:, -self.timesteps :]
+
+    def copy(self, other: "NativeMemory") -> None:
+        """Take over the states, and what is on its way, from memory for other windows."""
+        for layer in range(len(self.constants.layers)):
+            self.states(layer)[:, 0] = other.states(layer)[:, 0]
+        for source, (_, past, _, at) in enumerate(self.constants.sources):
+            for mine, its in zip(self.arrays[:2], other.arrays[:2], strict=True):
+                self._split(mine, source)[:, :past] = other._split(its, source)[:, :past]
+            there = other.constants.sources[source, LENGTHS]
+            lengths = other.arrays.lengths[:, there : there + past]
+            self.arrays.lengths[:, at : at + past] = lengths
+        self.arrays.silent[:] = other.arrays.silent
+
+    def _split(self, array: NDArray[Any], source: int) -> NDArray[Any]:
+        """(B, remembered + T, N) of the rasters or of the lists."""
+        size, past, at, _ = self.constants.sources[source]
+        rows = past + self.timesteps
+        return array[:, at : at + rows * size].reshape(self.batch, rows, size)
+
+
+def _one_after_another(sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """Where each begins, and where the last ends."""
+    ends = np.cumsum(sizes)
+    return ends - sizes, int(ends[-1])

@@ -1,0 +1,91 @@
+"""Speck 2f (SynSense, DYNAP-CNN family): integrate-and-fire neurons without a leak.
+
+The chip is asynchronous: it has no timesteps, and takes in every event by itself. Emulated is what
+its tools do in their place, sinabs' IAF layer stepped in time, with the chip's bits: all spikes of
+a timestep are one sum, and a neuron spikes as often as the threshold goes into its membrane.
+"""
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Convolutions, LayerCore, Limits
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+
+SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
+IAF = "sinabs, IAF layer (source read)"
+TIMELESS = "the chip has no timesteps; as sinabs steps it"
+KI = 1024
+CORES = ((16, 64), (16, 64), (16, 64), (32, 32), (32, 32), (64, 16), (64, 16), (16, 16), (16, 16))
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, *SPACE, "IF"),
+    inputs=2 * 128 * 128,
+    layer_cores=tuple(LayerCore(kernel * KI, neurons * KI) for kernel, neurons in CORES),
+    convolutions=Convolutions(kernel=16, strides=(1, 2, 4, 8), channels=1024, extent=64),
+    destinations=2,
+    weight_max=127,
+    threshold_max=(1 << 15) - 1,
+    membrane_loss=(0.0, 0.0),
+    sources={
+        "primitives": f"{SINABS}: convolution or linear map, IAF neurons, sum pool",
+        "inputs": f"{SINABS}: 128 x 128 pixels of two polarities",
+        "layer_cores": f"{SINABS}: kernel and neuron memory of each core",
+        "convolutions": f"{SINABS}: limits of its layers",
+        "destinations": SINABS,
+        "weight_max": f"{SINABS}: 8 bits with the sign",
+        "threshold_max": f"{SINABS}: 16 bits with the sign",
+        "membrane_loss": f"{SINABS}: no leak that depends on the membrane",
+        "alone": "no way to join two is published",
+    },
+)
+
+SPECK2F = Chip(
+    name="speck2f",
+    summary="Speck 2f: 8-bit weights, 16-bit membranes without leak, several spikes a timestep",
+    arithmetic=IntegrateAndFire(
+        weight_bits=8,
+        signs="weight",
+        axon_types=0,
+        bias_bits=8,
+        leak="none",
+        leak_bits=0,
+        leak_order="first",
+        membrane=Register(16, "saturate"),
+        floor=None,
+        floors=("none", "zero", "threshold"),
+        adds="step",
+        checks="step",
+        fires="reached",
+        threshold_bits=16,
+        spikes_max=255,
+        scaling="full",
+        rounding="nearest",
+    ),
+    resets=("subtract", "zero"),
+    delay=0,
+    delay_max=1,
+    energy_tables=(),  # published for whole tasks only
+    limits=LIMITS,
+    sources={
+        "weight_bits": f"{SINABS}: DYNAPCNN_WEIGHT_PRECISION_BITS",
+        "signs": f"{SINABS}: two's complement",
+        "axon_types": f"{SINABS}: every synapse of a kernel has a weight",
+        "bias_bits": f"{SINABS}: biases are quantised as weights are",
+        "leak": f"{IAF}: what the chip calls leak is the bias, on an external clock",
+        "leak_bits": "there is no leak",
+        "leak_order": "there is no leak",
+        "membrane": f"{SINABS}: DYNAPCNN_STATE_PRECISION_BITS; that it saturates is assumed",
+        "floor": f"{SINABS}: lower threshold, -2**15 unless given",
+        "floors": f"{SINABS}: the lower threshold is free",
+        "adds": f"{IAF}; {TIMELESS}",
+        "checks": f"{IAF}; {TIMELESS}",
+        "fires": f"{IAF}: membrane at or above the threshold",
+        "threshold_bits": f"{SINABS}: signed 16 bits, so that 15 are used",
+        "spikes_max": f"by definition: a count of the emulator; {TIMELESS}",
+        "scaling": f"{SINABS}: the smallest of the scales that fit weights, biases, threshold",
+        "rounding": f"{SINABS}: torch.round, half to even",
+        "resets": f"{SINABS}: subtracts the threshold, or return_to_zero",
+        "delay": f"a spike is passed on at once; {TIMELESS}",
+        "delay_max": "by definition: recurrent connections take one timestep",
+    },
+    evidence="sinabs' IAF rule restated in a test; not run against sinabs or a board",
+)

@@ -1,0 +1,136 @@
+"""Typed reading of the metadata that a `.nir` file carries: HDF5 types in, Python types out.
+
+The origin: where a policy came from, so that a file found in a year explains itself.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.errors import ArtifactError
+
+# What NIR metadata can hold: nir writes these, and refuses None and loses the type of lists.
+Tree: TypeAlias = dict[str, "str | int | float | NDArray[np.float64] | Tree"]
+
+
+class Record:
+    """One group of metadata fields, read by name and type; `where` is its path for messages."""
+
+    def __init__(self, fields: Mapping[str, object], where: str) -> None:
+        self.fields = fields
+        self.where = where
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.fields
+
+    def record(self, name: str) -> "Record":
+        """The group of fields called `name`."""
+        value = self._field(name)
+        if not isinstance(value, Mapping):
+            raise self._wrong(name, value, "a group of fields")
+        return Record(value, f"{self.where}.{name}")
+
+    def text(self, name: str) -> str:
+        """The string called `name`."""
+        value = self._field(name)
+        if not isinstance(value, str):
+            raise self._wrong(name, value, "text")
+        return value
+
+    def whole(self, name: str) -> int:
+        """The integer called `name`."""
+        value = self._field(name)
+        if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+            raise self._wrong(name, value, "a whole number")
+        return int(value)
+
+    def number(self, name: str) -> float:
+        """The finite number called `name`."""
+        value = self._field(name)
+        if not isinstance(value, (float, int, np.floating, np.integer)) or not np.isfinite(value):
+            raise self._wrong(name, value, "a finite number")
+        return float(value)
+
+    def array(self, name: str) -> NDArray[np.float64]:
+        """The array of finite numbers called `name`, float64."""
+        value = self._field(name)
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+            raise self._wrong(name, value, "an array of numbers")
+        if not np.isfinite(value).all():
+            raise self._wrong(name, "NaN or infinity in it", "an array of finite numbers")
+        return value.astype(np.float64)
+
+    def only(self, *names: str) -> None:
+        """Refuse fields that this version does not know, rather than to ignore what they mean."""
+        unknown = sorted(set(self.fields) - set(names))
+        if unknown:
+            raise ArtifactError(
+                f"metadata {self.where} has the unknown field {unknown[0]!r}; known are "
+                f"{', '.join(names)}. Was the file written by a newer spikedeploy? Update, or "
+                "export the policy again."
+            )
+
+    def _field(self, name: str) -> object:
+        if name not in self.fields:
+            raise ArtifactError(
+                f"metadata {self.where}.{name} is missing; the file is incomplete. "
+                "Export the policy again."
+            )
+        return self.fields[name]
+
+    def _wrong(self, name: str, found: object, wanted: str) -> ArtifactError:
+        return ArtifactError(
+            f"metadata {self.where}.{name} must be {wanted}, found {str(found)[:60]}. "
+            "Export the policy again."
+        )
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Who made an artifact, and how to make it again.
+
+    env: id of the environment it was trained in.
+    recipe: name of the training recipe.
+    seed: of the training.
+    steps: environment steps that it was trained for.
+    created: UTC time of the export, ISO 8601.
+    version: of spikedeploy that wrote the file.
+    sha256: of network, codec and convention; `save` writes it and `load` checks it.
+    """
+
+    env: str
+    recipe: str = ""
+    seed: int = 0
+    steps: int = 0
+    created: str = ""
+    version: str = ""
+    sha256: str = ""
+
+    def to_record(self) -> Tree:
+        """What the file stores."""
+        return {
+            "env": self.env,
+            "recipe": self.recipe,
+            "seed": self.seed,
+            "steps": self.steps,
+            "created": self.created,
+            "version": self.version,
+            "sha256": self.sha256,
+        }
+
+    @classmethod
+    def from_record(cls, record: Record) -> "Provenance":
+        """The origin that a file states."""
+        record.only("env", "recipe", "seed", "steps", "created", "version", "sha256")
+        return cls(
+            env=record.text("env"),
+            recipe=record.text("recipe"),
+            seed=record.whole("seed"),
+            steps=record.whole("steps"),
+            created=record.text("created"),
+            version=record.text("version"),
+            sha256=record.text("sha256"),
+        )

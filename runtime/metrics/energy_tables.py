@@ -1,0 +1,276 @@
+"""The energy tables that are known, and the static power of chips.
+
+A chip that is not here has no published energy per operation: Loihi 2 (none found), Xylo and Speck
+(whole tasks only), Spiker+ (an FPGA's whole power only).
+
+The energy table: what events cost, who says so, and how far off that may be.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far off the numbers of a table may be.
+
+    low, high: the truth lies between these multiples of an estimate; 0 and infinity where nothing
+        published bounds it.
+    why: who says so, or why nobody can.
+    """
+
+    low: float
+    high: float
+    why: str
+
+    def describe(self) -> str:
+        """A few words to stand behind a number: `± 11.7 %`, `at least`."""
+        if self.low == self.high == 1:
+            return "exact"
+        if math.isinf(self.high):
+            return "at least" if self.low == 1 else "no bound known"
+        if math.isclose(1 - self.low, self.high - 1):
+            return f"± {100 * (self.high - 1):.3g} %"
+        if self.low == 0:
+            return "at most" if self.high == 1 else f"at most {self.high:.4g} times"
+        return f"{self.low:.4g} to {self.high:.4g} times"
+
+
+UNKNOWN = Uncertainty(0.0, math.inf, "nothing published bounds it")
+
+
+@dataclass(frozen=True)
+class EnergyTable:
+    """Prices.
+
+    name: as in TABLES.
+    source: publication.
+    provenance: how the numbers came about, and how sure they are.
+    joules: [J] per event; of EVENTS, "mac" for networks without spikes, and "hop_x" and "hop_y" for
+        what a Traffic counts.
+    seconds: [s] per event, one after another.
+    step: [s] per chip timestep, to synchronise cores, or because time is kept by a clock.
+    uncertainty: of energies.
+    time_uncertainty: of times.
+    most: [J] per event where two sources disagree: `joules` has the lower figure, this the higher.
+    """
+
+    name: str
+    source: str
+    provenance: str
+    joules: Mapping[str, float]
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    step: float = 0.0
+    uncertainty: Uncertainty = UNKNOWN
+    time_uncertainty: Uncertainty = UNKNOWN
+    most: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def timed(self) -> bool:
+        """Whether it says anything about time."""
+        return bool(self.seconds) or self.step > 0
+
+
+@dataclass(frozen=True)
+class StaticPower:
+    """What a chip draws while it does nothing: a line of its own, never part of a table's energy.
+
+    name: by which it is called.
+    source: publication.
+    provenance: how sure the number is.
+    watts: [W] of a whole chip.
+    """
+
+    name: str
+    source: str
+    provenance: str
+    watts: float
+
+
+PICO = 1e-12
+NANO = 1e-9
+
+SERIAL = "one core, one event after another"
+
+DAVIES2018 = EnergyTable(
+    name="davies2018",
+    source="Davies et al. 2018, IEEE Micro 38(1), Table 2",
+    provenance="pre-silicon SPICE minimum at 0.75 V; messages within a tile; the table itself is "
+    "read in transcriptions that agree",
+    joules={
+        "sop": 23.6 * PICO,
+        "bias_sop": 23.6 * PICO,
+        "neuron_update": 81 * PICO,
+        "neuron_idle": 52 * PICO,
+        "message": 1.7 * PICO,
+        "hop_x": 3.0 * PICO,
+        "hop_y": 4.0 * PICO,
+    },
+    seconds={
+        "sop": 3.5 * NANO,
+        "bias_sop": 3.5 * NANO,
+        "neuron_update": 8.4 * NANO,
+        "neuron_idle": 5.3 * NANO,
+        "message": 2.1 * NANO,
+    },
+    step=113 * NANO,
+    uncertainty=Uncertainty(
+        1.0, math.inf, "the minimum of a synaptic operation, before there was silicon"
+    ),
+    time_uncertainty=Uncertainty(
+        0.0, math.inf, f"{SERIAL}, at the longest time of an operation and the shortest barrier"
+    ),
+)
+
+# a neuron is accessed in every timestep, updated when it is not idle, and pays again for a spike
+SANAFE = EnergyTable(
+    name="sanafe",
+    source="SANA-FE 2.2.9, arch/loihi.yaml (Boyle et al. 2025)",
+    provenance="fit to Nahuku silicon, model error <= 11.7 % in energy and 24.3 % in time; "
+    "dense synapses; no hops without a layout, one tile",
+    joules={
+        "sop": 35.5 * PICO,
+        "bias_sop": 35.5 * PICO,
+        "neuron_update": (51.2 + 21.6) * PICO,
+        "neuron_idle": 51.2 * PICO,
+        "spike_out": 69.3 * PICO,
+        "message": 111 * PICO,
+        "hop_x": 3.0 * PICO,
+        "hop_y": 4.2 * PICO,
+    },
+    seconds={
+        "sop": 3.8 * NANO,
+        "bias_sop": 3.8 * NANO,
+        "neuron_update": (6.0 + 3.7) * NANO,
+        "neuron_idle": 6.0 * NANO,
+        "spike_out": 30 * NANO,
+        "message": (5.1 + 16) * NANO,
+    },
+    step=600 * NANO,
+    uncertainty=Uncertainty(
+        1 - 0.117, 1 + 0.117, "the error of the model on its authors' benchmarks, at most"
+    ),
+    time_uncertainty=Uncertainty(
+        0.0, 1 + 0.243, f"{SERIAL}: no more than their model on one tile, whose error is 24.3 %"
+    ),
+)
+
+SANAFE_SPARSE = replace(
+    SANAFE,
+    name="sanafe-sparse",
+    provenance=SANAFE.provenance.replace("dense", "sparse"),
+    joules={**SANAFE.joules, "sop": 33.6 * PICO, "bias_sop": 33.6 * PICO},
+    seconds={**SANAFE.seconds, "sop": 4.7 * NANO, "bias_sop": 4.7 * NANO},
+)
+
+SANAFE_CONV = replace(
+    SANAFE,
+    name="sanafe-conv",
+    provenance=SANAFE.provenance.replace("dense", "convolutional"),
+    joules={**SANAFE.joules, "sop": 24.0 * PICO, "bias_sop": 24.0 * PICO},
+    seconds={**SANAFE.seconds, "sop": 3.1 * NANO, "bias_sop": 3.1 * NANO},
+)
+
+TRUENORTH = EnergyTable(
+    name="truenorth",
+    source="Merolla et al. 2014, Science 345, 668, as others quote it: 26 pJ per synaptic event",
+    provenance="measured; the energy of the whole chip, static power included, divided by its "
+    "synaptic events, at 20 Hz, 128 synapses, 0.775 V and 72 mW: nothing is to be added to it",
+    joules={"sop": 26 * PICO, "bias_sop": 26 * PICO},
+    step=1e-3,
+    uncertainty=Uncertainty(
+        0.0, math.inf, "holds at the activity it was measured at: a quieter chip pays more an event"
+    ),
+    time_uncertainty=Uncertainty(1.0, 1.0, "a tick is 1 ms in real time, by design"),
+)
+
+ODIN = EnergyTable(
+    name="odin",
+    source="Frenkel et al. 2018, IEEE TBioCAS, 10.1109/TBCAS.2018.2880425: 12.7 pJ per SOP",
+    provenance="measured, 28 nm, the minimum at 0.55 V; the increment of one more SOP is 8.43 pJ, "
+    "and at biological rates a SOP takes 54 pJ (both secondary)",
+    joules={"sop": 12.7 * PICO, "bias_sop": 12.7 * PICO},
+    uncertainty=Uncertainty(
+        8.43 / 12.7, 54 / 12.7, "8.43 pJ, one SOP more, to 54 pJ, all at biological rates"
+    ),
+)
+
+RECKON = EnergyTable(
+    name="reckon",
+    source="the README of ReckOn: 5.3 pJ per SOP",
+    provenance="measured, 28 nm, at 0.5 V",
+    joules={"sop": 5.3 * PICO, "bias_sop": 5.3 * PICO},
+)
+
+# software computes every neuron in every timestep, so that an idle one costs as much
+SPINNAKER2 = EnergyTable(
+    name="spinnaker2",
+    source="two energy estimators that do not cite where they have it from",
+    provenance="secondary, of little confidence: 450 pJ in one and 1.5 nJ in the other (the "
+    "prototype) per synaptic event; both have 2.19 nJ per neuron update",
+    joules={
+        "sop": 450 * PICO,
+        "bias_sop": 450 * PICO,
+        "neuron_update": 2.19 * NANO,
+        "neuron_idle": 2.19 * NANO,
+    },
+    most={"sop": 1.5 * NANO, "bias_sop": 1.5 * NANO},
+    uncertainty=Uncertainty(1.0, 1.0, "both for a synaptic event, and neither has a source"),
+)
+
+# a multiplication and an addition in float32, and 4 of the 8 bytes of a read of 10 pJ
+HOROWITZ45 = EnergyTable(
+    name="horowitz45",
+    source="Horowitz 2014, ISSCC: 45 nm, 0.9 V",
+    provenance="arithmetic in float32 and one weight fetched from an 8 KB SRAM per operation, the "
+    "best case; neuron updates derived: two multiplications, three additions, four accesses",
+    joules={
+        "mac": (3.7 + 0.9 + 10 / 2) * PICO,
+        "sop": (0.9 + 10 / 2) * PICO,
+        "bias_sop": (0.9 + 10 / 2) * PICO,
+        "neuron_update": (2 * 3.7 + 3 * 0.9 + 4 * 10 / 2) * PICO,
+    },
+    uncertainty=Uncertainty(
+        1.0, math.inf, "arithmetic and the smallest memory; control and larger memories add to it"
+    ),
+)
+
+HOROWITZ45_INT8 = replace(
+    HOROWITZ45,
+    name="horowitz45-int8",
+    provenance="8-bit weights, 32-bit sums, one weight fetched from an 8 KB SRAM per operation, "
+    "the best case; neuron updates derived as for horowitz45, with 32-bit integers",
+    joules={
+        "mac": (0.2 + 0.1 + 10 / 8) * PICO,
+        "sop": (0.1 + 10 / 8) * PICO,
+        "bias_sop": (0.1 + 10 / 8) * PICO,
+        "neuron_update": (2 * 3.1 + 3 * 0.1 + 4 * 10 / 2) * PICO,
+    },
+)
+
+TABLES: dict[str, EnergyTable] = {
+    table.name: table
+    for table in (
+        DAVIES2018,
+        SANAFE,
+        SANAFE_SPARSE,
+        SANAFE_CONV,
+        TRUENORTH,
+        ODIN,
+        RECKON,
+        SPINNAKER2,
+        HOROWITZ45,
+        HOROWITZ45_INT8,
+    )
+}
+
+# chip -> what it draws besides
+STATIC: dict[str, StaticPower] = {
+    "loihi1": StaticPower(
+        name="frady2020",
+        source="Frady et al. 2020: Pohoiki Springs",
+        provenance="measured, the voltage not stated (secondary)",
+        watts=0.104,
+    ),
+}

@@ -1,0 +1,70 @@
+"""How long Xylo takes: clocks of its core in a timestep, by rockpool's model of them.
+
+There is no energy here: what is published of Xylo is the power of whole tasks, none an operation.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.metrics.energy import EnergyEstimate
+
+# rockpool 3.1, devices/xylo/syns61201 cycles_model; the same numbers for all Xylos
+INPUT_LOOP = 3.5
+HIDDEN_UPDATE = 7
+OUTPUT_UPDATE = 8
+HIDDEN_FIXED = 19
+OUTPUT_FIXED = 12
+CLOCK = 50e6  # [Hz] rockpool's default for the core
+MARGIN = 0.2  # what rockpool adds to be safe
+
+
+def xylo_time(
+    program: Program, spikes: Mapping[str, NDArray[Any]], clock: float = CLOCK
+) -> EnergyEstimate:
+    """[s] that an inference takes on a Xylo, and with rockpool's margin.
+
+    spikes: (B, T, N) of the input and of each layer.
+    clock: [Hz] of the core.
+    """
+    timesteps = spikes[program.input].shape[1]
+    seconds = timesteps * xylo_clocks(program, spikes) / clock
+    return EnergyEstimate(seconds, seconds, seconds * (1 + MARGIN))
+
+
+def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
+    """Mean clocks of a timestep; several events of a neuron in one cost as much as one."""
+    outputs = program.layer(program.output).size
+    clocks = float(OUTPUT_FIXED * outputs)
+    for layer in program.layers:
+        if layer.name == program.output:
+            continue
+        rate = _rate(spikes[layer.name])
+        # in = Nin (3.5 p_in N + 1)      out = N p (1 + 8 Nout)
+        clocks += program.width * (INPUT_LOOP * _rate(spikes[program.input]) * layer.size + 1)
+        clocks += layer.size * rate * (1 + OUTPUT_UPDATE * outputs)
+        clocks += layer.size * _hidden(layer, rate)
+    return clocks
+
+
+def _hidden(layer: Layer, rate: float) -> float:
+    """Clocks of one hidden neuron, its recurrent synapses and its spikes."""
+    loops = [s for s in layer.synapses if s.source == layer.name and s.current == 0]
+    fan_out = sum(float(synapses.fan_out.mean()) for synapses in loops)
+    # how many aliases a neuron has, and how many neurons have it for one: the same on average
+    alias = sum(map(len, layer.aliases)) / layer.size
+    both = alias * alias
+    spiking = (
+        2 * max(rate, both)
+        + 3 * max(rate * alias, both)
+        + rate
+        + max(rate, alias) * alias
+    )  # fmt: skip
+    return HIDDEN_UPDATE * fan_out * rate + 3 + HIDDEN_FIXED + spiking
+
+
+def _rate(raster: NDArray[Any]) -> float:
+    return float(np.count_nonzero(raster) / raster.size)

@@ -1,0 +1,179 @@
+"""Fields: a JSON object that somebody else wrote, read by name, with errors that name the field."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.errors import TraceError
+
+Integers = NDArray[np.int64]
+
+# JSON numbers that float64 holds exactly
+EXACT = 1 << 53
+HUGE = 1e300
+
+
+def read_json(path: Path) -> "Fields":
+    """The object in a JSON file."""
+    try:
+        found = json.loads(path.read_text("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        reason = str(error) or type(error).__name__
+        raise TraceError(f"{path} is not JSON: {reason}. Write the trace again.") from error
+    return Fields(found, path.name)
+
+
+class Fields:
+    """One JSON object.
+
+    Emulators call the same thing by several names, so every field is asked for by all of them.
+
+    where: its place, for messages.
+    unread: names of the fields that nobody asked for.
+    """
+
+    def __init__(self, found: object, where: str) -> None:
+        if not isinstance(found, Mapping):
+            raise TraceError(
+                f"{where}: expected an object {{...}}, found {type(found).__name__}. A trace file "
+                "is an object with the fields that docs/traces.md lists."
+            )
+        self._found = {str(key): value for key, value in found.items() if value is not None}
+        self.where = where
+        self.unread = set(self._found)
+
+    def name(self, *names: str) -> str | None:
+        """The first of the names that is there."""
+        return next((name for name in names if name in self._found), None)
+
+    def text(self, name: str) -> str:
+        """The text called `name`; empty where there is none."""
+        self.unread.discard(name)
+        return str(self._found.get(name, ""))
+
+    def filled(self, name: str) -> bool:
+        """Whether there is anything in the field; an empty list is nothing."""
+        self.unread.discard(name)
+        return bool(self._found.get(name))
+
+    def flag(self, name: str) -> bool | None:
+        """The true or false called `name`; None where it is missing."""
+        if name not in self._found:
+            return None
+        found = self._taken(name)
+        if not isinstance(found, bool):
+            raise self.wrong(name, f"is {_short(found)}", "Write true or false.")
+        return found
+
+    def group(self, name: str) -> "Fields":
+        """The object called `name`; empty where there is none."""
+        return Fields(self._taken(name) if name in self._found else {}, f"{self.where}: {name}")
+
+    def groups(self, name: str) -> list["Fields"]:
+        """The list of objects called `name`."""
+        found = self._taken(name)
+        if not isinstance(found, list) or not found:
+            raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
+        return [Fields(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
+
+    def under(self, *others: "Fields", where: str = "") -> "Fields":
+        """These fields and those of the others, which go before."""
+        everything: dict[str, object] = {}
+        for each in (self, *others):
+            everything.update(each._found)
+        return Fields(everything, where or self.where)
+
+    def whole(self, *names: str, default: int, least: int, most: int) -> int:
+        """A single whole number within its range."""
+        name = self.name(*names)
+        return default if name is None else int(self._ranged(name, 0, least, most))
+
+    def row(
+        self, *names: str, size: int, default: int | None = None, least: int, most: int
+    ) -> Integers:
+        """(size,) whole numbers within a range; one in the file stands for all."""
+        name = self.name(*names)
+        if name is None:
+            if default is None:
+                raise self._missing(names)
+            return np.full(size, default, np.int64)
+        found = self._ranged(name, 1, least, most)
+        if found.size not in (1, size):
+            raise self.wrong(name, f"has {found.size} values", f"Write one, or {size}.")
+        return np.full(size, found, np.int64)
+
+    def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
+        """Lists of whole numbers within a range, of any lengths."""
+        found = self._taken(name)
+        if not isinstance(found, list) or not all(isinstance(row, list) for row in found):
+            raise self.wrong(name, f"is {_short(found)}", "Write a list of lists.")
+        for each in (each for row in found for each in row):
+            if type(each) is not int or not least <= each <= most:
+                remedy = f"Write whole numbers within {least} and {most}."
+                raise self.wrong(name, f"holds {_short(each)}", remedy)
+        return tuple(tuple(row) for row in found)
+
+    def numbers(self, *names: str) -> dict[str, float]:
+        """Those of the finite numbers that are there, by name."""
+        found = {name: self._taken(name) for name in names if name in self._found}
+        for name, value in found.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not -HUGE < value < HUGE:
+                raise self.wrong(name, f"is {_short(value)}", "Write a finite number.")
+        return found
+
+    def array(self, *names: str, axes: int, least: int, most: int) -> Integers:
+        """Whole numbers within a range, of at most so many axes."""
+        name = self.name(*names)
+        if name is None:
+            raise self._missing(names)
+        return self._ranged(name, axes, least, most)
+
+    def wrong(self, name: str, found: str, remedy: str) -> TraceError:
+        """The error of a field."""
+        return TraceError(f"{self.where}: {name} {found}. {remedy}")
+
+    def _taken(self, name: str) -> Any:  # noqa: ANN401
+        if name not in self._found:
+            raise self._missing((name,))
+        self.unread.discard(name)
+        return self._found[name]
+
+    def _missing(self, names: tuple[str, ...]) -> TraceError:
+        return TraceError(
+            f"{self.where}: {' or '.join(names)} is missing. Add it; docs/traces.md lists the "
+            "fields of a trace."
+        )
+
+    def _ranged(self, name: str, axes: int, least: int, most: int) -> Integers:
+        """The numbers called `name`, of at most so many axes."""
+        found = self._numbers(name)
+        if found.ndim > axes:
+            raise self.wrong(name, f"has shape {found.shape}", f"Write lists {axes} deep at most.")
+        outside = found[(found < least) | (found > most)]
+        if outside.size:
+            raise self.wrong(
+                name, f"holds {outside.flat[0]}", f"It must be within {least} and {most}."
+            )
+        return found.astype(np.int64)
+
+    def _numbers(self, name: str) -> NDArray[Any]:
+        value = self._taken(name)
+        try:
+            found = np.array(value)
+        except (ValueError, OverflowError, RecursionError):  # ragged, or too deep
+            raise self.wrong(name, "has rows of different lengths", "Write a full table.") from None
+        if found.dtype.kind == "f" and np.isfinite(found).all() and (found == np.rint(found)).all():
+            found = found if (np.abs(found) > EXACT).any() else found.astype(np.int64)
+        if found.dtype.kind not in "biu" or not found.size:
+            raise self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
+        return found.astype(np.int64) if found.dtype.kind == "b" else found
+
+
+def _short(value: object) -> str:
+    found = repr(value)
+    return found if len(found) <= 40 else f"{found[:40]}…"

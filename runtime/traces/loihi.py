@@ -1,0 +1,275 @@
+"""Traces of Loihi, in the words of lava, brian2_loihi, nengo-loihi and of boards.
+
+A layer of Loihi from the registers that a trace lists, in whose words ever.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.quantise import stored
+from spikedeploy.runtime.traces.fields import Fields, Integers
+from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
+
+WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
+EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")
+THRESHOLDS = ("vth", "vth_mant", "v_th", "threshold")
+# in units of the states, not of the mantissas
+WEIGHTS_EFFECTIVE = ("weights_effective", "weight_effective", "w_effective", "w_eff")
+REFRACTORY = ("refractory", "refract_delay", "refractory_period")
+THRESHOLDS_EFFECTIVE = ("vth_effective", "vth_eff")
+EFFECTIVE = {*WEIGHTS_EFFECTIVE, *THRESHOLDS_EFFECTIVE}
+
+# mantissas are shifted by so much to become states; thresholds always are
+SHIFT = 6
+
+# states beyond this are no chip's
+STATE = 1 << 40
+
+
+@dataclass(frozen=True, eq=False)
+class LoihiLayer:
+    """A layer, and the chip with the options that the layer asks for."""
+
+    layer: Layer
+    chip: Chip
+
+
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """Weights as they were given.
+
+    mantissa: (N, M).
+    mixed: whether one list holds both signs, and a bit for them.
+    exponent: they count 2**this times.
+    """
+
+    mantissa: Integers
+    mixed: bool
+    exponent: int
+
+
+def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer:
+    """The layer at a place of a chain, as the fields describe it."""
+    fixed = chip.fixed
+    if fixed is None:
+        raise spec.wrong("chip", f"{chip.name} has no integers", "Name a chip that has.")
+    weights = _weights(spec, fixed, fan_in)
+    fixed = _with_options(spec, fixed, weights)
+    delay = spec.whole("delay", default=chip.delay, least=0, most=chip.delay_max)
+    source, size = f"layer{place - 1}" if place else "input", len(weights.mantissa)
+    layer = Layer(
+        name=f"layer{place}",
+        synapses=tuple(Synapses(source, w, delay, shift) for w, shift in _lists(weights, fixed)),
+        bias=np.zeros(size, np.int64),
+        voltage_bias=_bias(spec, size),
+        threshold=_threshold(spec, fixed, size),
+        current_decay=_keep(spec, "u", fixed, size),
+        membrane_decay=_keep(spec, "v", fixed, size),
+        scale=1.0,
+        start=0,
+    )
+    return LoihiLayer(layer, replace(chip, arithmetic=fixed))
+
+
+def _weights(spec: Fields, fixed: CubaFixedPoint, fan_in: int) -> _Weights:
+    exponent = spec.whole(*EXPONENTS, default=0, least=-8, most=7)
+    lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
+    if lists:
+        tables = [_matrix(spec, name, fan_in) for name in lists]
+        if tables[0].shape != tables[-1].shape:
+            raise spec.wrong(lists[1], f"has shape {tables[1].shape}", f"Match {lists[0]}.")
+        return _Weights(np.asarray(sum(tables)), False, exponent)
+    effective = spec.name(*WEIGHTS_EFFECTIVE)
+    if effective and spec.name(*WEIGHTS) is None:
+        return _Weights(_matrix(spec, effective, fan_in, 1 << SHIFT) >> SHIFT, False, 0)
+    name = spec.name(*WEIGHTS) or WEIGHTS[0]
+    mantissa = _matrix(spec, name, fan_in)
+    mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False or _said_mixed(spec)
+    # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
+    one_sign = fixed.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
+    return _Weights(mantissa, mixed and not one_sign, exponent)
+
+
+def _said_mixed(spec: Fields) -> bool:
+    return "mixed" in spec.text("sign_mode").lower()
+
+
+def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
+    """(N, M) weights, whichever way the file says that they stand."""
+    found = spec.array(name, axes=2, least=-256 * unit, most=255 * unit)
+    if found.ndim < 2:
+        # one neuron with several axons, or one axon onto several neurons
+        found = found.reshape((1, -1) if found.size == fan_in else (-1, 1))
+    if spec.text("index").startswith("[pre]"):
+        found = found.T
+    if found.shape[1] != fan_in:
+        remedy = f"Write a row for each neuron, with {fan_in} weights, one for each input."
+        raise spec.wrong(name, f"has shape {found.shape}", remedy)
+    return found
+
+
+def _with_options(spec: Fields, fixed: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
+    silent = spec.whole(*REFRACTORY, default=fixed.refractory, least=1, most=64)
+    return replace(
+        fixed,
+        sign_mode="mixed" if weights.mixed else "split",
+        weight_bits=spec.whole("num_weight_bits", default=fixed.weight_bits, least=0, most=8),
+        refractory=silent,
+        mantissa_shift=_mantissa_shift(spec, fixed, weights.exponent),
+        membrane=_membrane(spec, fixed.membrane),
+    )
+
+
+def _mantissa_shift(spec: Fields, fixed: CubaFixedPoint, exponent: int) -> int:
+    """Where nothing is rounded, a negative exponent moves the weights by fewer bits."""
+    shift = SHIFT + min(exponent, 0) * (fixed.exponents == "exact")
+    if shift < 0:
+        raise spec.wrong("weight_exp", f"is {exponent}", f"This reading goes down to {-SHIFT}.")
+    return shift
+
+
+def _membrane(spec: Fields, register: Register) -> Register:
+    if spec.name("vmin", "vmax") is None:
+        return register
+    least = spec.whole("vmin", default=-register.limit, least=-STATE, most=0)
+    most = spec.whole("vmax", default=register.limit, least=0, most=STATE)
+    return replace(register, between=(least, most))
+
+
+def _lists(weights: _Weights, fixed: CubaFixedPoint) -> list[tuple[NDArray[np.int16], int]]:
+    """The lists of weights (M, N) that the chip keeps, and the bits that each one's sum loses."""
+    axons, exponent = weights.mantissa.T, weights.exponent
+    if exponent >= 0 or fixed.exponents == "weight":
+        return [(stored(axons, fixed, exponent), 0)]
+    if fixed.exponents == "exact":
+        return [(stored(axons, fixed), 0)]
+    signs = [axons] if weights.mixed else [axons.clip(min=0), axons.clip(max=0)]
+    return [(stored(sign, fixed), -exponent) for sign in signs]
+
+
+def _threshold(spec: Fields, fixed: CubaFixedPoint, size: int) -> Integers:
+    """(N,) [state units]."""
+    if spec.name(*THRESHOLDS) is None and spec.name(*THRESHOLDS_EFFECTIVE):
+        return spec.row(*THRESHOLDS_EFFECTIVE, size=size, least=0, most=STATE)
+    return spec.row(*THRESHOLDS, size=size, least=0, most=fixed.threshold_max) << SHIFT
+
+
+def _bias(spec: Fields, size: int) -> Integers:
+    """(N,) [state units]."""
+    mantissa = spec.row("bias_mant", size=size, default=0, least=-4096, most=4095)
+    exponent = spec.row("bias_exp", size=size, default=0, least=-8, most=7)
+    made = np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
+    if (name := spec.name("bias", "bias_effective")) is None:
+        return made
+    bias = spec.row(name, size=size, least=-STATE, most=STATE)
+    if spec.name("bias_mant") and spec.name("bias_exp") and (bias != made).any():
+        raise spec.wrong(name, "is not bias_mant times 2^bias_exp", "Leave the wrong one out.")
+    return bias
+
+
+def _keep(spec: Fields, state: str, fixed: CubaFixedPoint, size: int) -> Integers:
+    """(N,) what a timestep leaves, from the register or from what the register does."""
+    offset = fixed.current_decay_offset if state == "u" else fixed.membrane_decay_offset
+    registers, effective = (f"d{state}", f"decay_{state}"), f"effective_decay_{state}"
+    if spec.name(*registers) is None and spec.name(effective):
+        return fixed.decay_one - spec.row(effective, size=size, least=0, most=fixed.decay_one)
+    # a neuron of which no current is known forgets it at once
+    default = fixed.decay_one - offset if state == "u" else None
+    found = spec.row(*registers, size=size, default=default, least=0, most=fixed.decay_max)
+    return fixed.decay_one - offset - found
+
+
+INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
+# quantity -> what emulators call it
+RECORDED = {
+    "current": ("u", "current", "I", "i"),
+    "membrane": ("v", "voltage", "membrane", "v_mem"),
+    "spikes": ("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"),
+}
+# and what boards' probes are called, with one of these before or after
+PROBES = ("hw", "chip", "board", "probe")
+# what the files say twice, or the reading says
+REPEATED = {
+    "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
+    "weights_exc", "weights_inh", "weights_mixed", "weight_effective", "weights_effective",
+    "effective_decay_u", "effective_decay_v", "vth_effective", "bias_effective", "du", "decay_u",
+    *EFFECTIVE, *INPUT,
+}  # fmt: skip
+
+
+def loihi_trace(fields: Fields, chip: str) -> TraceFile:
+    """The trace in the fields; one layer at the top, or a list of them under `layers`."""
+    specs = _layers_of(fields)
+    rows = table_of(specs[0], INPUT, 0, 1, index="input_spikes_index")
+    parts, size = [], rows.shape[1]
+    for place, spec in enumerate(specs):
+        parts.append(loihi_layer(spec, datasheet(chip), place, size))
+        size = parts[-1].layer.size
+    _check_alike(fields, parts)
+    recorded = {
+        part.layer.name: _recorded(spec, (len(rows), part.layer.size))
+        for part, spec in zip(parts, specs, strict=True)
+    }
+    unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - REPEATED
+    if not any(recorded.values()):
+        raise nothing_to_compare(fields, unread, "u, v or s")
+    return TraceFile(
+        source=fields.text("source") or fields.text("name") or chip,
+        program=_program(parts, rows.shape[1]),
+        raster=rows.astype(np.uint8)[None],
+        recorded=recorded,
+        blind_at_spikes=chip == "loihi2",  # a board's probe shows something else there
+        unread=tuple(sorted(unread)),
+    )
+
+
+def _layers_of(fields: Fields) -> list[Fields]:
+    """What each layer says; what the file says of all of them goes last."""
+    shared = fields.under(fields.group("params"))
+    if fields.name("layers") is None:
+        return [shared]
+    return [
+        shared.under(layer, layer.group("params"), where=layer.where)
+        for layer in fields.groups("layers")
+    ]
+
+
+def _probed(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names, and those with the mark of a board's probe."""
+    marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in PROBES)
+    return (*names, *(each for pair in marked for each in pair))
+
+
+def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
+    """The tables (T, N) that are there, by quantity."""
+    recorded = {}
+    for quantity, names in RECORDED.items():
+        if (name := spec.name(*_probed(names))) is None:
+            continue
+        limits = (0, 1) if quantity == "spikes" else (-STATE, STATE)
+        recorded[quantity] = table = table_of(spec, (name,), *limits, index="trace_index")
+        if table.shape != shape:
+            remedy = f"The input and the weights ask for {shape}."
+            raise spec.wrong(name, f"has shape {table.shape}", remedy)
+    return recorded
+
+
+def _check_alike(fields: Fields, parts: list[LoihiLayer]) -> None:
+    """What belongs to the chip and not to a layer must be the same for all layers."""
+    for option in ("refractory", "membrane", "mantissa_shift"):
+        if len({getattr(part.chip.fixed, option) for part in parts}) > 1:
+            raise fields.wrong(option, "differs from layer to layer", "Split the trace in two.")
+
+
+def _program(parts: list[LoihiLayer], width: int) -> Program:
+    chip, layers = parts[0].chip, tuple(part.layer for part in parts)
+    convention = Convention(1e-3, delay=chip.delay, source="the trace")
+    return Program(chip, convention, "input", width, layers, layers[-1].name, None)

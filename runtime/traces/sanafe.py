@@ -1,0 +1,110 @@
+"""SANA-FE's energies: a network described in a sentence, and what its events add up to."""
+
+import math
+import re
+
+import numpy as np
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import TraceError
+from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.traces.fields import Fields
+from spikedeploy.runtime.traces.trace_file import Difference, Verdict
+
+MAKER = "sanafe"
+NUMBER = r"([1-9]\d{0,2})"
+SETUP = re.compile(
+    rf"{NUMBER} input neurons spiking \[([01](?:, *[01])*)\] *-> *all-to-all *-> *"
+    rf"{NUMBER} loihi_lif neurons \(threshold 1e9\), one core, {NUMBER} steps"
+)
+# what SANA-FE calls a part of the energy -> our events
+ENERGIES = {
+    "synapse": ("sop", "bias_sop"),
+    "dendrite": (),
+    "soma": ("neuron_update", "neuron_idle", "spike_out"),
+    "network": ("message",),
+}
+COUNTS = {
+    "spikes(synops)": ("sop",),
+    "packets_sent": ("message",),
+    "neurons_fired": ("spike_in", "spike_out"),
+    "neurons_updated": ("neuron_update", "spike_in"),
+}
+NEVER = ((1 << 17) - 1) << 6  # a threshold that so few inputs do not reach
+TOLERANCE = 1e-6
+
+
+def energy_verdict(fields: Fields) -> Verdict:
+    """Whether our ledger and its table give SANA-FE's counts and energies."""
+    setup = SETUP.fullmatch(fields.text("setup").strip())
+    if setup is None:
+        raise TraceError(
+            f"{fields.where}: setup is {fields.text('setup')[:60]!r}, which cannot be read. "
+            "docs/traces.md has the sentence that can."
+        )
+    inputs, bits, neurons, steps = setup.groups()
+    spikes = [int(bit) for bit in bits.split(",")]
+    if len(spikes) != int(steps):
+        raise fields.wrong("setup", f"has {len(spikes)} spikes", "Write one for each step.")
+    if int(inputs) * sum(spikes) << 6 > NEVER:
+        raise fields.wrong(
+            "setup", f"has {sum(spikes)} spikes", "Neurons would spike; write fewer."
+        )
+    ledger = _run(int(inputs), int(neurons), spikes)
+    result = fields.group("result")
+    expected = {**result.numbers(*COUNTS), **result.group("energy").numbers("total", *ENERGIES)}
+    if not expected:
+        raise TraceError(f"{fields.where}: there is nothing to compare. Record result.energy.")
+    return Verdict(
+        chip="loihi1",
+        source=fields.text("source"),
+        steps=len(spikes),
+        compared=len(expected),
+        passed_over=len(result.numbers("sim_time")),
+        why="time, of which ours is an upper bound",
+        difference=_first(expected, _found(ledger)),
+        unread=(),
+    )
+
+
+def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
+    weight, ones = np.ones((inputs, neurons), np.int16), np.ones(neurons, np.int64)
+    layer = Layer(
+        name="lif",
+        synapses=(Synapses("input", weight, 1),),
+        bias=0 * ones,
+        voltage_bias=0 * ones,
+        threshold=NEVER * ones,
+        current_decay=0 * ones,
+        membrane_decay=4096 * ones,
+        scale=1.0,
+        start=1,
+    )
+    machine = Machine(
+        Program(chip("loihi1"), Convention(1e-3), "input", inputs, (layer,), "lif", None)
+    )
+    for spiking in spikes:
+        machine.step(np.full((1, inputs), spiking, np.uint8))
+    return machine.ledger
+
+
+def _found(ledger: Ledger) -> dict[str, float]:
+    """Counts, and energies [J]; SANA-FE's inputs send messages and cost nothing else."""
+    prices = TABLES["sanafe"].joules
+    counts = {name: sum(map(ledger.total, events)) for name, events in COUNTS.items()}
+    parts = {
+        name: sum(ledger.total(event) * prices[event] for event in events)
+        for name, events in ENERGIES.items()
+    }
+    return {**counts, **parts, "total": sum(parts.values())}
+
+
+def _first(expected: dict[str, float], found: dict[str, float]) -> Difference | None:
+    for name, value in expected.items():
+        if not math.isclose(value, found[name], rel_tol=TOLERANCE, abs_tol=1e-15):
+            return Difference(None, None, None, name, value, found[name])
+    return None

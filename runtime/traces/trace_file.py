@@ -1,0 +1,188 @@
+"""Trace files: what an emulator or a chip did, with everything that is needed to do it again.
+
+The format is in docs/traces.md. It grew from what four emulators write, so quantities have several
+names, and a file says in prose who made it.
+
+Verdicts: what became of a trace when it was replayed.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.chip import CHIPS
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.errors import TraceError
+from spikedeploy.runtime.traces.fields import Fields, Integers, read_json
+
+# who wrote a trace, by what its name, source and kind say -> the chip in that reading
+MAKERS = (
+    (r"sana-?fe", "sanafe"),
+    # before lava's simulations, to which prose compares boards
+    (r"loihi[ _-]?2[ _-]?(hw|board|chip|hardware)|hw[ _-]loihi[ _-]?2", "loihi2"),
+    (r"xylo", "xylo-a2"),
+    (r"brian2", "loihi1-brian2"),
+    (r"nengo", "loihi1-nengo"),
+    (r"loihi1simcfg|loihi2simcfg", "loihi1"),
+    (r"loihi[ _-]?2", "loihi2"),
+    (r"lava", "loihi1"),
+)
+READERS = {
+    "loihi1": "spikedeploy.runtime.traces.loihi:loihi_trace",
+    "loihi1-brian2": "spikedeploy.runtime.traces.loihi:loihi_trace",
+    "loihi1-nengo": "spikedeploy.runtime.traces.loihi:loihi_trace",
+    "loihi2": "spikedeploy.runtime.traces.loihi:loihi_trace",
+    "xylo-a2": "spikedeploy.runtime.traces.xylo:xylo_trace",
+    "xylo-a3": "spikedeploy.runtime.traces.xylo:xylo_trace",
+    "xylo-imu": "spikedeploy.runtime.traces.xylo:xylo_trace",
+}
+# what is for people
+PROSE = {
+    "name", "source", "kind", "note", "convention", "index", "trace_index", "input_spikes_index",
+    "check", "seed", "license", "licence",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class TraceFile:
+    """A run that was recorded.
+
+    source: who recorded it.
+    program: what ran, on the chip in the reading of the source.
+    raster: (1, T, M) spikes that went in; counts where the chip takes several in a timestep.
+    recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
+    blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
+    unread: fields that mean nothing to the reader.
+    """
+
+    source: str
+    program: Program
+    raster: NDArray[np.uint8]
+    recorded: Mapping[str, Mapping[str, Integers]]
+    blind_at_spikes: bool
+    unread: tuple[str, ...]
+
+
+Reader: TypeAlias = Callable[[Fields, str], TraceFile]
+
+
+def read_trace(path: Path) -> TraceFile:
+    """The trace in a file, checked."""
+    return trace_in(read_json(path), path.stem)
+
+
+def trace_in(fields: Fields, stem: str) -> TraceFile:
+    """The trace in the fields of a file of that name."""
+    chip = maker(fields, stem)
+    if chip not in READERS:
+        hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
+        raise TraceError(
+            f"{fields.where}: chip {chip!r} {hint}. Traces may be of {', '.join(READERS)}."
+        )
+    module, attribute = READERS[chip].split(":")
+    reader: Reader = getattr(import_module(module), attribute)
+    return reader(fields, chip)
+
+
+def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index: str) -> Integers:
+    """(T, N) of the first name that is there; a list of numbers is that of a single neuron.
+
+    index: the field that says which way the tables stand, as in "[neuron][t]".
+    """
+    found = spec.array(*names, axes=2, least=least, most=most)
+    if found.ndim == 0:
+        name = spec.name(*names) or names[0]
+        raise spec.wrong(name, "is a single number", "Write a row for each timestep.")
+    if found.ndim == 1:
+        return found[:, None]
+    return found.T if spec.text(index).rstrip().endswith("][t]") else found
+
+
+def nothing_to_compare(fields: Fields, unread: set[str], wanted: str) -> TraceError:
+    """The error of a trace in which nothing is recorded under a name that is known."""
+    others = f" Nothing is known of {', '.join(sorted(unread))}." if unread else ""
+    return TraceError(f"{fields.where}: there is nothing to compare.{others} Record {wanted}.")
+
+
+def maker(fields: Fields, stem: str) -> str:
+    """The chip that the file names, or that of the emulator which its prose names."""
+    prose = {key: fields.text(key) for key in ("chip", "name", "source", "kind")}
+    if prose["chip"]:
+        return prose["chip"]
+    # the name of the file is a last resort
+    for text in (" ".join(prose.values()), stem):
+        for pattern, chip in MAKERS:
+            if re.search(pattern, text, re.IGNORECASE):
+                return chip
+    raise TraceError(
+        f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
+        f"by that. Add a field chip; it may be {', '.join(READERS)}."
+    )
+
+
+# in the order in which a neuron computes them
+QUANTITIES = ("current", "current 2", "membrane", "spikes")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first number that is not as recorded.
+
+    step: row of the trace, counted from 0.
+    layer, neuron: whose it is; neurons are counted from 0.
+    quantity: one of QUANTITIES, or what was summed up over the run, which has no place.
+    expected, found: in the trace, and here.
+    """
+
+    step: int | None
+    layer: str | None
+    neuron: int | None
+    quantity: str
+    expected: float
+    found: float
+
+    def describe(self) -> str:
+        """One line for people."""
+        place = (
+            "" if self.step is None else f"step {self.step}, {self.layer}, neuron {self.neuron}, "
+        )
+        return f"{place}{self.quantity}: expected {self.expected}, found {self.found}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a trace.
+
+    chip: in whose reading it was replayed.
+    source: who recorded it.
+    steps: T.
+    compared: numbers that were compared.
+    passed_over: recorded numbers that were not compared.
+    why: they were not; empty where all were.
+    difference: None where all numbers are equal.
+    unread: fields of the file that mean nothing to the reader.
+    """
+
+    chip: str
+    source: str
+    steps: int
+    compared: int
+    passed_over: int
+    why: str
+    difference: Difference | None
+    unread: tuple[str, ...]
+
+    @property
+    def equal(self) -> bool:
+        """Whether every compared number is as recorded."""
+        return self.difference is None
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, for machines."""
+        return {"equal": self.equal, **asdict(self)}

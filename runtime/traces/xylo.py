@@ -1,0 +1,157 @@
+"""Traces of Xylo, as xylosim's layers are built and recorded."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
+from spikedeploy.runtime.traces.fields import Fields, Integers
+from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
+
+HIDDEN, OUTPUT = "hidden", "output"
+# layer -> quantity -> its name in the file
+RECORDED = {
+    HIDDEN: {
+        "current": "i_syn",
+        "current 2": "i_syn2",
+        "membrane": "v_mem",
+        "spikes": "hidden_spikes",
+    },
+    OUTPUT: {"current": "i_syn_out", "membrane": "v_mem_out", "spikes": "out_spikes"},
+}
+INPUT = ("input_counts", "input_spikes", "input")
+SHIFTS = ("weight_shift_in", "weight_shift_rec", "weight_shift_out")
+REPEATED = {"chip", "steps", "params"}
+
+
+def xylo_trace(fields: Fields, chip: str) -> TraceFile:
+    """The trace in the fields: hidden neurons with recurrent synapses, and output neurons."""
+    spec = fields.under(fields.group("params"))
+    used = datasheet(chip)
+    if used.events is None:
+        raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
+    counts = table_of(spec, INPUT, 0, 255, index="input_spikes_index")
+    hidden, output = _hidden(spec, used.events, counts.shape[1]), _output(spec, used.events)
+    if (found := output.synapses[0].weight.shape[0]) != hidden.size:
+        remedy = f"Write a row for each of the {hidden.size} hidden neurons."
+        raise spec.wrong("weights_out", f"has {found} rows", remedy)
+    recorded = {layer.name: _recorded(spec, layer, len(counts)) for layer in (hidden, output)}
+    unread = spec.unread - PROSE - REPEATED
+    if not any(recorded.values()):
+        raise nothing_to_compare(fields, unread, "v_mem or out_spikes")
+    return TraceFile(
+        source=fields.text("source") or fields.text("name") or chip,
+        program=_program(used, counts.shape[1], hidden, output),
+        raster=counts.astype(np.uint8)[None],
+        recorded=recorded,
+        blind_at_spikes=False,
+        unread=tuple(sorted(unread)),
+    )
+
+
+def _program(chip: Chip, width: int, hidden: Layer, output: Layer) -> Program:
+    convention = Convention(1e-3, reset="subtract", delay=chip.delay, source="the trace")
+    return Program(chip, convention, "input", width, (hidden, output), OUTPUT, None)
+
+
+def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
+    """The neurons that each neuron's spikes are counted for too."""
+    if not spec.filled("aliases"):
+        return ()
+    rows = spec.lists("aliases", least=0, most=size - 1)
+    if len(rows) != size:
+        raise spec.wrong("aliases", f"has {len(rows)} lists", f"Write {size}, one for each neuron.")
+    if own := [n for n, others in enumerate(rows) if n in others]:
+        raise spec.wrong("aliases", f"of neuron {own[0]} name itself", "Name other neurons.")
+    return rows
+
+
+def _hidden(spec: Fields, point: XyloArithmetic, width: int) -> Layer:
+    weights = _weights(spec, "weights_in", 0, point)
+    if weights.shape[0] != width:
+        raise spec.wrong(
+            "weights_in", f"has {weights.shape[0]} rows", f"Write one for each of {width} inputs."
+        )
+    size = weights.shape[1]
+    synapses = [Synapses("input", weights[:, :, k], 0, current=k) for k in range(weights.shape[2])]
+    if spec.filled("weights_rec"):
+        recurrent = _weights(spec, "weights_rec", 1, point)
+        if recurrent.shape[:2] != (size, size):
+            remedy = f"Write {size} rows of {size} neurons."
+            raise spec.wrong("weights_rec", f"has shape {recurrent.shape}", remedy)
+        each = range(recurrent.shape[2])
+        synapses += [Synapses(HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
+    dashes = [_dash(spec, name, point, size) for name in ("dash_syn", "dash_syn_2")]
+    layer = _layer(spec, HIDDEN, tuple(synapses), dashes, point)
+    return replace(layer, aliases=_aliases(spec, size))
+
+
+def _output(spec: Fields, point: XyloArithmetic) -> Layer:
+    weights = _weights(spec, "weights_out", 2, point)
+    if weights.shape[2] > 1:
+        raise spec.wrong("weights_out", f"has shape {weights.shape}", "Outputs have one synapse.")
+    synapses = Synapses(HIDDEN, weights[:, :, 0], 1)
+    dash = _dash(spec, "dash_syn_out", point, weights.shape[1])
+    return _layer(spec, OUTPUT, (synapses,), [dash], point)
+
+
+def _layer(
+    spec: Fields,
+    name: str,
+    synapses: tuple[Synapses, ...],
+    dashes: list[Integers],
+    point: XyloArithmetic,
+) -> Layer:
+    end, size = "_out" if name == OUTPUT else "", synapses[0].weight.shape[1]
+    limit = point.state.limit
+    bias = spec.row(f"bias{end}", size=size, default=0, least=-limit - 1, most=limit)
+    return Layer(
+        name=name,
+        synapses=synapses,
+        bias=np.zeros(size, np.int64),
+        voltage_bias=bias,
+        threshold=spec.row(f"threshold{end}", size=size, least=-limit - 1, most=limit),
+        current_decay=np.stack(dashes),
+        membrane_decay=_dash(spec, f"dash_mem{end}", point, size),
+        scale=1.0,
+        start=0,
+    )
+
+
+def _weights(spec: Fields, name: str, place: int, point: XyloArithmetic) -> Integers:
+    """(M, N, K) weights as they are added, after the shift of their matrix."""
+    edge = 1 << (point.weight_bits - 1)
+    found = spec.array(name, axes=3, least=-edge, most=edge - 1)
+    if found.ndim == 1:  # a single neuron, one weight for each that it hears
+        found = found[:, None]
+    if found.ndim < 2:
+        raise spec.wrong(name, "is a single number", "Write [pre][post][synapse].")
+    found = found.reshape(*found.shape[:2], -1)
+    if found.shape[2] > point.currents:
+        remedy = f"A neuron has {point.currents} synapses at most."
+        raise spec.wrong(name, f"has shape {found.shape}", remedy)
+    shifts = spec.row("weight_shift", size=3, default=0, least=0, most=point.shift_max)
+    own = spec.row(SHIFTS[place], size=1, default=shifts[place], least=0, most=point.shift_max)
+    return np.asarray(found << own)
+
+
+def _dash(spec: Fields, name: str, point: XyloArithmetic, size: int) -> Integers:
+    default = 0 if name == "dash_syn_2" else None
+    return spec.row(name, size=size, default=default, least=0, most=point.dash_max)
+
+
+def _recorded(spec: Fields, layer: Layer, steps: int) -> dict[str, Integers]:
+    """The tables (T, N) that are there, by quantity."""
+    recorded = {}
+    for quantity, name in RECORDED[layer.name].items():
+        if spec.name(name) is None:
+            continue
+        recorded[quantity] = table = table_of(spec, (name,), -1 << 16, 1 << 16, index="trace_index")
+        if table.shape != (steps, layer.size):
+            remedy = f"The input and the weights ask for {steps, layer.size}."
+            raise spec.wrong(name, f"has shape {table.shape}", remedy)
+    return recorded

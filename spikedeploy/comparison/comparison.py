@@ -1,0 +1,209 @@
+"""The comparison: what every row's episodes say, beside those of its reference."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spikedeploy import zoo
+from spikedeploy.comparison import costs
+from spikedeploy.comparison.agreement import median_divergence, pooled_equality, pooled_rmse
+from spikedeploy.comparison.costs import priced_by
+from spikedeploy.comparison.episodes import Episode
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference, share
+from spikedeploy.policies.policies import BASELINES, FLOAT
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.metrics.energy import EnergyEstimate
+
+
+@dataclass(frozen=True)
+class Row:
+    """One policy on one chip.
+
+    entry     who played
+    episodes  in the order of the seeds (n,)
+    """
+
+    entry: Entry
+    episodes: Sequence[Episode]
+
+    @property
+    def returns(self) -> list[float]:
+        """Return of each episode (n,)."""
+        return [episode.total for episode in self.episodes]
+
+    @property
+    def successes(self) -> list[bool]:
+        """Whether each episode succeeded (n,)."""
+        return [episode.success for episode in self.episodes]
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(np.mean(self.returns))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Rows that played the same seeds.
+
+    env    id of the environment
+    seeds  (n,)
+    rows   in the order of the line-up
+    tables energy tables to price by; none are those of each row's chip
+    """
+
+    env: str
+    seeds: Sequence[int]
+    rows: Sequence[Row]
+    tables: Sequence[str] = ()
+
+    def row(self, entry: Entry | None) -> Row | None:
+        """The row of an entry."""
+        return next((row for row in self.rows if row.entry == entry), None)
+
+    def of_kind(self, *kinds: str) -> Row | None:
+        """The first row of one of the kinds."""
+        return next((row for row in self.rows if row.entry.candidate.kind in kinds), None)
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """The rows as a report has them."""
+        return [
+            _identity(row)
+            | self._walk(row)
+            | self._agreement(row)
+            | self._costs(row)
+            | _metrics(row)
+            for row in self.rows
+        ]
+
+    def _costs(self, row: Row) -> dict[str, Any]:
+        """What an inference takes, and what that costs by the tables."""
+        found = costs.mean([e.costs for e in row.episodes], [e.steps for e in row.episodes])
+        tables = self.tables or _tables(row)
+        energy, latency = _priced(found.energy_j, tables), _priced(found.latency_s, tables)
+        return {
+            "sparsity": found.sparsity,
+            "spikes_per_inference": found.spikes,
+            "input_spikes_per_inference": found.input_spikes,
+            "sops_per_inference": found.sops,
+            "bias_sops_per_inference": found.bias_sops,
+            "effective_acs": found.effective_acs,
+            "effective_macs": found.effective_macs,
+            "macs_dense": found.dense,
+            "footprint": found.footprint,
+            "footprint_packed": found.footprint_packed,
+            "connection_sparsity": found.connection_sparsity,
+            "energy_per_inference_j": {name: each.value for name, each in energy.items()},
+            "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
+            "latency_per_inference_s": {name: each.value for name, each in latency.items()},
+            "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
+            "saturations": found.saturations,
+        }
+
+    def _walk(self, row: Row) -> dict[str, Any]:
+        """How well it walks or drives, alone and beside the float ANN and the baseline."""
+        ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
+        estimate, succeeded = bootstrap(row.returns, _rng()), share(row.successes)
+        return {
+            "episodes": len(row.episodes),
+            "return_mean": estimate.mean,
+            "return_iqm": iqm(row.returns),
+            "return_ci95": estimate.ci95,
+            "success_rate": succeeded.mean,
+            "success_ci95": succeeded.ci95,
+            "ratio_to_float_ann": row.mean / ann.mean if ann else None,
+            "normalised_score": _score(row, baseline, ann) if ann and baseline else None,
+            "returns": row.returns,
+        }
+
+    def _agreement(self, row: Row) -> dict[str, Any]:
+        """How it differs from its reference and from the float ANN."""
+        reference = self.row(row.entry.reference) if row.entry.reference else None
+        if reference is None:
+            return dict.fromkeys(_AGREEMENT)
+        difference = paired_difference(row.returns, reference.returns, _rng())
+        success = paired_difference(row.successes, reference.successes, _rng())
+        agreements = {
+            name: [episode.agreement[name] for episode in row.episodes]
+            for name in row.episodes[0].agreement
+        }
+        with_reference = agreements[reference.entry.label]
+        ann = self.of_kind("ann")
+        with_ann = agreements.get(ann.entry.label) if ann else None
+        return {
+            "reference": reference.entry.label,
+            "difference_mean": difference.mean,
+            "difference_ci95": difference.ci95,
+            "ratio_to_reference": row.mean / reference.mean,
+            "success_difference_mean": success.mean,
+            "success_difference_ci95": success.ci95,
+            "action_rmse": pooled_rmse(with_reference),
+            "rmse_to_ann": pooled_rmse(with_ann) if with_ann else None,
+            "actions_equal": pooled_equality(with_reference),
+            "actions_equal_to_ann": pooled_equality(with_ann) if with_ann else None,
+            "first_divergence": median_divergence(with_reference),
+        }
+
+
+_AGREEMENT = (
+    "reference",
+    "difference_mean",
+    "difference_ci95",
+    "ratio_to_reference",
+    "success_difference_mean",
+    "success_difference_ci95",
+    "action_rmse",
+    "rmse_to_ann",
+    "actions_equal",
+    "actions_equal_to_ann",
+    "first_divergence",
+)
+
+
+def _identity(row: Row) -> dict[str, Any]:
+    candidate = row.entry.candidate
+    return {
+        "policy": candidate.name,
+        "kind": candidate.kind,
+        "chip": row.entry.chip,
+        "limits": row.entry.limits,
+        "file": zoo.called(candidate.path),
+    }
+
+
+def _score(row: Row, baseline: Row, ann: Row) -> float | None:
+    """0 for the baseline, 1 for the float ANN; None where the ANN is no better than that."""
+    # score = (return - baseline) / (ANN - baseline)
+    span = ann.mean - baseline.mean
+    return (row.mean - baseline.mean) / span if span > 0 else None
+
+
+def _priced(
+    prices: Mapping[str, EnergyEstimate], tables: Sequence[str]
+) -> dict[str, EnergyEstimate]:
+    """What the tables say; what nobody asked for is left out."""
+    return {name: prices[name] for name in tables if name in prices}
+
+
+def _tables(row: Row) -> tuple[str, ...]:
+    """The tables that belong to a row: those of its chip, or of a network without spikes."""
+    if row.entry.chip is None:
+        return tuple(row.episodes[0].costs.energy_j)
+    return priced_by(None if row.entry.chip == FLOAT else datasheet(row.entry.chip))
+
+
+def _metrics(row: Row) -> dict[str, float]:
+    """Means of every metric over the episodes that have it."""
+    names = dict.fromkeys(name for episode in row.episodes for name in episode.metrics)
+    return {
+        name: float(np.mean([e.metrics[name] for e in row.episodes if name in e.metrics]))
+        for name in names
+    }
+
+
+def _rng() -> np.random.Generator:
+    """A fresh generator, so that the same episodes give the same interval in any report."""
+    return np.random.default_rng(0)

@@ -1,0 +1,110 @@
+"""The line-up of a comparison: who plays, on which chip, and whom each is measured against."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from spikedeploy import envs, zoo
+from spikedeploy.policies.policies import FLOAT, Candidate, find
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConfigError
+
+CONTROLS = ("phase", "bilinear", "linear", "small")  # the well-known ones, in their order
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One row of a comparison to be.
+
+    candidate   the policy
+    chip        a chip, "float" for the float twin of a spiking policy, None for what does not spike
+    reference   whom it is measured against: the float ANN, or its own float twin on a chip
+    """
+
+    candidate: Candidate
+    chip: str | None = None
+    reference: "Entry | None" = None
+
+    @property
+    def label(self) -> str:
+        """Its name for people: `popsan · loihi1`."""
+        if self.chip is None:
+            return self.candidate.name
+        return f"{self.candidate.name} · {self.chip}{'' if self.limits else ', limits off'}"
+
+    @property
+    def limits(self) -> bool:
+        """Whether nothing was emulated that its chip could not hold."""
+        return self.candidate.limits or self.chip in (None, FLOAT)
+
+    @property
+    def references(self) -> list["Entry"]:
+        """Its reference, that one's reference, and so on up to the float ANN."""
+        return [] if self.reference is None else [self.reference, *self.reference.references]
+
+    @property
+    def rank(self) -> int:
+        """How many must have played before it."""
+        return len(self.references)
+
+
+def line_up(
+    env: str,
+    files: Sequence[str],
+    chips: Sequence[str],
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
+) -> list[Entry]:
+    """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
+
+    env     short name or id of the environment
+    files   policies to compare; none stands for all that are shipped for the environment
+    chips   for those that spike
+    limits  refuse what breaks a design rule of a chip
+    quantisation  of the SNNs on chips
+    """
+    spec = envs.spec(env)
+    short = spec.short
+    shipped = [find(str(path)) for path in zoo.policies(short)]
+    chosen = _distinct([find(file) for file in files]) or shipped
+    if not chosen:
+        raise ConfigError(
+            f"no policies are shipped for {short} yet: name files or run folders, or train one "
+            "with `spikedeploy train`"
+        )
+    entries = [
+        Entry(candidate) for candidate in _of_kind("ann", chosen) or _of_kind("ann", shipped)
+    ]
+    ann = entries[0] if entries else None
+    entries[1:] = [Entry(entry.candidate, None, ann) for entry in entries[1:]]
+    for candidate in _of_kind("snn", chosen):
+        candidate = replace(candidate, quantisation=quantisation)
+        twin = Entry(candidate, FLOAT, ann)
+        exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
+        bound = replace(candidate, limits=limits)
+        entries += [twin, *(Entry(bound, chip, twin) for chip in chips if exported)]
+    built_in = [find(name) for name in spec.controls]
+    rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]
+    return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
+
+
+def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
+    return [candidate for candidate in candidates if candidate.kind == kind]
+
+
+def _controls(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Controls without repetition, the well-known ones first and in their order."""
+    controls = dict.fromkeys(_of_kind("control", candidates))
+    order = {name: place for place, name in enumerate(CONTROLS)}
+    return sorted(controls, key=lambda control: order.get(control.name, len(order)))
+
+
+def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates, with the folder in the name of those that would else share it."""
+    names = [candidate.name for candidate in candidates]
+    return [
+        replace(candidate, name=f"{Path(candidate.path).parent.name}/{candidate.name}")
+        if names.count(candidate.name) > 1
+        else candidate
+        for candidate in candidates
+    ]

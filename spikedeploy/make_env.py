@@ -1,0 +1,53 @@
+"""Environments with options, as the command line asks for them."""
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import gymnasium
+
+from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
+
+
+def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
+    """The environment with this short name or id; options that it does not have are refused."""
+    try:
+        return envs.make(name, **options, **more)
+    except TypeError as error:
+        wrong = re.search(r"unexpected keyword argument '([^']+)'", str(error))
+        if wrong is None:
+            raise
+        spec = envs.spec(name)
+        raise ConfigError(
+            f"{spec.short} has no option {wrong[1]!r}; the docstring of "
+            f"{spec.target.replace(':', '.')} lists those that it has"
+        ) from error
+
+
+def parsed(settings: Iterable[str]) -> dict[str, Any]:
+    """The options in texts such as `track=small_S`; values are JSON, or else plain text.
+
+    `lidar.noise=5` sets one of a group of options.
+    """
+    options: dict[str, Any] = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        *groups, last = name.split(".")
+        if not equals or not last or not all(groups):
+            raise ConfigError(f"--set takes option=value, as in --set track=small_S; got {text!r}")
+        place = options
+        for group in groups:
+            place = place.setdefault(group, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"--set {text}: {group!r} was given as a whole already")
+        place[last] = _value(value)
+    return options
+
+
+def _value(text: str) -> Any:  # noqa: ANN401
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

@@ -1,0 +1,120 @@
+"""NIR files: spiking policies, on an emulated chip or as their float twin."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.comparison.costs import Costs, spiking_costs
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies.policies import FLOAT, Candidate, env_id
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.metrics.memory import packed_bytes
+from spikedeploy.runtime.metrics.neurobench import connection_sparsity, footprint
+
+Floats = NDArray[np.float64]
+
+
+class NirController:
+    """A spiking policy whose ledger begins anew with every episode.
+
+    chip     it runs on; None is the float twin
+    limits   whether the chip refuses what breaks its design rules
+    sampled  actions are drawn, as in SpikingController
+    graph    of the file
+    program  whose operations are counted; the float twin's is the one without rounding
+    remarks  of the compiler, on what the chip does otherwise than the file says
+    """
+
+    def __init__(
+        self,
+        path: str,
+        chip: str,
+        sampled: bool = False,
+        limits: bool = True,
+        quantisation: Quantisation = PLAIN,
+    ) -> None:
+        artifact = load(path)
+        self.graph = artifact.graph
+        self.chip = None if chip == FLOAT else datasheet(chip)
+        self._controller = SpikingController(
+            artifact, self.chip, "total", sampled, limits=limits, quantisation=quantisation
+        )
+        self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
+        self.remarks = self.program.remarks
+        self._before = self._controller.ledger
+
+    def reset(self, seed: int) -> None:
+        """Start an episode, and its ledger."""
+        self._controller.reset(seed)
+        self._before = self._controller.ledger
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,) or ()."""
+        return self._controller.act(observation)
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
+        if not self._controller.remembers:
+            return self._controller.act_batch(observations)
+        return np.stack([self._controller.act(observation) for observation in observations])
+
+    @property
+    def ledger(self) -> Ledger:
+        """What happened since the last reset, all inferences in one row."""
+        now, before = self._controller.ledger, self._before
+        return replace(
+            now,
+            counts=now.counts.sum(axis=0, keepdims=True) - before.counts.sum(axis=0, keepdims=True),
+            inferences=now.inferences - before.inferences,
+            timesteps=now.timesteps - before.timesteps,
+            steps=now.steps - before.steps,
+        )
+
+
+def describe(path: Path) -> Candidate:
+    """The candidate in a NIR file, which must carry the codec that a closed loop needs."""
+    artifact = load(path)
+    if artifact.codec is None:
+        raise ArtifactError(
+            f"{path} has no codec (observation to spikes, output to action), so it cannot drive a "
+            "robot; `spikedeploy emulate` plays spikes into it"
+        )
+    (output,) = artifact.graph.outputs.values()
+    return Candidate(
+        path=str(path),
+        name=path.stem,
+        kind="snn",
+        format=".nir",
+        env=env_id(artifact.origin.env) if artifact.origin else None,
+        observed=artifact.codec.encoder.observed,
+        actions=int(np.prod(output.output_type["output"])),
+    )
+
+
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> NirController:
+    """The network on the chip, or its float twin."""
+    return NirController(
+        candidate.path, chip or FLOAT, sampled, candidate.limits, candidate.quantisation
+    )
+
+
+def costs(controller: NirController, played: Rollout) -> Costs:
+    """What the ledger of the episode says, and the size of the file and of the chip's weights."""
+    return replace(
+        spiking_costs(controller.ledger, controller.program, controller.chip),
+        footprint=footprint(controller.graph),
+        footprint_packed=packed_bytes(controller.program) if controller.chip else None,
+        connection_sparsity=connection_sparsity(controller.graph),
+    )

@@ -1,0 +1,143 @@
+"""ONNX files: float networks, run by ONNX Runtime on one thread."""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.comparison.costs import Costs
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies.policies import Candidate, env_id
+from spikedeploy.runtime.emulator.controllers import Sampler
+from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.runtime.metrics.energy import energy_table, mac_estimate
+from spikedeploy.trainers.onnx_session import session
+
+KINDS = ("ann", "control")
+HEADS = ("continuous", "discrete")
+ENERGY_TABLES = ("horowitz45", "horowitz45-int8")
+
+Floats = NDArray[np.float64]
+
+
+class OnnxController:
+    """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
+
+    path        of the file
+    metadata    what the exporter wrote: env, recipe, seed, kind, head, name, macs ...
+    observed    numbers it observes
+    actions     numbers it puts out, or actions that it chooses from
+    chooses     whether it puts out logits, of which the largest is taken
+    sampled     draw from the logits' softmax instead
+    """
+
+    def __init__(self, path: str | Path, sampled: bool = False) -> None:
+        self.path = path
+        self._session = session(path)
+        self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
+        self._input = self._session.get_inputs()[0]
+        self._output, *self._heard = self._session.get_outputs()
+        self._dtype = np.float64 if "double" in self._input.type else np.float32
+        self.observed = _width(path, self._input)
+        self.actions = _width(path, self._output)
+        self.chooses = _head(path, self.metadata) == "discrete"
+        self._sampler = Sampler(self.chooses) if sampled else None
+
+    def reset(self, seed: int) -> None:
+        """Start an episode: the network is without memory, but drawing is not."""
+        if self._sampler is not None:
+            self._sampler.reset(seed)
+
+    def act(self, observation: Floats) -> Floats:
+        """The action (act,) or ()."""
+        return np.asarray(self.replay(observation[None])[0])
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
+        output = self._run([self._output], observations)[0]
+        if self._sampler is not None:
+            return self._sampler(output)
+        return output.argmax(axis=1) if self.chooses else output
+
+    def effective_macs(self, observations: Floats) -> float | None:
+        """Mean multiply-accumulates whose input is not zero; None where the file hides them."""
+        if not self._heard:
+            return None
+        fan_outs = [_width(self.path, each) for each in [*self._heard[1:], self._output]]
+        presynaptic = self._run(self._heard, observations)
+        # MACs = sum over weight matrices of non-zero inputs x fan-out
+        operations = zip(presynaptic, fan_outs, strict=True)
+        return float(
+            sum(np.count_nonzero(x) * fan_out for x, fan_out in operations) / len(observations)
+        )
+
+    def _run(self, outputs: list[Any], observations: Floats) -> list[Floats]:
+        batch = self._checked(observations).astype(self._dtype)
+        found = self._session.run([each.name for each in outputs], {self._input.name: batch})
+        return [np.asarray(each, np.float64) for each in found]
+
+    def _checked(self, observations: Floats) -> Floats:
+        if observations.shape[1:] != (self.observed,):
+            raise ObservationError(
+                f"{self.path} observes {self.observed} numbers, found {observations.shape[1:]}"
+            )
+        if not np.isfinite(observations).all():
+            row, column = np.argwhere(~np.isfinite(observations))[0]
+            raise ObservationError(
+                f"observation {column} is {observations[row, column]}; all must be finite"
+            )
+        return observations
+
+
+def describe(path: Path) -> Candidate:
+    """The candidate in an ONNX file; files without our metadata count as float networks."""
+    policy = OnnxController(path)
+    kind = policy.metadata.get("kind", "ann")
+    if kind not in KINDS:
+        raise ArtifactError(f"{path} says it is of kind {kind!r}; known are {', '.join(KINDS)}")
+    return Candidate(
+        path=str(path),
+        name=path.stem,
+        kind=kind,
+        format=".onnx",
+        env=env_id(policy.metadata.get("env", "")),
+        observed=policy.observed,
+        actions=policy.actions,
+    )
+
+
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> OnnxController:
+    """The network, loaded."""
+    return OnnxController(candidate.path, sampled)
+
+
+def costs(controller: OnnxController, played: Rollout) -> Costs:
+    """Multiply-accumulates, all of them and the effective ones, and the energy of all."""
+    macs = float(controller.metadata["macs"]) if "macs" in controller.metadata else None
+    if macs is None:
+        return Costs(effective_acs=0.0)
+    return Costs(
+        effective_acs=0.0,
+        effective_macs=controller.effective_macs(played.observation[:-1]),
+        dense=macs,
+        energy_j={name: mac_estimate(macs, energy_table(name)) for name in ENERGY_TABLES},
+    )
+
+
+def _head(path: str | Path, metadata: dict[str, str]) -> str:
+    head = metadata.get("head", "continuous")
+    if head not in HEADS:
+        raise ArtifactError(f"{path} says its head is {head!r}; known are {', '.join(HEADS)}")
+    return head
+
+
+def _width(path: str | Path, value: Any) -> int:  # noqa: ANN401
+    """The last dimension of an input or output, which the file must fix."""
+    width = value.shape[-1] if value.shape else None
+    if not isinstance(width, int):
+        raise ArtifactError(f"{path}: the last dimension of {value.name!r} must be a fixed number")
+    return width

@@ -1,0 +1,101 @@
+"""Run folders: the best checkpoint of a training run, played in torch as it was trained."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.comparison.costs import Costs
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies.policies import FLOAT, Candidate, env_id
+from spikedeploy.runs import settings
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.emulator.controllers import Sampler
+from spikedeploy.runtime.errors import ConfigError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Floats = NDArray[np.float64]
+
+
+class TorchController:
+    """A policy as its trainer holds it, float32; random codes throw the dice of a chip.
+
+    sampled  draw one of several actions from the softmax of their scores
+    """
+
+    def __init__(self, run: str, sampled: bool = False) -> None:
+        import torch
+
+        from spikedeploy.trainers.run_folder import load_policy
+
+        torch.set_num_threads(1)
+        self._torch = torch
+        self.policy = load_policy(run)
+        self._sampler = Sampler(self.policy.head == "discrete") if sampled else None
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode: each action is an inference of its own, but the dice roll on."""
+        self._dice = Xorshift(seed, self.policy.observations)
+        if self._sampler is not None:
+            self._sampler.reset(seed)
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,) or ()."""
+        return np.asarray(self.replay(observation[None])[0])
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
+        batch = self._torch.as_tensor(observations, dtype=self._torch.float32)
+        with self._torch.inference_mode():
+            scores = self._scores(batch)
+            if self._sampler is not None:
+                return self._sampler(scores.double().numpy())
+            action: NDArray[Any] = self.policy.decide(scores).numpy()
+        return action if self.policy.head == "discrete" else action.astype(np.float64)
+
+    def _scores(self, batch: "Tensor") -> "Tensor":
+        from spikedeploy.exporters.raster import raster
+        from spikedeploy.trainers.policies import SpikingMlpPolicy
+
+        if not isinstance(self.policy, SpikingMlpPolicy):
+            return self.policy.scores(batch)
+        return self.policy.presynaptic(raster(self.policy, batch, self._dice.in_turn)).mean
+
+
+def describe(path: Path) -> Candidate:
+    """The candidate in a run folder."""
+    from spikedeploy.exporters.to_nir import SpikingPolicy
+    from spikedeploy.trainers.run_folder import load_policy
+
+    policy = load_policy(path)
+    return Candidate(
+        path=str(path),
+        name=path.resolve().name,
+        kind="snn" if isinstance(policy, SpikingPolicy) else "ann",
+        format="run",
+        env=env_id(settings(path)["env"]["name"]),
+        observed=policy.observations,
+        actions=policy.actions,
+    )
+
+
+def controller(
+    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+) -> TorchController:
+    """The policy, loaded; a chip needs the exported file."""
+    if chip not in (None, FLOAT):
+        raise ConfigError(
+            f"{candidate.path} is a run folder, which no chip runs; export it first: "
+            f"spikedeploy export {candidate.path} --to nir"
+        )
+    return TorchController(candidate.path, sampled)
+
+
+def costs(controller: TorchController, played: Rollout) -> Costs:
+    """Not counted: costs belong to the exported file that would be deployed."""
+    return Costs()

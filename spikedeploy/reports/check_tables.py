@@ -1,0 +1,117 @@
+"""What people read of a check: rules by chips, or one chip's layers and rules."""
+
+from collections.abc import Sequence
+
+from spikedeploy.runtime.compiler.check import DesignCheck
+from spikedeploy.runtime.chips.limits import Limits
+from spikedeploy.runtime.design_rules.mapping import Placement
+from spikedeploy.runtime.design_rules.result import RuleResult, text
+from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
+from spikedeploy.check import Report, statuses, worst
+from spikedeploy.reports.terminal import console, print_table
+
+MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
+LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
+# chips beside each other in a table that is not wider than a page
+ABREAST = 8
+
+
+def print_report(report: Report) -> None:
+    """Write the tables of a report."""
+    console().print(f"{report.file}: {report.artifact.convention.describe()}\n", markup=False)
+    if len(report.checks) == 1:
+        _print_chip(report.checks[0])
+    else:
+        _print_chips(report.checks)
+
+
+def _print_chips(checks: Sequence[DesignCheck]) -> None:
+    for first in range(0, len(checks), ABREAST):
+        part = checks[first : first + ABREAST]
+        columns = [statuses(each) for each in part]
+        rows = [(rule, *(MARKS[column[rule]] for column in columns)) for rule in columns[0]]
+        heads = [each.chip.name.replace("-", "-\n") for each in part]
+        print_table("Rules", ("rule", *heads), rows)
+    print(LEGEND)
+    for each in checks:
+        print(f"{MARKS['pass' if each.passed else 'fail']} {each.chip.name}: {_summary(each)}")
+
+
+def _summary(found: DesignCheck) -> str:
+    """Why not, or on how many cores."""
+    if not found.passed:
+        first = next(ruling for ruling in found.rulings if ruling.failed)
+        rules = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
+        return f"breaks {', '.join(rules)}. First {first.describe(found.chip.name)}"
+    if found.chip.limits is None:
+        return "no limits"
+    return f"{found.mapping.cores} cores" if found.mapping.cores else "fits"
+
+
+def _print_chip(found: DesignCheck) -> None:
+    limits = found.chip.limits
+    if limits is not None:
+        _print_layers(found, limits)
+    rows = [_rule(found, rule) for rule in statuses(found)]
+    print_table(f"Rules of {found.chip.name}", ("rule", "", "found", "limit", "node"), rows)
+    print(LEGEND)
+    for rule in statuses(found):
+        ruling = worst(found.of(rule))
+        if ruling.failed:
+            print(f"✗ {ruling.describe(found.chip.name)}")
+        elif ruling.note:
+            print(f"  {rule}: {ruling.note}")
+
+
+def _print_layers(found: DesignCheck, limits: Limits) -> None:
+    heads = ("layer", "neurons", "fan-in", "fan-out", "synapses", "cores", "per core")
+    used = ("neurons", "memory", "axons in", "axons out")
+    rows = [_layer(placement, limits) for placement in found.mapping.placements]
+    if found.mapping.cores:
+        shares = of_mapping(found.mapping, limits)
+        whole = (shares.neurons, shares.memory, shares.axons_in, shares.axons_out)
+        synapses = sum(placement.synapses for placement in found.mapping.placements)
+        neurons = sum(placement.neurons for placement in found.mapping.placements)
+        total = (f"{neurons:,}", "", "", f"{synapses:,}", f"{found.mapping.cores:,}", "")
+        rows.append(("total", *total, *map(_percent, whole)))
+    title = f"Layers on {found.chip.name}; per core and shares: the fullest core"
+    print_table(title, (*heads, *used), rows, numbers=True)
+
+
+def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:
+    counts = (placement.neurons, placement.fan_in, placement.fan_out, placement.synapses)
+    shares = of_placement(placement, limits)
+    each = (shares.neurons, shares.memory, shares.axons_in, shares.axons_out)
+    cores = (_numbers(placement), f"{placement.block:,}") if placement.cores else ("–", "–")
+    return placement.name, *(f"{count:,}" for count in counts), *cores, *map(_percent, each)
+
+
+def _numbers(placement: Placement) -> str:
+    """How many cores, and which."""
+    if placement.first is None:
+        return f"{placement.cores:,}"
+    last = placement.first + placement.cores - 1
+    which = f"{placement.first}" if placement.cores == 1 else f"{placement.first}–{last}"
+    return f"{placement.cores:,} ({which})"
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{share:.1%}"
+
+
+def _rule(found: DesignCheck, rule: str) -> tuple[str, ...]:
+    rulings = found.of(rule)
+    ruling = worst(rulings)
+    mark = MARKS[ruling.status]
+    node = "" if ruling.status == "not applicable" else ruling.node or ""
+    if ruling.status == "pass" and ruling.node and isinstance(ruling.found, str):
+        same = {each.found for each in rulings if each.status == "pass"}
+        node = f"{sum(each.status == 'pass' for each in rulings)} nodes"
+        return rule, mark, ", ".join(sorted(map(text, same))), text(ruling.limit), node
+    return rule, mark, _found(ruling), "" if ruling.limit is None else text(ruling.limit), node
+
+
+def _found(ruling: RuleResult) -> str:
+    if ruling.found is None:
+        return ""
+    return f"{text(ruling.found)} {ruling.unit}".rstrip()

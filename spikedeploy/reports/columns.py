@@ -1,0 +1,285 @@
+"""The tables of a comparison, the same ones on the terminal, in the HTML report and on cards."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
+
+Row = Mapping[str, Any]
+Cell = Callable[[Row], str]
+ABSENT = "–"
+COST = "What does an inference cost?"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its head, what it means, and the text of a row's cell."""
+
+    title: str
+    meaning: str
+    cell: Cell
+
+
+def label(row: Row) -> str:
+    """The name of a row as people read it: `popsan · loihi1`."""
+    if not row["chip"]:
+        return str(row["policy"])
+    return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
+
+
+def number(field: str, form: str) -> Cell:
+    """A cell that formats the field, or a dash where the row has none."""
+
+    def cell(row: Row) -> str:
+        value = row.get(field)
+        return ABSENT if value is None else format(value, form)
+
+    return cell
+
+
+def price(field: str, table: str, unit: str, interval: str) -> Cell:
+    """A cell with what an energy table says, in the unit or a thousandth part of it or less.
+
+    interval: field with the bounds, which reports of before have not.
+    """
+
+    def cell(row: Row) -> str:
+        value = row[field].get(table)
+        if value is None:
+            return ABSENT
+        low, high = row.get(interval, {}).get(table, (0, None))
+        return bounded(f"{scaled(value)}{unit}", value, low, high)
+
+    return cell
+
+
+def bounded(text: str, value: float, low: float, high: float | None) -> str:
+    """A number with what is known of it: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
+    if high is None or math.isinf(high):
+        return f"≥ {text}" if low == value else text
+    if low == high:
+        return text
+    if math.isclose(value - low, high - value, rel_tol=1e-6):
+        return f"{text} ± {100 * (high - value) / value:.3g} %"
+    unit = text[-1]
+    return f"≤ {scaled(high)}{unit}" if low == 0 else f"{scaled(low)}{unit} to {scaled(high)}{unit}"
+
+
+def scaled(value: float) -> str:
+    """The number with a prefix of the SI, so that 0.1 to 99 stand before it: `13.03 µ`."""
+    prefixes = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
+    size = next((size for size in prefixes if value >= 0.1 * size), 1e-9)
+    return f"{value / size:.2f} {prefixes[size]}"
+
+
+def interval(row: Row) -> str:
+    """The mean return with its interval: `3,413 [3,405, 3,420]`, of karts `30.1 [29.8, 30.4]`."""
+    low, high = row["return_ci95"]
+    form = f",.{_digits(row)}f"
+    return f"{row['return_mean']:{form}} [{low:{form}}, {high:{form}}]"
+
+
+def difference(row: Row) -> str:
+    """The paired difference with its interval: `-20 [-41, +3]`."""
+    if row["difference_mean"] is None:
+        return ABSENT
+    low, high = row["difference_ci95"]
+    form = f"+,.{_digits(row)}f"
+    return f"{row['difference_mean']:{form}} [{low:{form}}, {high:{form}}]"
+
+
+def _digits(row: Row) -> int:
+    """Decimals of a return: walks earn thousands, drives tens."""
+    return 1 if drives(row) else 0
+
+
+def share(row: Row) -> str:
+    """The success rate with its interval in percent: `97% [92, 99]`."""
+    low, high = row["success_ci95"]
+    return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def points(row: Row) -> str:
+    """The paired difference of the success rate in percentage points: `+1.0 [-1.0, +3.0]`."""
+    if row["success_difference_mean"] is None or not drives(row):
+        return ABSENT
+    low, high = row["success_difference_ci95"]
+    return f"{100 * row['success_difference_mean']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
+
+
+def score(row: Row) -> str:
+    """The normalised score in percent."""
+    value = row["normalised_score"]
+    return ABSENT if value is None else f"{100 * value:.0f}"
+
+
+def divergence(row: Row) -> str:
+    """The first step at which the episodes part; `never` where half of them never do."""
+    if row["reference"] is None:
+        return ABSENT
+    step = row["first_divergence"]
+    return "never" if step is None else f"{step:,.0f}"
+
+
+NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
+
+WALK = (
+    Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
+    Column("success", "episodes that succeed", number("success_rate", ".0%")),
+    Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
+    Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in WALKING),
+)
+DRIVE = (
+    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", share),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
+    Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
+    Column("score", "normalised return: random actions are 0, the float ANN 100", score),
+)
+AGREEMENT = (
+    Column(
+        "reference",
+        "whom the row is measured against: on a chip its float twin, else the float ANN",
+        number("reference", ""),
+    ),
+    Column(
+        "difference",
+        "paired difference of return on the same seeds, with its 95% bootstrap interval",
+        difference,
+    ),
+    Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
+    Column(
+        "finished",
+        "paired difference of the finish rate on the same seeds, in percentage points, with its "
+        "95% bootstrap interval",
+        points,
+    ),
+    Column(
+        "same action",
+        "share of equal actions, both asked on the observations that the reference recorded",
+        number("actions_equal", ".1%"),
+    ),
+    Column("as ANN", "the same, with the float ANN", number("actions_equal_to_ann", ".1%")),
+    Column(
+        "action RMSE",
+        "RMSE over all actions, both asked on the observations that the reference recorded",
+        number("action_rmse", ".4f"),
+    ),
+    Column("to ANN", "the same, with the float ANN", number("rmse_to_ann", ".4f")),
+    Column(
+        "diverges",
+        "median first control step at which an action differs from the reference's by more than "
+        "0.01 in the closed loop",
+        divergence,
+    ),
+)
+OPERATIONS = (
+    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", number("sparsity", ".1%")),
+    Column("spikes", "spikes of the spiking layers", number("spikes_per_inference", ",.0f")),
+    Column("input", "spikes of the encoder", number("input_spikes_per_inference", ",.0f")),
+    Column(
+        "SOPs",
+        "synaptic operations: spikes × non-zero fan-out, from the encoder on",
+        number("sops_per_inference", ",.0f"),
+    ),
+    Column(
+        "+ bias",
+        "synaptic operations of the always-on axon that carries the biases",
+        number("bias_sops_per_inference", ",.0f"),
+    ),
+    Column(
+        "ACs",
+        "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
+        "readout included",
+        number("effective_acs", ",.0f"),
+    ),
+    Column(
+        "MACs",
+        "NeuroBench Effective_MACs: the same where inputs are numbers",
+        number("effective_macs", ",.0f"),
+    ),
+    Column(
+        "dense",
+        "NeuroBench Dense: all inputs × all weights, in all T timesteps",
+        number("macs_dense", ",.0f"),
+    ),
+    Column(
+        "sat.",
+        "numbers that did not fit a register of the chip, in all episodes",
+        number("saturations", ",.0f"),
+    ),
+)
+
+
+SIZE = (
+    Column(
+        "bytes",
+        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
+        number("footprint", ",.0f"),
+    ),
+    Column(
+        "packed",
+        "bytes of all weights and biases on the chip, in its widths",
+        number("footprint_packed", ",.0f"),
+    ),
+    Column(
+        "zero weights",
+        "NeuroBench ConnectionSparsity: weights of the file that are 0",
+        number("connection_sparsity", ".1%"),
+    ),
+)
+
+
+def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
+    """Title -> columns, as far as some row has something to say in them."""
+    found = {
+        **(
+            {"Does the kart still finish?": _filled(DRIVE, rows)}
+            if any(map(drives, rows))
+            else {"Does the robot still walk?": _filled(WALK, rows)}
+        ),
+        "Does it act like its reference?": _filled(AGREEMENT, rows),
+        "How large is the network?": _filled(SIZE, rows),
+        "What does an inference take?": _filled(OPERATIONS, rows),
+        COST: _filled(_prices(rows), rows),
+    }
+    return {title: [NAME, *columns] for title, columns in found.items() if columns}
+
+
+def _prices(rows: Sequence[Row]) -> list[Column]:
+    """Energies and latencies by every table that prices some row."""
+    energy, latency = "energy_per_inference_j", "latency_per_inference_s"
+    energies = [
+        Column(name, f"energy by table {name}", price(energy, name, "J", "energy_interval_j"))
+        for name in dict.fromkeys(name for row in rows for name in row[energy])
+    ]
+    latencies = [
+        Column(
+            f"{name} time",
+            f"time by table {name}, as if one core did everything",
+            price(latency, name, "s", "latency_interval_s"),
+        )
+        for name in dict.fromkeys(name for row in rows for name in row[latency])
+    ]
+    return [*energies, *latencies]
+
+
+def _filled(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
+    return [column for column in columns if any(column.cell(row) != ABSENT for row in rows)]
+
+
+def markdown(rows: Sequence[Row]) -> list[str]:
+    """The tables as lines of Markdown."""
+    return [
+        line
+        for title, columns in tables(rows).items()
+        for line in (f"### {title}", "", *_markdown(columns, rows), "")
+    ]
+
+
+def _markdown(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
+    lines = [[column.title for column in columns], ["---"] * len(columns)]
+    lines += [[column.cell(row) for column in columns] for row in rows]
+    return [f"| {' | '.join(line)} |" for line in lines]

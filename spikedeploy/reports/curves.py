@@ -1,0 +1,43 @@
+"""Learning curves: what a run's metrics say about its returns."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.metrics import read
+
+SIGNALS = {"eval_return": "validation", "episode_return": "training"}  # the first that a run has
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The returns of one run while it learned.
+
+    name     of the run
+    unit     what its steps are: "environment steps" or "updates"
+    signal   "validation" or "training"
+    steps    (n,) [unit]
+    returns  (n,)
+    """
+
+    name: str
+    unit: str
+    signal: str
+    steps: tuple[float, ...]
+    returns: tuple[float, ...]
+
+
+def curve(metrics: Path, name: str) -> Curve:
+    """The learning curve in a run's metrics.csv, whose first column counts its steps."""
+    rows = read(metrics)
+    unit = next(iter(rows[0])) if rows else ""
+    for column, signal in SIGNALS.items():
+        points = [(row[unit], row[column]) for row in rows if column in row]
+        if points:
+            steps, returns = zip(*points, strict=True)
+            return Curve(name, _words(unit), signal, steps, returns)
+    raise ConfigError(f"{metrics} has no returns yet: train on")
+
+
+def _words(column: str) -> str:
+    return column.replace("env_", "environment ").replace("_", " ")

@@ -1,0 +1,119 @@
+"""The tables of a drift, the same on the terminal and in Markdown."""
+
+from collections.abc import Iterator, Sequence
+from typing import TypeAlias
+
+from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
+from spikedeploy.drift import DriftReport
+
+# title, heads, rows
+Table: TypeAlias = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+
+RUNGS = {
+    "weights": "weights rounded",
+    "thresholds": "+ thresholds and biases",
+    "decays": "+ decays",
+    "states": "+ states, overflow: the chip",
+}
+
+
+def tables(report: DriftReport) -> Iterator[Table]:
+    """What was measured, layer by layer, rounding by rounding, and what is wrong with layers."""
+    drift = report.drift
+    yield f"Drift of {report.policy} on {drift.chip}", ("what", "found"), _summary(report)
+    yield "Layers", LAYER_HEADS, _layers(drift)
+    if drift.rungs:
+        yield (
+            "Which rounding costs what",
+            ("rounding", *_names(drift), _unit(drift.output)),
+            [
+                (
+                    RUNGS[rung.name],
+                    *(f"{rung.distance[name]:.4f}" for name in _names(drift)),
+                    _size(rung.output),
+                )
+                for rung in drift.rungs
+            ],
+        )
+    if drift.findings:
+        rows = [(f.layer, f.health, f.cause, f.detail) for f in drift.findings]
+        yield "Dead and saturated layers", ("layer", "is", "cause", "detail"), rows
+
+
+LAYER_HEADS = (
+    "layer",
+    "neurons",
+    "rate, float",
+    "rate, chip",
+    "differ",
+    "distance",
+    "lost",
+    "woken",
+    "saturations",
+    "first difference",
+)
+
+
+def markdown(report: DriftReport) -> str:
+    """The tables as Markdown."""
+    parts = []
+    for title, heads, rows in tables(report):
+        lines = [heads, ["---"] * len(heads), *rows]
+        table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+        parts.append(f"## {title}\n\n{table}\n")
+    return "\n".join(parts)
+
+
+def _summary(report: DriftReport) -> list[tuple[str, str]]:
+    drift = report.drift
+    where = drift.first.describe() if drift.first else "nowhere: every spike is equal"
+    return [
+        ("convention", report.convention.describe()),
+        ("quantisation", drift.quantisation),
+        *([("calibrated on", report.calibrated)] if report.calibrated else []),
+        ("inputs", report.inputs),
+        ("inferences that differ", f"{drift.diverged} of {drift.inferences}"),
+        ("first difference", where),
+        (_unit(drift.output), _size(drift.output)),
+        ("distance", f"van Rossum, {drift.tau:g} timesteps; a spike more or less is 0.5"),
+    ]
+
+
+def _layers(drift: Drift) -> list[tuple[str, ...]]:
+    return [
+        (
+            layer.name,
+            f"{layer.neurons:,}",
+            f"{layer.float_rate:.4f}",
+            f"{layer.chip_rate:.4f}",
+            f"{layer.differing:.2%}",
+            f"{layer.distance:.4f}",
+            str(layer.lost),
+            str(layer.woken),
+            f"{layer.saturations:,}",
+            "–"
+            if layer.first is None
+            else "inference {}, timestep {}, neuron {}".format(*layer.first),
+        )
+        for layer in drift.layers
+    ]
+
+
+def _place(first: tuple[int, int, int] | None) -> str:
+    return "–" if first is None else "inference {}, timestep {}, neuron {}".format(*first)
+
+
+def _names(drift: Drift) -> list[str]:
+    return [layer.name for layer in drift.layers]
+
+
+def _unit(output: OutputDrift) -> str:
+    return {"action": "action error", "choice": "other choices", "output": "output error"}[
+        output.kind
+    ]
+
+
+def _size(output: OutputDrift) -> str:
+    if output.kind == "choice":
+        return f"{output.rms:.1%}"
+    return f"{output.rms:.4f} rms, {output.largest:.4f} at most"

@@ -1,0 +1,124 @@
+"""Figures of a comparison and of training runs, PNG; drawn without a display."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.reports.columns import Row, interval, label
+from spikedeploy.reports.curves import Curve
+from spikedeploy.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Colours that colour-blind readers can tell apart (Okabe and Ito 2008).
+BLUE, ORANGE, VERMILION, GREEN, PURPLE, GREY = (
+    "#0072B2",
+    "#E69F00",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#8A939E",
+)
+MARKERS = "osD^vP"
+
+
+def colour(row: Row) -> str:
+    """The colour of a row's kind: float ANN, float SNN, SNN on a chip, or what is only compared."""
+    if row["kind"] == "snn":
+        return ORANGE if row["chip"] == "float" else VERMILION
+    return BLUE if row["kind"] == "ann" else GREY
+
+
+def draw_returns(rows: Sequence[Row], path: Path) -> Path:
+    """Every episode's return as a dot, the mean with its 95 % interval as a bar, a line a row."""
+    figure, axes = _figure(len(rows))
+    for place, row in enumerate(rows):
+        paint = colour(row)
+        returns = np.asarray(row["returns"], np.float64)
+        axes.scatter(returns, _spread(returns, place), s=15, color=paint, alpha=0.45, linewidths=0)
+        axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
+        axes.plot(row["return_mean"], place + 0.12, "|", color=paint, markersize=16, mew=2)
+        axes.annotate(
+            interval(row).partition(" ")[0],
+            (1.01, place),
+            xycoords=("axes fraction", "data"),
+            va="center",
+            color="#333333",
+        )
+    axes.set_xlabel("return of an episode (dots), mean and 95% interval (bars)")
+    _name_rows(axes, rows)
+    return save(figure, path)
+
+
+def draw_energy(rows: Sequence[Row], path: Path) -> Path:
+    """Joules per inference on a log axis, one marker an energy table; rows without any left out."""
+    from matplotlib.ticker import EngFormatter
+
+    rows = [row for row in rows if row["energy_per_inference_j"]]
+    tables = list(dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"]))
+    figure, axes = _figure(len(rows))
+    for marker, table in zip(MARKERS, tables, strict=False):
+        places = [i for i, row in enumerate(rows) if table in row["energy_per_inference_j"]]
+        joules = [rows[i]["energy_per_inference_j"][table] for i in places]
+        axes.scatter(
+            joules, places, s=60, marker=marker, c=[colour(rows[i]) for i in places], zorder=3
+        )
+        axes.scatter([], [], s=60, marker=marker, color="#555555", label=table)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(EngFormatter(unit="J"))
+    axes.set_xlabel("energy per inference, estimated from published tables")
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(tables), frameon=False)
+    _name_rows(axes, rows)
+    return save(figure, path)
+
+
+def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
+    """Return against steps, a line a run."""
+    from matplotlib.ticker import EngFormatter
+
+    figure, axes = _figure(7)
+    axes.grid(axis="y", color="#E6E8EB")
+    for curve in curves:
+        axes.plot(curve.steps, curve.returns, linewidth=1.8, label=curve.name)
+    axes.set_xlabel(" or ".join(dict.fromkeys(curve.unit for curve in curves)))
+    signals = " or ".join(dict.fromkeys(curve.signal for curve in curves))
+    axes.set_ylabel(f"return of an episode, {signals}")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.legend(frameon=False, loc="lower right")
+    return save(figure, path)
+
+
+def save(figure: "Figure", path: Path) -> Path:
+    """Write the figure to a temporary name, then to `path`."""
+    with replacing(path) as part:
+        figure.savefig(part, dpi=150, format="png", bbox_inches="tight", facecolor="white")
+    return path
+
+
+def _figure(lines: int) -> "tuple[Figure, Axes]":
+    """Axes tall enough for so many lines of text, with a light frame."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 1.2 + 0.42 * lines))
+    axes = figure.add_subplot()
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.grid(axis="x", color="#E6E8EB")
+    axes.set_axisbelow(True)
+    return figure, axes
+
+
+def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Label the lines from top to bottom."""
+    axes.set_yticks(range(len(rows)), [label(row) for row in rows])
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.tick_params(length=0)
+
+
+def _spread(values: NDArray[np.float64], place: int) -> NDArray[np.float64]:
+    """Heights above a bar, so that equal values do not hide one another; the same every time."""
+    return place - np.random.default_rng(0).uniform(0.08, 0.34, size=len(values))

@@ -1,0 +1,95 @@
+"""The price list: every energy table, where its numbers come from, and how sure they are."""
+
+from typing import Any
+
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.metrics.energy import STATIC, TABLES, EnergyTable, Uncertainty, certainty
+
+PICO, NANO = 1e-12, 1e-9
+HEADS = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
+
+
+def price_list() -> dict[str, list[dict[str, Any]]]:
+    """Tables and static powers as plain data."""
+    return {
+        "tables": [
+            {
+                "name": table.name,
+                "chips": chips(table),
+                "source": table.source,
+                "provenance": table.provenance,
+                "joules": dict(table.joules),
+                "most_joules": dict(table.most),
+                "uncertainty": _uncertain(table.uncertainty),
+                "seconds": dict(table.seconds),
+                "step_seconds": table.step,
+                "time_uncertainty": _uncertain(table.time_uncertainty) if table.timed else None,
+            }
+            for table in TABLES.values()
+        ],
+        "static": [
+            {
+                "name": power.name,
+                "chip": name,
+                "source": power.source,
+                "provenance": power.provenance,
+                "watts": power.watts,
+            }
+            for name, power in STATIC.items()
+        ],
+    }
+
+
+def chips(table: EnergyTable) -> list[str]:
+    """The chips whose datasheets name the table."""
+    return [name for name in CHIPS if table.name in chip(name).energy_tables]
+
+
+def rows() -> list[tuple[str, ...]]:
+    """A row a table, under HEADS."""
+    return [
+        (
+            table.name,
+            ", ".join(chips(table)) or "–",
+            _energies(table),
+            f"{certainty(table)}: {table.uncertainty.why}",
+            _times(table),
+            f"{table.time_uncertainty.describe()}: {table.time_uncertainty.why}"
+            if table.timed
+            else "–",
+        )
+        for table in TABLES.values()
+    ]
+
+
+def sources() -> list[tuple[str, str]]:
+    """Each table or static power, and where its numbers come from."""
+    tables = [(table.name, f"{table.source}: {table.provenance}") for table in TABLES.values()]
+    powers = [
+        (p.name, f"static, {p.watts * 1e3:g} mW a {name}. {p.source}: {p.provenance}")
+        for name, p in STATIC.items()
+    ]
+    return [*tables, *powers]
+
+
+def markdown() -> list[str]:
+    """Both as lines of Markdown, for docs/energy.md."""
+    lines = [HEADS, ("---",) * len(HEADS), *rows()]
+    table = [f"| {' | '.join(line)} |" for line in lines]
+    return [*table, "", *[f"* `{name}` – {source}." for name, source in sources()]]
+
+
+def _energies(table: EnergyTable) -> str:
+    prices = {event: f"{joules / PICO:.4g}" for event, joules in table.joules.items()}
+    for event, joules in table.most.items():
+        prices[event] += f" to {joules / PICO:.4g}"
+    return ", ".join(f"{event} {price}" for event, price in prices.items())
+
+
+def _times(table: EnergyTable) -> str:
+    events = [f"{event} {seconds / NANO:.4g}" for event, seconds in table.seconds.items()]
+    return ", ".join([*events, f"timestep {table.step / NANO:,.10g}"]) if table.timed else "–"
+
+
+def _uncertain(off: Uncertainty) -> dict[str, Any]:
+    return {"low": off.low, "high": off.high, "is": off.describe(), "why": off.why}

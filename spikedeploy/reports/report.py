@@ -1,0 +1,175 @@
+"""The report of a comparison: report.json for machines, report.html and report.md for people."""
+
+import shlex
+import sys
+from base64 import b64encode
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime, timezone
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from spikedeploy import envs
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.metrics.energy import described, energy_table
+from spikedeploy.runtime.compiler.quantisation import PLAIN
+from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
+from spikedeploy.comparison.comparison import Comparison
+from spikedeploy.files import as_text, write_text
+from spikedeploy.comparison.summary import meaning
+from spikedeploy.reports.plots import draw_energy, draw_returns
+from spikedeploy.policies.policies import Candidate
+from spikedeploy.versions import own
+
+Document = Mapping[str, Any]
+
+
+def document(comparison: Comparison) -> dict[str, Any]:
+    """Everything that a report says, as plain data; its `rows` are one a policy and chip."""
+    rows = comparison.as_json()
+    return {
+        "env": envs.spec(comparison.env).short,
+        "env_id": comparison.env,
+        "seeds": {"first": comparison.seeds[0], "count": len(comparison.seeds)},
+        "command": shlex.join(["spikedeploy", *sys.argv[1:]]),
+        "version": own(),
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "meaning": meaning(rows),
+        "conventions": _conventions(comparison),
+        "remarks": _remarks(comparison),
+        "energy_tables": _energy_tables(rows),
+        "rows": rows,
+    }
+
+
+def _conventions(comparison: Comparison) -> dict[str, str]:
+    """How each spiking file is stepped, and how chips round it, by the policy's name."""
+    candidates = {row.entry.candidate.name: row.entry.candidate for row in comparison.rows}
+    return {name: _convention(c) for name, c in candidates.items() if c.format == ".nir"}
+
+
+def _remarks(comparison: Comparison) -> dict[str, list[str]]:
+    """What a chip does otherwise than the file says, by the row's label."""
+    remarks = {row.entry.label: list(row.episodes[0].remarks) for row in comparison.rows}
+    return {label: said for label, said in remarks.items() if said}
+
+
+def _convention(candidate: Candidate) -> str:
+    said = load(candidate.path).convention.describe()
+    plain = candidate.quantisation == PLAIN
+    return said if plain else f"{said}; on chips {candidate.quantisation.describe()}"
+
+
+def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
+    """Where the numbers of each table come from, by the table's name."""
+    names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
+    tables = [energy_table(name) for name in names]
+    return {table.name: described(table) for table in tables}
+
+
+def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:
+    """Write page, numbers, Markdown and plots into the folder; the files, in that order."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = document["rows"]
+    shown = tables(rows)
+    pictures = {next(iter(shown)): draw_returns(rows, folder / "returns.png")}
+    if COST in shown:
+        pictures[COST] = draw_energy(rows, folder / "energy.png")
+    numbers = write_text(folder / "report.json", as_text(document))
+    page = write_text(folder / "report.html", html(document, pictures, video))
+    text = write_text(folder / "report.md", page_of_text(document))
+    return [page, numbers, text, *pictures.values(), *([video] if video else [])]
+
+
+def page_of_text(document: Document) -> str:
+    """The tables in Markdown, under the command that made them."""
+    steps = [f"* {name}: {said}" for name, said in stepped(document)]
+    lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
+    if steps:
+        lines += ["How the networks are stepped:", "", *steps, ""]
+    return "\n".join(lines)
+
+
+def stepped(document: Document) -> list[tuple[str, str]]:
+    """How the networks are stepped: the convention of each, then what chips do otherwise."""
+    remarks = [(label, said) for label, each in document["remarks"].items() for said in each]
+    return [*document["conventions"].items(), *remarks]
+
+
+def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
+    """The page: everything is inside it, so it can be mailed.
+
+    pictures  title of the table that each belongs under -> PNG
+    """
+    rows = document["rows"]
+    shown = tables(rows)
+    page = Template(files("spikedeploy.reports").joinpath("report.html").read_text(encoding="utf-8"))
+    return page.substitute(
+        title=escape(f"{document['env']}: {len(rows)} policies on the same seeds"),
+        meaning=escape(document["meaning"]),
+        sections="".join(
+            _section(title, _table(columns, rows), pictures.get(title))
+            for title, columns in shown.items()
+        ),
+        video=_video(video) if video else "",
+        facts=_facts(document),
+        definitions=_definitions([column for columns in shown.values() for column in columns]),
+        sources=_list(document["energy_tables"].items()),
+        conventions=_list(stepped(document)),
+    )
+
+
+def _section(title: str, table: str, picture: Path | None) -> str:
+    figure = _figure(title, picture) if picture else ""
+    return f'<h2>{escape(title)}</h2><div class="card">{table}</div>{figure}'
+
+
+def _table(columns: Sequence[Column], rows: Sequence[Row]) -> str:
+    head = "".join(f'<th title="{escape(c.meaning)}">{escape(c.title)}</th>' for c in columns)
+    body = "".join(
+        f'<tr class="{_class(row)}">'
+        + "".join(f"<td>{escape(column.cell(row))}</td>" for column in columns)
+        + "</tr>"
+        for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _class(row: Row) -> str:
+    """The style of a row: ann, snn, chip, or what is only compared."""
+    return "chip" if row["kind"] == "snn" and row["chip"] != "float" else str(row["kind"])
+
+
+def _figure(title: str, picture: Path) -> str:
+    return f'<figure><img alt="{escape(title)}" src="{_embedded(picture, "image/png")}"></figure>'
+
+
+def _video(path: Path) -> str:
+    source = _embedded(path, "video/mp4")
+    return f'<h2>The same seed, side by side</h2><video controls muted loop src="{source}"></video>'
+
+
+def _embedded(path: Path, media: str) -> str:
+    return f"data:{media};base64,{b64encode(path.read_bytes()).decode()}"
+
+
+def _facts(document: Document) -> str:
+    first, count = document["seeds"]["first"], document["seeds"]["count"]
+    facts = {
+        "environment": document["env_id"],
+        "episodes": f"{count} each, seeds {first} to {first + count - 1}",
+        "made by": f"spikedeploy {document['version']}, {document['created']}",
+        "command": document["command"],
+    }
+    return _list(facts.items())
+
+
+def _definitions(columns: Sequence[Column]) -> str:
+    return _list({column.title: column.meaning for column in columns}.items())
+
+
+def _list(items: Iterable[tuple[str, str]]) -> str:
+    pairs = (f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in items)
+    return f"<dl>{''.join(pairs)}</dl>"

@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+
+from spikedeploy.envs.hexapod.command import HOLD, HexapodCommandEnv, draw_command
+
+STILL = np.zeros(18)
+
+
+@pytest.fixture(scope="module")
+def env():
+    return HexapodCommandEnv()
+
+
+def run(env, seed, steps=1000):
+    env.reset(seed=seed)
+    infos = []
+    for _ in range(steps):
+        _, _, terminated, truncated, info = env.step(STILL)
+        infos.append(info)
+        if terminated or truncated:
+            break
+    return infos
+
+
+@pytest.fixture(scope="module")
+def walks(env):
+    return [run(env, seed) for seed in range(4)]
+
+
+def test_commands_are_within_reach_of_the_outer_legs():
+    rng = np.random.default_rng(0)
+    commands = np.array([draw_command(rng) for _ in range(4000)])
+    speed, turn = np.abs(commands).T
+    assert commands[:, 0].min() < -0.24
+    assert commands[:, 0].max() > 0.44
+    assert turn.max() > 0.75
+    assert turn.max() <= 0.8
+    assert (speed + 0.2 * turn <= 0.5 + 1e-12).all()
+
+
+def test_one_command_in_seven_is_to_stand():
+    rng = np.random.default_rng(0)
+    commands = np.array([draw_command(rng) for _ in range(4000)])
+    assert (commands == 0.0).all(axis=1).mean() == pytest.approx(0.15, abs=0.02)
+
+
+def test_a_command_is_held_for_two_to_four_seconds(walks):
+    for infos in walks:
+        commands = np.array([(info["command_speed"], info["command_turn"]) for info in infos])
+        changes = np.flatnonzero((np.diff(commands, axis=0) != 0.0).any(axis=1)) + 1
+        held = np.diff([0, *changes])
+        assert held.min() >= HOLD[0]
+        # two commands to stand in a row look like one
+        assert held.max() <= 2 * HOLD[1]
+
+
+def test_the_observed_command_is_the_one_that_the_next_step_is_scored_by(env):
+    observation, _ = env.reset(seed=3)
+    for _ in range(450):
+        seen = observation[env.OBSERVATION["command"]] * [0.45, 0.8]
+        observation, _, _, _, info = env.step(STILL)
+        np.testing.assert_allclose(seen, [info["command_speed"], info["command_turn"]], atol=1e-12)
+
+
+def test_observed_errors_are_command_less_smoothed_motion(env):
+    env.reset(seed=1)
+    for _ in range(60):
+        observation, _, _, _, info = env.step(STILL)
+    place = env.OBSERVATION
+    assert observation[place["speed_error"]][0] * 0.4 == pytest.approx(info["speed_error"])
+    assert observation[place["turn_error"]][0] * 0.8 == pytest.approx(info["turn_error"])
+    assert info["speed_error"] == pytest.approx(info["command_speed"] - info["speed"])
+
+
+def test_the_gait_alone_neither_falls_nor_follows(walks):
+    assert not any(infos[-1]["fall"] for infos in walks)
+    assert all(len(infos) == 1000 for infos in walks)
+    returns = [infos[-1]["episode_return"] for infos in walks]
+    assert 300.0 < np.mean(returns) < 1600.0
+    assert not any(infos[-1]["success"] for infos in walks)
+
+
+def test_the_path_of_a_robot_that_turns_is_longer_than_its_way_made_good(walks):
+    for infos in walks:
+        assert infos[-1]["distance"] > 1.5
+        assert 0.5 < infos[-1]["cot"] < 4.0
+
+
+def test_the_coxae_can_take_back_the_whole_gait(env):
+    assert env.AUTHORITY[0::3] == pytest.approx(np.full(6, 0.9))
+    assert env.AUTHORITY[1::3] == pytest.approx(np.full(6, 0.5))
+    assert env.AUTHORITY[2::3] == pytest.approx(np.full(6, 0.5))
+
+
+def test_the_ground_is_rougher_and_differs_between_episodes(env):
+    heights = []
+    for seed in range(8):
+        env.reset(seed=seed)
+        heights.append(env._terrain.height.max())
+    assert min(heights) >= 0.05
+    assert max(heights) <= 0.09
+    assert max(heights) - min(heights) > 0.01
+
+
+def test_terms_sum_to_the_reward(env):
+    rng = np.random.default_rng(0)
+    env.reset(seed=5)
+    for _ in range(50):
+        _, reward, _, _, info = env.step(rng.uniform(-1.0, 1.0, 18))
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-9)
+
+
+def test_a_steered_robot_keeps_the_command_that_its_legs_can_follow(env):
+    env.reset(seed=3)
+    env.steer(0.4, -2.0)
+    for _ in range(HOLD[1] + 1):
+        _, _, _, _, info = env.step(STILL)
+        assert (info["command_speed"], info["command_turn"]) == pytest.approx((0.4, -0.5))
+    assert env.command == pytest.approx((0.4, -0.5))

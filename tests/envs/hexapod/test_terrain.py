@@ -1,0 +1,67 @@
+import mujoco
+import numpy as np
+import pytest
+
+from spikedeploy.envs.hexapod.robot import Robot
+from spikedeploy.envs.hexapod.terrain import CEILING, Field, Terrain
+
+FIELD = Field(length=6.0, width=4.0, start=(-1.0, 0.5))
+
+
+@pytest.fixture
+def terrain():
+    return Terrain(FIELD, Robot(FIELD).model)
+
+
+def test_bumps_rise_from_nothing_to_the_stated_height(terrain):
+    terrain.roughen(0.03, np.random.default_rng(0))
+    assert terrain.height.min() == pytest.approx(0.0, abs=1e-12)
+    assert terrain.height.max() == pytest.approx(0.03)
+
+
+def test_the_ground_is_flat_where_the_robot_starts(terrain):
+    terrain.roughen(0.08, np.random.default_rng(0))
+    assert terrain.ground(*FIELD.start) == pytest.approx(0.04)
+    assert terrain.ground(1.5, -1.0) != pytest.approx(0.04)
+
+
+def test_the_same_seed_lays_the_same_ground(terrain):
+    terrain.roughen(0.05, np.random.default_rng(4))
+    first = terrain.height.copy()
+    terrain.roughen(0.05, np.random.default_rng(5))
+    assert not np.array_equal(first, terrain.height)
+    terrain.roughen(0.05, np.random.default_rng(4))
+    np.testing.assert_array_equal(first, terrain.height)
+
+
+def test_the_robot_walks_on_the_ground_that_is_measured(terrain):
+    robot = Robot(FIELD)
+    terrain = Terrain(FIELD, robot.model)
+    terrain.roughen(0.08, np.random.default_rng(1))
+    robot.place(0.0, 0.0, 2.0, 0.0)  # out of the way
+    top = 1.0
+    for x, y in ((1.0, 1.0), (-2.0, -1.5), (2.0, 0.3)):
+        row, column = round((y + 2.0) / 0.05), round((x + 3.0) / 0.05)
+        hit = np.zeros(1, np.int32)
+        fall = mujoco.mj_ray(robot.model, robot.data, [x, y, top], [0, 0, -1], None, 1, -1, hit)
+        assert top - fall == pytest.approx(terrain.height[row, column], abs=1e-4)
+
+
+def test_the_local_mean_is_that_of_seven_by_seven_samples(terrain):
+    terrain.roughen(0.08, np.random.default_rng(2))
+    x, y = 1.0, 1.0
+    row, column = round((y + 2.0) / 0.05), round((x + 3.0) / 0.05)
+    patch = terrain.height[row - 3 : row + 4, column - 3 : column + 4]
+    assert terrain.ground(x, y) == pytest.approx(patch.mean())
+
+
+def test_beyond_the_edge_the_ground_goes_on(terrain):
+    terrain.roughen(0.08, np.random.default_rng(2))
+    assert terrain.ground(1e6, 1e6) == pytest.approx(terrain.mean[-1, -1], abs=1e-4)
+    assert terrain.ground(-1e6, -1e6) == pytest.approx(terrain.mean[0, 0], abs=1e-4)
+
+
+def test_the_height_field_holds_the_highest_bumps_that_may_be_asked_for(terrain):
+    model = Robot(FIELD).model
+    Terrain(FIELD, model).roughen(CEILING, np.random.default_rng(0))
+    assert model.hfield_data.max() == pytest.approx(1.0)

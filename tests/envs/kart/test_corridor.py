@@ -1,0 +1,93 @@
+"""Random corridors: every one can be driven, and all shapes of the seed's turn up."""
+
+import math
+
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart.corridor import cells_in, corridor
+from spikedeploy.envs.kart.gap import GapDriver
+from spikedeploy.envs.kart.track_rules import check
+
+
+def drawn(count, seeds=range(40)):
+    return [corridor(count, np.random.default_rng(seed)) for seed in seeds]
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_every_corridor_keeps_the_rules_of_tracks(count):
+    for seed, found in enumerate(drawn(count, range(15))):
+        check(found, f"corridor of seed {seed}")
+
+
+@pytest.mark.parametrize("count", [2, 3, 8, 64])
+def test_a_corridor_of_n_cells_has_n_gates_and_two_walls_a_cell_and_one_behind_the_start(count):
+    for found in drawn(count, range(5)):
+        assert len(found.gates) == count
+        assert len(found.walls) == 2 * count + 1
+        assert found.length == pytest.approx(50 + 100 * (count - 1), rel=0.3)
+
+
+def test_walls_are_drawn_once():
+    for found in drawn(9):
+        walls = {tuple(sorted(map(tuple, wall.tolist()))) for wall in found.walls}
+        assert len(walls) == len(found.walls)
+
+
+def test_a_kart_starts_in_the_first_cell_looking_at_the_second():
+    for found in drawn(3):
+        assert found.start.tolist() == [500.0, 500.0]
+        assert found.spread == 25.0
+        low, high = found.heading
+        assert low == high
+        x, y = found.midpoints[0]
+        assert math.atan2(y - 500, x - 500) == pytest.approx(low)
+        assert math.dist((x, y), (500, 500)) == pytest.approx(50)
+
+
+def test_all_twelve_corridors_of_three_cells_turn_up_about_as_often():
+    shapes = [found.midpoints for found in drawn(3, range(1200))]
+    counts = {shape: shapes.count(shape) for shape in set(shapes)}
+    assert len(counts) == 12
+    assert min(counts.values()) > 60
+    assert max(counts.values()) < 140
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"), [("corridor", 3), ("corridor-7", 7), ("big_S", None), ("corridors", None)]
+)
+def test_a_name_says_how_many_cells(name, cells):
+    assert cells_in(name) == cells
+
+
+@pytest.mark.parametrize("name", ["corridor-1", "corridor-65", "corridor-0"])
+def test_a_corridor_too_short_or_too_long_is_refused(name):
+    with pytest.raises(EnvError, match=f"track '{name}': a corridor has 2 to 64 cells"):
+        cells_in(name)
+
+
+def test_every_episode_has_its_own_corridor_and_the_seed_decides_which():
+    env = envs.make("kart-steer", track="corridor-6").unwrapped
+    env.reset(seed=3)
+    first = env.track.walls
+    env.reset()
+    assert not np.array_equal(env.track.walls, first)
+    env.reset(seed=3)
+    np.testing.assert_array_equal(env.track.walls, first)
+
+
+def test_what_the_kart_feels_and_sees_is_the_corridor_of_the_day():
+    env = envs.make("kart-gazebo", track="corridor-12").unwrapped
+    driver = GapDriver.of(env)
+    passed = []
+    for seed in range(8):
+        observation, info = env.reset(seed=seed)
+        np.testing.assert_array_equal(env.scan, env.lidar.look(*env.pose))
+        over = False
+        while not over:
+            observation, _, terminated, truncated, info = env.step(int(driver.act(observation)))
+            over = terminated or truncated
+        passed.append(info["gates"])
+    assert max(passed) >= 3  # blind, or behind yesterday's walls, it would not leave the first

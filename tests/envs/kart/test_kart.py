@@ -1,0 +1,489 @@
+"""The karts' dynamics in numbers, and the course of an episode."""
+
+import itertools
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart.gap import GapDriver
+from spikedeploy.envs.kart.lidar import LidarOptions
+from spikedeploy.envs.kart.steer import KartSteerEnv
+from spikedeploy.envs.kart.track import Track, segments
+
+KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
+everyone = pytest.mark.parametrize("name", KARTS)
+DT = 1 / 60
+
+
+def hall(gates=((9000.0, -400.0, 9000.0, 400.0),), size=10_000.0, heading=(0.0, 0.0)):
+    """A hall so large that nothing is near, with its gates far to the right."""
+    corners = size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
+    return Track(
+        name="hall",
+        walls=segments([corners]),
+        gates=np.array(gates, float).reshape(-1, 2, 2),
+        start=np.zeros(2),
+        spread=0.0,
+        heading=heading,
+        polylines=(corners,),
+    )
+
+
+def kart(name, **options):
+    """A kart at rest in the middle of the hall, looking to the right."""
+    env = envs.make(name, **{"track": hall(), **options}).unwrapped
+    env.reset(seed=0)
+    return env
+
+
+def do(env, name, times=1):
+    for _ in range(times):
+        result = env.step(env.ACTIONS.index(name))
+    return result
+
+
+def driven(env, seed):
+    """The infos of an episode of the gap driver."""
+    driver = GapDriver.of(env)
+    observation, info = env.reset(seed=seed)
+    infos, over = [info], False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(int(driver.act(observation)))
+        infos.append(info)
+        over = terminated or truncated
+    return infos
+
+
+# -- grid
+
+
+def test_a_grid_kart_is_at_400_px_s_after_23_steps_and_not_before():
+    env = kart("kart-grid")
+    speeds = [do(env, "right")[4]["speed"] for _ in range(23)]
+    assert speeds[21] < 400 <= speeds[22]
+    # v = (v + 30) / 1.05 from rest: 600 (1 - 1.05^-n)
+    assert speeds[9] == pytest.approx(600 * (1 - 1.05**-10))
+
+
+@pytest.mark.parametrize(
+    ("name", "direction"),
+    [("up", (0, -1)), ("down", (0, 1)), ("left", (-1, 0)), ("right", (1, 0))],
+)
+def test_a_push_adds_30_px_s_and_moves_the_kart_at_once(name, direction):
+    env = kart("kart-grid")
+    do(env, name)
+    np.testing.assert_allclose(env.velocity, 30 / 1.05 * np.array(direction))
+    np.testing.assert_allclose(env.pose[:2], 30 * DT * np.array(direction))
+
+
+def test_a_grid_kart_loses_half_its_speed_in_14_steps():
+    env = kart("kart-grid")
+    before = do(env, "right", 10)[4]["speed"]
+    assert do(env, "none", 14)[4]["speed"] / before == pytest.approx(0.505, abs=1e-3)
+
+
+def test_no_push_acts_at_400_px_s_not_even_one_that_brakes():
+    env = kart("kart-grid")
+    fast = do(env, "right", 23)[4]["speed"]
+    assert do(env, "left")[4]["speed"] == pytest.approx(fast / 1.05)
+    assert do(env, "left")[4]["speed"] == pytest.approx((fast / 1.05 - 30) / 1.05)
+
+
+def test_a_grid_kart_has_no_heading():
+    env = kart("kart-grid", track=hall(heading=(1.0, 1.0)))
+    assert do(env, "up", 5)[4]["heading"] == 0.0
+
+
+# -- gazebo
+
+
+def test_a_gazebo_kart_moves_a_step_after_its_command():
+    env = kart("kart-gazebo")
+    assert do(env, "forward")[4]["x"] == 0.0
+    assert env.speed == pytest.approx(440.0)
+    assert do(env, "forward")[4]["x"] == pytest.approx(440 / 60)
+    assert do(env, "stop")[4]["x"] == pytest.approx(2 * 440 / 60)
+    assert do(env, "stop")[4]["x"] == pytest.approx(2 * 440 / 60)
+    assert env.speed == 0.0
+
+
+def test_a_gazebo_kart_turns_by_0_0947_rad_a_step_clockwise_to_the_right():
+    env = kart("kart-gazebo")
+    assert do(env, "right")[4]["heading"] == 0.0
+    assert do(env, "right")[4]["heading"] == pytest.approx(5.68 / 60)
+    do(env, "left")
+    assert do(env, "left")[4]["heading"] == pytest.approx(5.68 / 60)
+
+
+def test_a_full_turn_of_a_gazebo_kart_takes_66_steps():
+    env = kart("kart-gazebo")
+    headings = [do(env, "right")[4]["heading"] for _ in range(68)]
+    assert headings[66] < math.tau < headings[67]  # the first of 68 does not move yet
+    assert (env.pose[0], env.pose[1]) == (0.0, 0.0)
+
+
+def test_a_gazebo_kart_drives_where_it_looks():
+    env = kart("kart-gazebo")
+    do(env, "right", 10)
+    do(env, "forward", 6)
+    heading = 10 * 5.68 / 60
+    assert env.pose[2] == pytest.approx(heading)
+    np.testing.assert_allclose(
+        env.pose[:2], 5 * 440 / 60 * np.array([math.cos(heading), math.sin(heading)])
+    )
+
+
+# -- steer
+
+
+def test_a_steer_kart_is_at_599_px_s_after_103_steps_and_not_before():
+    env = kart("kart-steer")
+    speeds = [do(env, "accelerate")[4]["speed"] for _ in range(104)]
+    assert speeds[0] == pytest.approx(7.488 / 1.005)
+    assert speeds[101] < 599 <= speeds[102]
+    assert speeds[103] < speeds[102]  # no throttle above the top speed
+
+
+def test_a_brake_takes_12_px_s_a_step_and_hardly_reverses():
+    env = kart("kart-steer")
+    before = do(env, "accelerate", 20)[4]["speed"]
+    assert do(env, "brake")[4]["speed"] == pytest.approx((before - 11.98) / 1.005)
+    do(env, "brake", 30)
+    place = env.pose[0]
+    do(env, "brake", 30)
+    assert -11.98 * DT * 30 < env.pose[0] - place <= 0
+
+
+def test_steering_builds_up_and_fades_by_a_third_a_step():
+    env = kart("kart-steer")
+    turns, last = [], 0.0
+    for name in ["right"] * 12 + ["none"] * 3:
+        heading = do(env, name)[4]["heading"]
+        turns.append(heading - last)
+        last = heading
+    assert turns[0] == pytest.approx(0.0425, abs=5e-5)
+    assert turns[11] == pytest.approx(0.0638, abs=5e-5)
+    assert turns[12] == pytest.approx(turns[11] / 3)
+    assert turns[14] == pytest.approx(turns[11] / 27)
+    assert env.turn == pytest.approx(turns[14] / DT)
+
+
+def test_a_steer_kart_turns_at_standstill():
+    env = kart("kart-steer")
+    assert do(env, "left", 5)[4]["heading"] < -0.25
+    assert env.pose[:2] == (0.0, 0.0)
+
+
+def test_a_steer_kart_never_slides():
+    env = kart("kart-steer")
+    do(env, "accelerate", 40)
+    for name in ["right", "accelerate", "left", "left", "brake"] * 6:
+        do(env, name)
+        vx, vy = env.velocity
+        heading = env.pose[2]
+        assert vx * math.sin(heading) - vy * math.cos(heading) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [("none", (0, 0)), ("accelerate", (1, 0)), ("brake", (-1, 0)), ("left", (0, -1)),
+     ("right", (0, 1))],
+)  # fmt: skip
+def test_full_continuous_actions_do_what_discrete_ones_do(name, action):
+    one, other = kart("kart-steer"), kart("kart-steer", actions="continuous")
+    do(one, "accelerate", 20)
+    for _ in range(20):
+        other.step(np.array([1.0, 0.0]))
+    do(one, name)
+    other.step(np.array(action, float))
+    np.testing.assert_allclose(one.pose, other.pose)
+    np.testing.assert_allclose(one.velocity, other.velocity)
+
+
+def test_half_a_throttle_accelerates_half_as_much_while_it_steers():
+    env = kart("kart-steer", actions="continuous")
+    env.step(np.array([0.5, 0.25]))
+    assert env.speed == pytest.approx(0.5 * 7.488 / 1.005)
+    assert env.pose[2] == pytest.approx(0.25 * 0.2126 * 0.2)
+
+
+# -- episodes
+
+
+@everyone
+def test_a_wall_ends_the_episode_when_the_rim_touches_it(name):
+    start = np.array([[[100.0, -90.0], [100.0, 90.0]]])
+    walls = np.concatenate([hall().walls, start])
+    course = Track("t", walls, hall().gates, np.zeros(2), 0.0, (0.0, 0.0))
+    env = kart(name, track=course)
+    forward = {"kart-grid": "right", "kart-gazebo": "forward", "kart-steer": "accelerate"}[name]
+    for _ in range(200):
+        before = env.pose[0]
+        _, _, terminated, truncated, info = do(env, forward)
+        if terminated:
+            break
+    assert before + 19.2 < 100.0 <= info["x"] + 19.2
+    assert (info["crash"], info["finish"], info["success"], info["stalled"], truncated) == (
+        True, False, False, False, False,
+    )  # fmt: skip
+
+
+@everyone
+def test_gates_count_when_the_rim_touches_them_and_the_last_one_is_the_finish(name):
+    gates = ((60.0, -50.0, 60.0, 50.0), (150.0, -50.0, 150.0, 50.0))
+    env = kart(name, track=hall(gates))
+    forward = {"kart-grid": "right", "kart-gazebo": "forward", "kart-steer": "accelerate"}[name]
+    passed = []
+    for steps in itertools.count(1):  # noqa: B007
+        before = env.pose[0]
+        _, _, terminated, truncated, info = do(env, forward)
+        if info["gates"] > len(passed):
+            passed.append((before, info["x"]))
+        if terminated:
+            break
+    for (before, after), place in zip(passed, (60.0, 150.0), strict=True):
+        assert before + 19.2 < place <= after + 19.2
+    assert info["finish"]
+    assert info["success"]
+    assert not info["crash"]
+    assert not truncated
+    assert info["lap_time"] == pytest.approx(steps / 60)
+    assert info["progress"] == 1.0
+
+
+def test_a_gate_out_of_order_counts_for_nothing():
+    gates = ((-60.0, -50.0, -60.0, 50.0), (60.0, -50.0, 60.0, 50.0))
+    env = kart("kart-gazebo", track=hall(gates))
+    for _ in range(30):
+        info = do(env, "forward")[4]
+    assert info["x"] > 150
+    assert info["gates"] == 0
+    assert not info["finish"]
+
+
+def test_a_gate_that_is_touched_already_counts_once_it_is_next():
+    # the kart stands on gate 2 when it reaches gate 1
+    gates = ((40.0, -50.0, 40.0, 50.0), (35.0, -50.0, 35.0, 50.0), (900.0, -50.0, 900.0, 50.0))
+    env = kart("kart-gazebo", track=hall(gates))
+    counts = [do(env, "forward")[4]["gates"] for _ in range(6)]
+    assert sorted(set(counts)) == [0, 2]
+
+
+def test_crash_and_finish_in_one_step_is_a_finish():
+    line = np.array([[[100.0, -90.0], [100.0, 90.0]]])
+    course = Track("t", np.concatenate([hall().walls, line]), line, np.zeros(2), 0.0, (0.0, 0.0))
+    env = kart("kart-gazebo", track=course)
+    info = do(env, "forward", 13)[4]
+    assert info["finish"]
+    assert not info["crash"]
+
+
+@everyone
+def test_standing_still_for_two_seconds_is_a_failure(name):
+    env = kart(name)
+    for step in range(1, 121):
+        _, _, terminated, truncated, info = env.step(0)
+        assert (terminated, truncated) == (step == 120, False)
+    assert info["stalled"]
+    assert not info["success"]
+    assert info["reward_terms"]["crash"] == -5.0
+
+
+def test_driving_in_circles_is_a_failure_too():
+    env = kart("kart-steer")
+    actions = itertools.cycle(["accelerate", "right", "right"])
+    for steps in range(1, 1000):  # noqa: B007
+        _, _, terminated, _, info = do(env, next(actions))
+        if terminated:
+            break
+    assert info["stalled"]
+    assert steps < 300
+
+
+@everyone
+def test_a_kart_that_gets_on_is_stopped_by_the_clock_and_that_is_no_failure(name):
+    env = kart(name, max_steps=40)
+    forward = {"kart-grid": "right", "kart-gazebo": "forward", "kart-steer": "accelerate"}[name]
+    *_, terminated, truncated, info = do(env, forward, 39)
+    assert not terminated
+    assert not truncated
+    _, _, terminated, truncated, info = do(env, forward)
+    assert (terminated, truncated) == (False, True)
+    assert not any(info[key] for key in ("success", "finish", "crash", "stalled"))
+
+
+@everyone
+def test_info_has_plain_numbers_of_the_drive(name):
+    env = envs.make(name)
+    infos = driven(env.unwrapped, 10_000)
+    wanted = {"success", "finish", "crash", "stalled", "gates", "lap_time", "x", "y", "heading",
+              "speed", "progress", "distance", "reward_terms"}  # fmt: skip
+    for info in infos:
+        assert wanted <= set(info)
+        for key in wanted - {"reward_terms"}:
+            assert type(info[key]) in (bool, int, float), key
+        assert all(type(value) is float for value in info["reward_terms"].values())
+    way = [math.dist((a["x"], a["y"]), (b["x"], b["y"])) for a, b in itertools.pairwise(infos)]
+    assert infos[-1]["distance"] == pytest.approx(sum(way))
+
+
+@everyone
+def test_the_gap_driver_finishes_big_s(name):
+    env = envs.make(name).unwrapped
+    info = driven(env, 10_000)[-1]
+    assert info["finish"]
+    assert info["gates"] == 8
+    assert info["progress"] == 1.0
+    assert 4.0 < info["lap_time"] < 33.4
+    assert info["distance"] > 2000
+
+
+@everyone
+def test_the_same_seed_gives_the_same_drive_and_another_one_another(name):
+    env, other = envs.make(name).unwrapped, envs.make(name).unwrapped
+    driven(other, 3)  # what was before does not matter
+    first, second = driven(env, 7), driven(other, 7)
+    assert first == second
+    assert driven(env, 8) != first
+
+
+@everyone
+def test_starts_fill_the_spread_and_the_headings(name):
+    env = envs.make(name).unwrapped
+    infos = [env.reset(seed=seed)[1] for seed in range(200)]
+    offsets = np.array([(info["x"] - 150, info["y"] - 200) for info in infos])
+    assert np.abs(offsets).max() <= 50
+    assert (offsets.max(axis=0) > 45).all()
+    assert (offsets.min(axis=0) < -45).all()
+    headings = np.array([info["heading"] for info in infos])
+    if name == "kart-grid":
+        assert not headings.any()
+    else:
+        assert headings.min() < -1.4
+        assert 1.4 < headings.max() <= math.pi / 2
+
+
+@everyone
+def test_a_fixed_start_is_the_middle_of_all_starts(name):
+    env = envs.make(name, start="fixed").unwrapped
+    for seed in range(3):
+        info = env.reset(seed=seed)[1]
+        assert (info["x"], info["y"], info["heading"]) == (150.0, 200.0, 0.0)
+
+
+@everyone
+@pytest.mark.parametrize("course", [*track.names(), "corridor", "corridor-9"])
+def test_every_track_can_be_driven_on(name, course):
+    env = envs.make(name, track=course)
+    env.action_space.seed(1)
+    observation, info = env.reset(seed=1)
+    for _ in range(300):
+        assert env.observation_space.contains(observation)
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert math.isfinite(reward)
+        assert 0.0 <= info["progress"] <= 1.0
+        if terminated or truncated:
+            observation, _ = env.reset()
+
+
+def test_the_goal_of_the_first_room_is_elsewhere_in_every_episode():
+    env = envs.make("kart-steer", track="room_1").unwrapped
+    places = []
+    for seed in range(5):
+        env.reset(seed=seed)
+        places.append(env.track.midpoints[-1])
+    assert len(set(places)) == 5
+    env.reset(seed=0)
+    assert env.track.midpoints[-1] == places[0]
+
+
+def test_vector_environments_of_processes_agree_with_a_single_one():
+    options = {"track": "small_S"}
+    vector = gymnasium.make_vec(
+        "spikedeploy/KartSteer-v0", 2, vectorization_mode="async",
+        vector_kwargs={"context": "spawn"}, **options,
+    )  # fmt: skip
+    single = envs.make("kart-steer", **options)
+    try:
+        several, _ = vector.reset(seed=[3, 4])
+        one, _ = single.reset(seed=4)
+        for _ in range(20):
+            np.testing.assert_array_equal(several[1], one)
+            several, *_ = vector.step(np.array([1, 1]))
+            one, *_ = single.step(1)
+    finally:
+        vector.close()
+
+
+# -- bad input
+
+
+@everyone
+@pytest.mark.parametrize("action", [-1, 5, 1.0, np.float64(2.0), [0], "up", None, True])
+def test_an_action_that_is_none_of_the_karts_is_refused(name, action):
+    env = kart(name)
+    with pytest.raises(
+        EnvError, match=f"is none of the .* of this kart: 0 to .*, {env.ACTIONS[0]}"
+    ):
+        env.step(action)
+
+
+@pytest.mark.parametrize("action", [0, [0.0], [0.0, math.nan], [0.0, 0.0, 0.0]])
+def test_a_continuous_action_of_another_form_is_refused(action):
+    with pytest.raises(EnvError, match="two finite numbers are needed, throttle, steering"):
+        kart("kart-steer", actions="continuous").step(action)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"preset": "old"}, "preset 'old' is unknown; known: 'default', 'classic'"),
+        ({"start": "middle"}, "start 'middle' is unknown; known: 'random', 'fixed'"),
+        ({"render_mode": "ansi"}, "render_mode 'ansi' is unknown"),
+        ({"max_steps": 0}, "max_steps must be a whole number from 1, found 0"),
+        ({"max_steps": 10.5}, "max_steps must be a whole number from 1, found 10.5"),
+        ({"track": "big_s"}, "unknown track 'big_s'; did you mean 'big_S'"),
+        ({"track": "corridor-1"}, "a corridor has 2 to 64 cells"),
+        ({"observe": ["sonar"]}, "unknown component 'sonar'; known: lidar, position"),
+        ({"observe": ["lidar", "lidar"]}, "name each component once"),
+        ({"observe": []}, "nothing: name each component once"),
+        ({"lidar": {"rays": 3}}, "lidar.rays is unknown"),
+        ({"lidar": {"count": 0}}, "lidar.count: 0"),
+        ({"reward": "none"}, "reward 'none' is unknown; known: 'default', 'classic'"),
+        ({"reward": {"style": 1.0}}, "unknown term 'style'; known: progress, gate, finish"),
+        ({"reward": {"time": "much"}}, "the weight of time is 'much', not a finite number"),
+        ({"actions": "analog"}, "actions 'analog' is unknown; known: 'discrete', 'continuous'"),
+    ],
+)
+def test_an_option_that_cannot_be_obeyed_is_refused_in_one_line(options, message):
+    with pytest.raises(EnvError) as caught:
+        KartSteerEnv(**options)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_lidar_options_may_be_given_as_they_are():
+    env = envs.make("kart-grid", lidar=LidarOptions(count=9, range=100.0)).unwrapped
+    assert (len(env.lidar.angles), env.lidar.range) == (9, 100.0)
+
+
+def test_a_picture_needs_a_render_mode():
+    with pytest.raises(EnvError, match='render_mode="rgb_array"'):
+        kart("kart-grid").render()
+
+
+@everyone
+def test_a_picture_shows_the_kart_move(name):
+    env = envs.make(name, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    assert first.ndim == 3
+    assert first.dtype == np.uint8
+    for _ in range(20):
+        env.step(1)
+    assert not np.array_equal(env.render(), first)

@@ -1,0 +1,202 @@
+"""What karts are paid: sums that telescope, and kart-simulator's terms in numbers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.envs.kart.gap import GapDriver
+from spikedeploy.envs.kart.gazebo import KartGazeboEnv
+from spikedeploy.envs.kart.grid import KartGridEnv
+from spikedeploy.envs.kart.reward import PathReward, StepOutcome
+from spikedeploy.envs.kart.steer import KartSteerEnv
+from spikedeploy.envs.kart.track import Track, segments
+
+KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
+FORWARD = {"kart-grid": 4, "kart-gazebo": 1, "kart-steer": 1}
+everyone = pytest.mark.parametrize("name", KARTS)
+REST = StepOutcome(
+    gained=0.0, approach=0.0, gates=0, since=0, finish=False, failed=False, speed=0.0, steering=0
+)
+
+
+def episode(env, seed, choose):
+    """Info of the start, and (reward, terms, info) of every step."""
+    observation, first = env.reset(seed=seed)
+    steps, over = [], False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(choose(observation))
+        steps.append((reward, info["reward_terms"], info))
+        over = terminated or truncated
+    return first, steps
+
+
+def total(steps, term):
+    return sum(terms[term] for _, terms, _ in steps)
+
+
+@everyone
+def test_the_reward_is_the_sum_of_its_terms(name):
+    env = envs.make(name).unwrapped
+    rng = np.random.default_rng(0)
+    for preset in ("default", "classic"):
+        env = envs.make(name, preset=preset).unwrapped
+        _, steps = episode(env, 1, lambda _, env=env: int(rng.integers(env.action_space.n)))
+        for reward, terms, _ in steps:
+            assert reward == pytest.approx(sum(terms.values()))
+
+
+@everyone
+def test_progress_of_a_lap_sums_to_the_way_from_its_start(name):
+    env = envs.make(name).unwrapped
+    driver = GapDriver.of(env)
+    first, steps = episode(env, 10_000, lambda seen: int(driver.act(seen)))
+    assert steps[-1][2]["finish"]
+    way = env.track.remaining(first["x"], first["y"], 0)
+    assert total(steps, "progress") == pytest.approx(way / 100)
+    assert total(steps, "finish") == 10.0
+    assert total(steps, "crash") == 0.0
+    assert total(steps, "time") == pytest.approx(-0.01 * len(steps))
+
+
+@everyone
+def test_progress_of_a_drive_sums_to_the_way_it_made_good(name):
+    env = envs.make(name, max_steps=150).unwrapped
+    rng = np.random.default_rng(5)
+    for seed in range(5):
+        first, steps = episode(env, seed, lambda _: int(rng.choice([FORWARD[name], 0, 3])))
+        start = env.track.remaining(first["x"], first["y"], 0)
+        x, y, _ = env.pose
+        end = env.track.remaining(x, y, env.next_gate)
+        assert total(steps, "progress") == pytest.approx((start - end) / 100)
+
+
+@everyone
+def test_passing_a_gate_never_costs_anything(name):
+    """The corner that is cut at a gate is paid; what comes next is a leg, not a jump back."""
+    env = envs.make(name).unwrapped
+    driver = GapDriver.of(env)
+    _, steps = episode(env, 10_001, lambda seen: int(driver.act(seen)))
+    gates = [info["gates"] for _, _, info in steps]
+    at = [k for k in range(1, len(steps)) if gates[k] > gates[k - 1]]
+    assert len(at) == 8
+    assert all(steps[k][1]["progress"] > -0.1 for k in at)
+
+
+def test_driving_forth_and_back_earns_nothing():
+    env = envs.make("kart-grid", start="fixed").unwrapped
+    env.reset(seed=0)
+    earned = []
+    for action in [4] * 10 + [3] * 20 + [4] * 10 + [0] * 60:
+        _, _, _, _, info = env.step(action)
+        earned.append(info["reward_terms"]["progress"])
+    away = env.track.remaining(150.0, 200.0, 0) - env.track.remaining(*env.pose[:2], 0)
+    assert max(earned) > 0.01
+    assert sum(earned) == pytest.approx(away / 100)
+
+
+def test_a_crash_and_giving_up_cost_five_once():
+    terms = PathReward().terms(REST._replace(failed=True))
+    assert terms == {"progress": 0.0, "gate": 0.0, "finish": 0.0, "crash": -5.0, "time": -0.01}
+
+
+def test_weights_are_changed_by_name_and_the_others_stay():
+    reward = PathReward({"gate": 2.0, "time": 0})
+    terms = reward.terms(REST._replace(gained=50.0, gates=1))
+    assert terms == {"progress": 0.5, "gate": 2.0, "finish": 0.0, "crash": 0.0, "time": 0.0}
+
+
+def test_the_clock_is_not_paid_as_a_crash():
+    for preset in ("default", "classic"):
+        env = envs.make("kart-grid", preset=preset, max_steps=20).unwrapped
+        _, steps = episode(env, 0, lambda _: 4)
+        assert len(steps) == 20
+        assert total(steps, "crash") == 0.0
+
+
+# -- classic: kart-simulator's numbers
+
+
+@pytest.mark.parametrize(
+    ("kind", "speed", "expected"),
+    [(KartGridEnv, 400.0, 0.38), (KartGazeboEnv, 440.0, 0.75), (KartSteerEnv, 599.0, 12.5)],
+)
+def test_classic_progress_at_full_speed_is_the_seeds(kind, speed, expected):
+    deed = REST._replace(approach=speed / 60, speed=speed)
+    assert kind.CLASSIC.terms(deed)["progress"] == pytest.approx(expected, rel=0.01)
+
+
+def test_a_classic_grid_kart_pays_half_more_for_going_back():
+    back, forth = (
+        KartGridEnv.CLASSIC.terms(REST._replace(approach=way, speed=100.0))["progress"]
+        for way in (-1.0, 1.0)
+    )
+    assert back == pytest.approx(-1.5 * forth)
+
+
+@pytest.mark.parametrize(
+    ("since", "expected"), [(0, 365.5), (50, 221.7), (100, 134.5), (200, 49.5), (500, 2.46)]
+)
+def test_a_classic_gate_pays_less_the_longer_it_took(since, expected):
+    deed = REST._replace(gates=1, since=since)
+    assert KartGridEnv.CLASSIC.terms(deed)["gate"] == pytest.approx(expected, rel=2e-3)
+    assert KartGazeboEnv.CLASSIC.terms(deed)["gate"] == pytest.approx(2 * expected, rel=2e-3)
+
+
+@pytest.mark.parametrize(("kind", "crash"), [(KartGridEnv, -500), (KartGazeboEnv, -1000),
+                                             (KartSteerEnv, -500)])  # fmt: skip
+def test_classic_ends_pay_the_seeds_sums_once(kind, crash):
+    assert kind.CLASSIC.terms(REST._replace(failed=True))["crash"] == crash
+    assert kind.CLASSIC.terms(REST._replace(finish=True))["finish"] == 500_000
+
+
+def test_classic_steering_is_paid_towards_the_gate_and_twice_as_dear_away_from_it():
+    terms = [KartSteerEnv.CLASSIC.terms(REST._replace(steering=k))["steer"] for k in (1, 0, -1)]
+    assert terms == pytest.approx([0.07, 0.0, -0.14])
+
+
+def test_classic_steering_counts_by_the_side_of_the_gate():
+    env = envs.make("kart-steer", preset="classic", start="fixed").unwrapped
+    env.reset(seed=0)
+    right, left = env.ACTIONS.index("right"), env.ACTIONS.index("left")
+    # the first gate's middle is ahead, 5 px down: a little to the right
+    assert env.step(right)[4]["reward_terms"]["steer"] == pytest.approx(0.07)
+    assert env.step(right)[4]["reward_terms"]["steer"] == pytest.approx(-0.14)
+    assert env.step(left)[4]["reward_terms"]["steer"] == pytest.approx(0.07)
+
+
+def test_classic_pays_increments_and_not_the_running_total():
+    env = envs.make("kart-gazebo", preset="classic", start="fixed").unwrapped
+    env.reset(seed=0)
+    rewards = [env.step(1)[1] for _ in range(12)]
+    # 0.75 a step at full speed: the approach differs a little as the gate's middle is not ahead
+    np.testing.assert_allclose(rewards[1:], 0.746, atol=0.01)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("kart-gazebo", 100), ("kart-steer", 120)])
+def test_classic_karts_may_stand_still_for_the_seeds_time(name, steps):
+    env = envs.make(name, preset="classic").unwrapped
+    _, done = episode(env, 0, lambda _: 0)
+    assert len(done) == steps
+    assert done[-1][2]["stalled"]
+
+
+def test_a_classic_grid_kart_may_stand_still_for_ever():
+    env = envs.make("kart-grid", preset="classic", max_steps=400).unwrapped
+    _, steps = episode(env, 0, lambda _: 0)
+    assert len(steps) == 400
+    assert not steps[-1][2]["stalled"]
+
+
+@pytest.mark.parametrize(("name", "action"), [("kart-grid", "left"), ("kart-steer", "accelerate")])
+def test_classic_deserters_are_stopped_after_30_steps(name, action):
+    corners = 2000.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    gate = np.array([[[900.0, -50.0], [900.0, 50.0]]])
+    away = (math.pi, math.pi)
+    course = Track("hall", segments([corners]), gate, np.zeros(2), 0.0, away, 0.0, (corners,))
+    env = envs.make(name, preset="classic", track=course).unwrapped
+    _, steps = episode(env, 0, lambda _: env.ACTIONS.index(action))
+    assert len(steps) == 30
+    assert steps[-1][2]["stalled"]
+    assert steps[-1][1]["crash"] == -500.0

@@ -1,0 +1,207 @@
+"""Track files: what the shipped ones hold, and what is said of broken ones."""
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart.track_rules import distances
+
+LANE = {  # a lane 400 px long and 100 px wide, open at its right end, where the finish is
+    "name": "lane",
+    "walls": [[[400, 0], [0, 0], [0, 100], [400, 100]]],
+    "gates": [[[200, 0], [200, 100]], [[395, 0], [395, 100]]],
+    "start": {"position": [60, 50], "spread": 10, "heading": [-0.5, 0.5]},
+}
+everyone = pytest.mark.parametrize("name", track.names())
+
+
+def changed(**fields):
+    return {**LANE, **fields}
+
+
+def begun(**fields):
+    return changed(start={**LANE["start"], **fields})
+
+
+def written(folder, content):
+    path = folder / "mine.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def refusal(folder, content):
+    with pytest.raises(EnvError) as caught:
+        track.load(written(folder, content))
+    message = str(caught.value)
+    assert "mine.json" in message
+    assert "\n" not in message
+    return message
+
+
+def test_the_shipped_tracks_are_two_bends_a_circuit_and_three_rooms():
+    assert track.names() == ("big_S", "circuit", "room_1", "room_2", "room_3", "small_S")
+
+
+def test_big_s_has_the_seeds_walls_gates_and_length():
+    found = track.load("big_S")
+    assert found.walls.shape == (12, 2, 2)
+    assert found.box == (54.0, 81.0, 990.0, 958.0)
+    assert found.midpoints[:2] == ((448.0, 205.0), (807.5, 256.0))
+    assert found.start.tolist() == [150.0, 200.0]
+    assert found.spread == 50.0
+    legs = -np.diff(found.rest)
+    np.testing.assert_allclose(legs, [363, 217, 357, 263, 182, 261, 454], atol=0.6)
+    assert found.length == pytest.approx(2396, abs=1)
+
+
+def test_small_s_has_the_seeds_walls_gates_and_length():
+    found = track.load("small_S")
+    assert found.walls.shape == (12, 2, 2)
+    assert found.box == (270.0, 401.0, 562.0, 824.0)
+    assert len(found.gates) == 5
+    assert found.length == pytest.approx(903, abs=1)
+
+
+def test_the_circuit_ends_where_it_begins():
+    found = track.load("circuit")
+    for line in found.polylines:
+        np.testing.assert_array_equal(line[0], line[-1])
+    assert math.dist(found.midpoints[-1], found.start) < 200
+    assert found.length > 2300
+
+
+@everyone
+def test_the_way_that_remains_is_the_sum_of_the_legs(name):
+    found = track.load(name)
+    points = [found.start, *found.midpoints]
+    way = sum(math.dist(a, b) for a, b in pairwise(points))
+    assert found.length == pytest.approx(way)
+    assert found.remaining(*found.midpoints[-1], len(found.gates) - 1) == pytest.approx(0.0)
+    assert found.remaining(3.0, 4.0, len(found.gates)) == 0.0
+
+
+@everyone
+def test_a_kart_has_room_wherever_it_starts(name):
+    found = track.load(name)
+    corners = found.start + found.spread * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    assert distances(corners, found.walls).min() > 19.2
+
+
+def test_a_track_file_of_ones_own_is_loaded_by_its_path(tmp_path):
+    path = written(tmp_path, LANE)
+    for name in (path, str(path)):
+        found = track.load(name)
+        assert found.name == "lane"
+        assert found.walls.tolist() == [
+            [[400, 0], [0, 0]],
+            [[0, 0], [0, 100]],
+            [[0, 100], [400, 100]],
+        ]
+        assert found.heading == (-0.5, 0.5)
+
+
+def test_a_file_that_was_changed_is_read_again(tmp_path):
+    path = written(tmp_path, LANE)
+    assert track.load(path).name == "lane"
+    path.write_text(json.dumps(changed(name="other")))
+    assert track.load(path).name == "other"
+
+
+def test_a_goal_that_sways_moves_the_finish_alone():
+    found = track.load("room_1")
+    moved = [found.swayed(np.random.default_rng(seed)) for seed in range(50)]
+    shifts = np.array([each.gates[-1, :, 1] - found.gates[-1, :, 1] for each in moved])
+    np.testing.assert_allclose(shifts[:, 0], shifts[:, 1])
+    assert shifts.min() < -200
+    assert shifts.max() > 200
+    assert np.abs(shifts).max() <= found.sway
+    assert len({each.midpoints for each in moved}) == 50
+
+
+def test_distances_to_segments_are_known_by_hand():
+    segments = np.array([[[0.0, 0.0], [10.0, 0.0]], [[0.0, 5.0], [0.0, 9.0]]])
+    points = np.array([[5.0, 3.0], [13.0, 4.0]])
+    np.testing.assert_allclose(distances(points, segments), [[3, math.hypot(5, 2)], [5, 13.0384]],
+                               rtol=1e-4)  # fmt: skip
+
+
+def test_an_unknown_name_is_answered_with_a_suggestion():
+    with pytest.raises(EnvError, match=r"unknown track 'bigS'; did you mean 'big_S'\?"):
+        track.load("bigS")
+    with pytest.raises(EnvError, match=r"known: big_S, circuit, .* corridor"):
+        track.load("monza")
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(EnvError, match=r"nowhere\.json: No such file"):
+        track.load("nowhere.json")
+
+
+def test_what_is_not_json_is_refused(tmp_path):
+    assert "not a JSON file" in refusal(tmp_path, "(1, 2)\r(3, 4)")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ([1], "must be an object with name, walls, gates, start"),
+        ({key: LANE[key] for key in ("name", "walls", "gates")}, "'start' is missing"),
+        (changed(width=3), "unknown field 'width'; it has name, walls, gates, start, sway"),
+        (changed(start={"position": [60, 50], "spread": 1}), "start: 'heading' is missing"),
+        (changed(walls=[]), "walls: must be a list of lines, at least one"),
+        (changed(walls=[[[0, 0]]]), "wall 1: 1 point; a line needs two"),
+        (changed(walls=[[[0, 0], [1]]]), "wall 1: must be numbers of shape ('n', 2)"),
+        (changed(walls=[[[0, 0], [1, "x"]]]), "wall 1: must be numbers"),
+        (changed(walls=[[[0, 0], [1, float("nan")]]]), "wall 1: must be numbers"),
+        (changed(walls=[*LANE["walls"], [[1, 2], [1, 2]]]), "wall 2: points 1 and 2 are the same"),
+        (changed(gates=[[[1, 2], [3, 4], [5, 6]]]), "gate 1 has 3 points; a gate has two"),
+        (begun(spread=-1), "spread -1.0 and sway 0.0 must not be below 0"),
+        (begun(heading=[1, -1]), "heading [1.0, -1.0] must not fall"),
+        (begun(heading=1), "start heading: must be numbers of shape (2,)"),
+    ],
+)
+def test_a_form_that_no_track_has_is_refused_by_its_place(tmp_path, content, message):
+    assert message in refusal(tmp_path, content)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        # its left end is missing
+        (changed(walls=[[[400, 0], [0, 0]], [[0, 100], [400, 100]]]), "the walls are open"),
+        # the finish leaves the right end open
+        (changed(gates=[LANE["gates"][0], [[395, 0], [395, 50]]]), "the walls are open"),
+        (begun(position=[60, 300]), "or the start is outside of them"),
+        (begun(position=[60, 85]), "starts 5.0 px from a wall"),
+        (begun(spread=40), "starts 10.0 px from a wall"),
+        (
+            changed(gates=[[[200, 300], [200, 400]], LANE["gates"][1]]),
+            "gate 1 is off the track: no kart gets from the start to (200, 300)-(200, 400)",
+        ),
+        (
+            changed(gates=[[[200, 40], [200, 160]], LANE["gates"][1]]),
+            "gate 1 is crossed by a wall at (200, 100)",
+        ),
+        # a wall across the lane
+        (
+            changed(walls=[*LANE["walls"], [[300, 0], [300, 100]]]),
+            "gate 2 is off the track",
+        ),
+        (
+            changed(sway=60),
+            "swayed by -60 px: gate 2 is crossed by a wall at (395, 0)",
+        ),
+    ],
+)
+def test_a_track_that_nobody_can_drive_is_refused_with_the_reason(tmp_path, content, message):
+    assert message in refusal(tmp_path, content)
+
+
+def test_a_gate_may_stick_out_of_the_walls_a_little(tmp_path):
+    path = written(tmp_path, changed(gates=[[[200, -5], [200, 110]], LANE["gates"][1]]))
+    assert len(track.load(path).gates) == 2

@@ -1,0 +1,174 @@
+import gymnasium
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
+from tests.choosing import Choosing
+
+
+class Constant:
+    def __init__(self, action):
+        self.action = np.asarray(action, dtype=np.float64)
+
+    def reset(self, seed):
+        self.seed = seed
+
+    def act(self, observation):
+        return self.action
+
+
+class FailsAtThird(Constant):
+    def reset(self, seed):
+        self.count = 0
+
+    def act(self, observation):
+        self.count += 1
+        return self.action if self.count == 3 else np.zeros(18)
+
+
+class Broken(gymnasium.ObservationWrapper):
+    def observation(self, observation):
+        return np.where(np.arange(77) == 5, np.nan, observation)
+
+
+@pytest.fixture(scope="module")
+def env():
+    return envs.make("hexapod", max_steps=30)
+
+
+@pytest.fixture(scope="module")
+def walk(env):
+    return rollout(env, Constant(np.zeros(18)), 7)
+
+
+def test_a_rollout_holds_every_step(walk):
+    assert walk.env_id == "spikedeploy/Hexapod-v0"
+    assert walk.seed == 7
+    assert walk.steps == 30
+    assert walk.observation.shape == (31, 77)
+    assert walk.action.shape == (30, 18)
+    assert walk.truncated
+    assert not walk.terminated
+    assert {values.shape for values in walk.info.values()} == {(30,)}
+
+
+def test_named_reward_terms_sum_to_the_reward(walk):
+    terms = [values for name, values in walk.info.items() if name.startswith("reward/")]
+    np.testing.assert_allclose(np.sum(terms, axis=0), walk.reward, atol=1e-9)
+    assert walk.total == pytest.approx(walk.info["episode_return"][-1])
+
+
+def test_success_is_what_the_environment_says_at_the_end(walk):
+    assert walk.success is False
+    won = Rollout(**{**vars(walk), "info": {"success": np.array([0.0, 1.0])}})
+    assert won.success is True
+
+
+def test_the_same_seed_gives_the_same_rollout(env, walk):
+    again = rollout(env, Constant(np.zeros(18)), 7)
+    np.testing.assert_array_equal(again.observation, walk.observation)
+    np.testing.assert_array_equal(again.reward, walk.reward)
+
+
+def test_the_controller_is_reset_with_the_seed(env):
+    controller = Constant(np.zeros(18))
+    rollout(env, controller, 12)
+    assert controller.seed == 12
+
+
+def test_what_is_saved_is_loaded_bit_for_bit(walk, tmp_path):
+    path = tmp_path / "walk.npz"
+    walk.save(path)
+    loaded = Rollout.load(path)
+    assert (loaded.env_id, loaded.seed) == (walk.env_id, walk.seed)
+    assert (loaded.terminated, loaded.truncated) == (False, True)
+    np.testing.assert_array_equal(loaded.observation, walk.observation)
+    np.testing.assert_array_equal(loaded.action, walk.action)
+    np.testing.assert_array_equal(loaded.reward, walk.reward)
+    assert loaded.info.keys() == walk.info.keys()
+    for name, values in walk.info.items():
+        np.testing.assert_array_equal(loaded.info[name], values)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["walk.npz"]
+
+
+def test_a_truncated_file_is_refused(walk, tmp_path):
+    path = tmp_path / "walk.npz"
+    walk.save(path)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(EnvError, match=r"walk\.npz: not a whole rollout"):
+        Rollout.load(path)
+
+
+def test_a_stranger_and_a_missing_file_are_refused(tmp_path):
+    path = tmp_path / "other.npz"
+    np.savez(path, weights=np.zeros(3))
+    with pytest.raises(EnvError, match="not a rollout file"):
+        Rollout.load(path)
+    with pytest.raises(EnvError, match="no such rollout"):
+        Rollout.load(tmp_path / "none.npz")
+
+
+def test_an_action_that_is_not_finite_names_step_and_place(env):
+    action = np.zeros(18)
+    action[4] = np.inf
+    with pytest.raises(EnvError, match=r"action of step 2: not a finite number at \[4\]"):
+        rollout(env, FailsAtThird(action), 0)
+
+
+def test_an_action_of_the_wrong_shape_names_the_step(env):
+    with pytest.raises(EnvError, match=r"action of step 2: shape \(6,\) instead of \(18,\)"):
+        rollout(env, FailsAtThird(np.zeros(6)), 0)
+
+
+def test_an_observation_that_is_not_finite_is_refused(env):
+    with pytest.raises(EnvError, match=r"observation of step 0: not a finite number at \[5\]"):
+        rollout(Broken(env), Constant(np.zeros(18)), 0)
+
+
+def test_frames_need_a_camera(env):
+    with pytest.raises(EnvError, match="render_mode"):
+        rollout(env, Constant(np.zeros(18)), 0, on_frame=lambda frame: None)
+
+
+class Quadrant(Constant):
+    def act(self, observation):
+        return np.int64(observation[0] > 0) + 2 * np.int64(observation[1] > 0)
+
+
+def test_a_choice_is_kept_as_the_index_that_was_played(tmp_path):
+    played = rollout(Choosing(), Quadrant(0), 3)
+    assert played.total == 10.0  # the best action at every step
+    assert played.action.shape == (10,)
+    assert played.action.dtype == np.int64
+    played.save(tmp_path / "played.npz")
+    loaded = Rollout.load(tmp_path / "played.npz")
+    np.testing.assert_array_equal(loaded.action, played.action)
+    assert loaded.action.dtype == np.int64
+
+
+@pytest.mark.parametrize("wrong", [4, -1, 0.5])
+def test_a_choice_that_the_environment_does_not_have_is_refused(wrong):
+    with pytest.raises(EnvError, match=f"action of step 0: {wrong} is none of 0 to 3"):
+        rollout(Choosing(), Constant(wrong), 0)
+
+
+def test_numbers_where_a_choice_is_due_are_refused():
+    with pytest.raises(EnvError, match=r"action of step 0: shape \(4,\) instead of \(\)"):
+        rollout(Choosing(), Constant(np.zeros(4)), 0)
+
+
+def test_a_rollout_says_which_options_its_world_was_made_with(env, walk, tmp_path):
+    assert walk.options == {"max_steps": 30}
+    walk.save(tmp_path / "walk.npz")
+    assert Rollout.load(tmp_path / "walk.npz").options == {"max_steps": 30}
+
+
+def test_an_episode_that_is_broken_off_counts_as_truncated(env):
+    take = EpisodeRecorder(env, 5)
+    for _ in range(3):
+        take.step(np.zeros(18))
+    broken_off = take.rollout()
+    assert (broken_off.steps, take.over) == (3, False)
+    assert (broken_off.terminated, broken_off.truncated) == (False, True)

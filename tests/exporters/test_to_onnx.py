@@ -1,0 +1,117 @@
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from spikedeploy.exporters.to_onnx import to_onnx
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.features import Features
+from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
+
+ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sac", 3, 7, "2026-01-01T00:00:00Z", "0.1.0")
+
+
+def mlp(hidden=(8, 4), features=None, head="continuous"):
+    torch.manual_seed(0)
+    policy = MlpPolicy(6, 2, hidden=hidden, features=features, head=head)
+    policy.normalizer.mean.normal_()
+    policy.normalizer.std.uniform_(0.1, 2.0)
+    return policy
+
+
+def act(path, observation):
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    return session.run(["action"], {"observation": observation.astype(np.float32)})[0]
+
+
+FEATURES = [
+    None,
+    Features("phase", 6, [2, 3], []),
+    Features("bilinear", 6, [2, 3], []),
+    Features("bilinear", 6, [4, 1], [5, 0]),
+]
+
+
+@pytest.mark.parametrize("hidden", [(), (5,), (8, 4)])
+@pytest.mark.parametrize("features", FEATURES)
+def test_the_file_acts_like_the_policy_whatever_it_looks_at(hidden, features, tmp_path):
+    policy = mlp(hidden, features)
+    observation = np.random.default_rng(1).normal(0, 3, (50, 6))
+    found = act(to_onnx(policy, ORIGIN, tmp_path / "p.onnx"), observation)
+    with torch.no_grad():
+        expected = policy(torch.from_numpy(observation).float()).numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert found.std(axis=0).min() > 0.01  # it does depend on what it sees
+
+
+@pytest.mark.parametrize("hidden", [(), (8, 4)])
+def test_a_policy_that_chooses_puts_out_its_logits(hidden, tmp_path):
+    policy = mlp(hidden, head="discrete")
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    observation = np.random.default_rng(1).normal(0, 3, (50, 6)).astype(np.float32)
+    found = session.run(["logits"], {"observation": observation})[0]
+    with torch.no_grad():
+        expected = policy.scores(torch.from_numpy(observation)).numpy()
+        chosen = policy(torch.from_numpy(observation)).numpy()
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(found.argmax(axis=1), chosen)
+    assert session.get_modelmeta().custom_metadata_map["head"] == "discrete"
+    assert session.get_outputs()[0].name == "logits"
+
+
+def test_any_number_of_observations_fits(tmp_path):
+    path = to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx")
+    for count in (1, 7):
+        assert act(path, np.zeros((count, 6))).shape == (count, 2)
+
+
+def test_the_file_says_who_made_it_and_what_it_costs(tmp_path):
+    path = to_onnx(mlp(), ORIGIN, tmp_path / "sac.onnx", kind="control")
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    found = session.get_modelmeta().custom_metadata_map
+    assert len(found.pop("sha256")) == 64
+    assert found == {
+        "env": "spikedeploy/Hexapod-v0",
+        "recipe": "hexapod-sac",
+        "seed": "3",
+        "steps": "7",
+        "kind": "control",
+        "head": "continuous",
+        "name": "sac",
+        "macs": str(6 * 8 + 8 * 4 + 4 * 2),
+        "created": "2026-01-01T00:00:00Z",
+        "version": "0.1.0",
+    }
+
+
+def test_what_each_weight_matrix_hears_can_be_asked_for(tmp_path):
+    policy = mlp((8, 4))
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    observation = np.random.default_rng(1).normal(0, 3, (50, 6)).astype(np.float32)
+    _, normalised, first, second = session.run(None, {"observation": observation})
+    with torch.no_grad():
+        expected = policy.normalizer(torch.from_numpy(observation))
+        np.testing.assert_allclose(normalised, expected.numpy(), atol=1e-5)
+        expected = torch.relu(policy.layers[0](expected))
+        np.testing.assert_allclose(first, expected.numpy(), atol=1e-5)
+    assert second.shape == (50, 4)
+
+
+def test_exporting_twice_gives_the_same_bytes(tmp_path):
+    first = to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx").read_bytes()
+    assert to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx").read_bytes() == first
+    assert [path.name for path in tmp_path.iterdir()] == ["p.onnx"]
+
+
+@pytest.mark.parametrize("kind", [PopsanPolicy, SpikingMlpPolicy])
+def test_a_spiking_policy_is_sent_to_nir(kind, tmp_path):
+    with pytest.raises(ConfigError, match="--to nir"):
+        to_onnx(kind(6, 2, hidden=(4,)), ORIGIN, tmp_path / "p.onnx")
+
+
+def test_an_unknown_kind_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="ann, control"):
+        to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx", kind="snn")

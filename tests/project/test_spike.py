@@ -1,0 +1,88 @@
+"""The script `./spike`: which extras it installs when, played with a stand-in for pip."""
+
+import shutil
+import subprocess
+
+import pytest
+
+from tests.paths import ROOT
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A checkout with a virtual environment whose programs only write down how they are called."""
+    home = tmp_path / "a checkout"
+    (home / ".venv/bin").mkdir(parents=True)
+    shutil.copy(ROOT / "spike", home)
+    (home / "pyproject.toml").write_text("version 1")
+    for program in ("pip", "spikedeploy", "python"):
+        file = home / ".venv/bin" / program
+        file.write_text(f'#!/bin/sh\necho "{program} $PWD $*" >> "{home}/calls"\n')
+        file.chmod(0o755)
+    return home
+
+
+def spike(home, *words, cwd=None):
+    """Run the script; what it called since the last time."""
+    calls = home / "calls"
+    calls.unlink(missing_ok=True)
+    done = subprocess.run(
+        [home / "spike", *words], cwd=cwd, capture_output=True, text=True, check=False
+    )
+    lines = calls.read_text().splitlines() if calls.exists() else []
+    return done, [line.split(" ")[0] for line in lines], lines
+
+
+def test_it_is_a_short_posix_script():
+    assert len((ROOT / "spike").read_text().splitlines()) <= 40
+    subprocess.run(["sh", "-n", ROOT / "spike"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("verb", "extra"),
+    [("demo", ""), ("compare", ""), ("train", "[train]"), ("export", "[train]"), ("test", "[dev]")],
+)
+def test_the_first_call_installs_what_the_verb_needs(verb, extra, checkout):
+    _, programs, lines = spike(checkout, verb)
+    assert programs[0] == "pip"
+    assert lines[0].endswith(f"-e {checkout}{extra}")
+    assert programs[1] == ("python" if verb == "test" else "spikedeploy")
+
+
+def test_the_second_call_installs_nothing(checkout):
+    spike(checkout, "train")
+    assert spike(checkout, "train")[1] == ["spikedeploy"]
+    assert spike(checkout, "demo")[1] == ["spikedeploy"]  # train holds what demo needs
+    assert spike(checkout, "test")[1] == ["pip", "python"]
+
+
+def test_a_changed_project_is_installed_again(checkout):
+    spike(checkout, "demo")
+    (checkout / "pyproject.toml").write_text("version 2")
+    assert spike(checkout, "demo")[1] == ["pip", "spikedeploy"]
+
+
+def test_words_reach_the_command_line_unchanged_from_any_folder(checkout, tmp_path):
+    _, _, lines = spike(checkout, "run", "my file.nir", "--episodes", "2", cwd=tmp_path)
+    assert lines[-1] == f"spikedeploy {tmp_path} run my file.nir --episodes 2"
+
+
+def test_without_words_it_prints_the_help(checkout):
+    assert spike(checkout)[2][-1].endswith(" --help")
+
+
+def test_the_suite_runs_in_the_checkout(checkout, tmp_path):
+    _, _, lines = spike(checkout, "test", "-x", cwd=tmp_path)
+    assert lines[-1] == f"python {checkout} -m pytest -n 2 -x"
+
+
+def test_a_failed_installation_shows_its_log_and_is_tried_again(checkout):
+    pip = checkout / ".venv/bin/pip"
+    works = pip.read_text()
+    pip.write_text("#!/bin/sh\necho no network here\nexit 1\n")
+    done, programs, _ = spike(checkout, "demo")
+    assert done.returncode != 0
+    assert "no network here" in done.stderr
+    assert programs == []
+    pip.write_text(works)
+    assert spike(checkout, "demo")[1] == ["pip", "spikedeploy"]

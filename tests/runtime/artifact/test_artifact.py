@@ -1,0 +1,363 @@
+import contextlib
+import os
+
+import h5py
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ArtifactError, ConventionError, SpikedeployError
+from spikedeploy.runtime.graph.neurons import discretise
+from spikedeploy.runtime.metadata import Provenance
+from tests.networks import ORIGIN, chain, codec, cuba, graph, lif, popsan
+
+
+@pytest.fixture
+def artifact():
+    return popsan()
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "policy.nir"
+
+
+def foreign(path, network):
+    """A file as another tool would write it."""
+    nir.write(path, network)
+    return path
+
+
+def edited(path, field, value):
+    """The file with one number or text of its HDF5 changed."""
+    with h5py.File(path, "r+") as file:
+        del file[field]
+        file[field] = value
+    return path
+
+
+# what is written is what is read
+
+
+def test_everything_comes_back(artifact, path):
+    save(artifact, path)
+    back = load(path)
+    obs = np.random.default_rng(0).normal(size=(20, 3))
+    np.testing.assert_array_equal(back.codec.encode(obs), artifact.codec.encode(obs))
+    assert (back.convention, back.convention.source) == (Convention(1e-3), "stated")
+    assert back.origin == Provenance(
+        "spikedeploy/Hexapod-v0",
+        "smoke",
+        seed=3,
+        steps=7,
+        created="2026-01-01T00:00:00Z",
+        sha256=digest(artifact),
+    )
+    assert digest(back) == digest(artifact)
+
+
+def test_nir_itself_opens_the_file(artifact, path):
+    save(artifact, path)
+    network = nir.read(path)
+    assert sorted(network.nodes) == sorted(artifact.graph.nodes)
+    np.testing.assert_array_equal(network.nodes["n1"].weight, artifact.graph.nodes["n1"].weight)
+
+
+def test_the_same_artifact_gives_the_same_bytes_in_any_node_order(artifact, path, tmp_path):
+    network = artifact.graph
+    turned = nir.NIRGraph(dict(reversed(network.nodes.items())), network.edges[::-1])
+    save(artifact, path)
+    save(Artifact(turned, artifact.codec, artifact.convention, artifact.origin), tmp_path / "b")
+    assert path.read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_saving_what_was_loaded_gives_the_same_bytes(artifact, path, tmp_path):
+    save(artifact, path)
+    save(load(path), tmp_path / "again.nir")
+    assert path.read_bytes() == (tmp_path / "again.nir").read_bytes()
+
+
+def test_saving_leaves_the_graph_without_our_metadata(artifact, path):
+    save(artifact, path)
+    assert artifact.graph.metadata == {}
+
+
+def test_metadata_of_other_tools_are_kept(artifact, path):
+    artifact.graph.metadata["lab"] = {"note": "third try", "rate": 0.5}
+    save(artifact, path)
+    assert load(path).graph.metadata == {"lab": {"note": "third try", "rate": 0.5}}
+
+
+def test_an_artifact_without_codec_and_origin_is_one(artifact, path):
+    save(Artifact(artifact.graph, None, Convention(1e-3)), path)
+    assert (load(path).codec, load(path).origin) == (None, None)
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(artifact, path):
+    save(artifact, path)
+    before = path.read_bytes()
+    artifact.graph.metadata["impossible"] = None
+    with pytest.raises(ArtifactError, match=r"cannot write .*policy\.nir"):
+        save(artifact, path)
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == ["policy.nir"]
+
+
+def test_decays_come_back_within_one_unit_in_the_last_place_of_one():
+    for decay in np.linspace(0, 0.999, 500):
+        layer = discretise("n", cuba(1, alpha=decay, beta=decay), Convention(1e-3))
+        assert abs(layer.membrane_decay[0] - decay) <= np.spacing(1.0)
+        assert layer.current_decay[0] == layer.membrane_decay[0]
+        assert layer.gain[0] == 1.0
+
+
+def test_the_decays_of_the_recipes_come_back_bit_for_bit():
+    layer = discretise("n", cuba(1, alpha=0.9, beta=0.8), Convention(1e-3))
+    assert (layer.current_decay[0], layer.membrane_decay[0]) == (0.9, 0.8)
+
+
+# files of other tools
+
+
+def test_the_timestep_of_a_foreign_file_is_inferred_with_its_reason(artifact, path):
+    back = load(foreign(path, artifact.graph))
+    assert back.convention == Convention(1e-3)
+    assert "dt = tau/r in n2, n4, n6" in back.convention.describe()
+    assert (back.codec, back.origin) == (None, None)
+
+
+def test_float32_gains_give_a_clean_timestep_and_a_gain_of_one(path):
+    network = chain(cuba(4, alpha=0.8, beta=0.95, dt=1e-4, dtype=np.float32), width=4, act=4)
+    back = load(foreign(path, network))
+    assert back.convention.dt == 1e-4
+    assert (discretise("n1", back.graph.nodes["n1"], back.convention).gain == 1).all()
+
+
+def test_what_is_given_goes_before_what_is_inferred(artifact, path):
+    back = load(foreign(path, artifact.graph), dt=5e-4, reset="subtract", delay=1)
+    assert back.convention == Convention(5e-4, reset="subtract", delay=1)
+
+
+def test_what_is_given_goes_before_what_our_file_states(artifact, path):
+    save(artifact, path)
+    assert load(path, integrator="exponential").convention.integrator == "exponential"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "reason"),
+    [
+        # r = 1 is a physical gain: dt = tau would leave no membrane at all
+        ([lif(2, tau=0.0025, r=1.0)], "in node 'n1' r is 1"),
+        (
+            [lif(2, tau=0.01, r=10.0), lif(2, tau=0.01, r=5.0)],
+            r"in node 'n.' tau/r is 0\.00. s and not",
+        ),
+        (
+            [nir.CubaLIF(*(np.full(2, v) for v in (0.01, 0.01, 10.0, 0.0, 1.0)))],
+            "in node 'n1' w_in dt/tau_syn is 0.1",
+        ),
+        ([nir.Affine(np.eye(2), np.zeros(2))], "no node of the graph has a time constant"),
+        ([lif(2, r=-10.0)], "a gain r is not above 0"),
+    ],
+)
+def test_a_timestep_that_cannot_be_inferred_must_be_given(path, nodes, reason):
+    foreign(path, chain(*nodes, width=2, act=2))
+    with pytest.raises(ArtifactError, match=f"cannot be inferred: {reason}.* Give dt"):
+        load(path)
+    assert load(path, dt=1e-4).convention.dt == 1e-4
+
+
+def test_a_timestep_longer_than_a_time_constant_is_refused(artifact, path):
+    with pytest.raises(ConventionError, match=r"'n2': dt = 0\.1 s is longer than tau_mem = 0\.005"):
+        load(foreign(path, artifact.graph), dt=0.1)
+
+
+# files that are not what they should be
+
+
+def test_a_missing_file_is_named(path):
+    with pytest.raises(ArtifactError, match=r"policy\.nir: there is no such file"):
+        load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"x" * 10_000])
+def test_a_file_that_is_no_hdf5_is_refused(path, content):
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError, match="not an HDF5 file"):
+        load(path)
+
+
+def test_hdf5_that_is_no_nir_is_refused(path):
+    with h5py.File(path, "w") as file:
+        file["weights"] = np.zeros(3)
+    with pytest.raises(ArtifactError, match="cannot be read as a NIR graph"):
+        load(path)
+
+
+def test_a_single_node_is_refused(path):
+    nir.write(path, cuba(3))
+    with pytest.raises(ArtifactError, match="cannot be read as a NIR graph"):
+        load(path)
+
+
+@pytest.mark.parametrize("part", np.linspace(0, 0.999, 25))
+def test_a_truncated_file_is_refused_wherever_it_ends(artifact, path, part):
+    save(artifact, path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(part * len(whole))])
+    with pytest.raises(ArtifactError):
+        load(path)
+
+
+def test_a_damaged_file_never_passes_for_the_policy(artifact, path):
+    save(artifact, path)
+    whole, sha = path.read_bytes(), digest(artifact)
+    rng = np.random.default_rng(0)
+    for place in rng.integers(0, len(whole), 60):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << rng.integers(8)
+        path.write_bytes(damaged)
+        with contextlib.suppress(SpikedeployError):
+            assert digest(load(path)) == sha
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -0.01])
+@pytest.mark.parametrize("field", ["tau_syn", "tau_mem"])
+def test_a_time_constant_that_is_none_is_refused(path, field, value):
+    node = cuba(3)
+    getattr(node, field)[1] = value
+    with pytest.raises(ArtifactError, match=f"node 'n1': {field} holds {value:g}"):
+        load(foreign(path, chain(node, width=3, act=3)), dt=1e-3)
+
+
+def test_a_weight_that_is_not_finite_is_refused_by_index(path):
+    weight = np.eye(3)
+    weight[2, 1] = np.nan
+    network = chain(nir.Affine(weight, np.zeros(3)), width=3, act=3)
+    with pytest.raises(ArtifactError, match=r"node 'n1': weight holds nan at index \(2, 1\)"):
+        load(foreign(path, network))
+
+
+def test_a_bias_of_the_wrong_length_is_refused(path):
+    network = chain(nir.Affine(np.eye(3), np.zeros(2)), width=3, act=3)
+    with pytest.raises(ArtifactError, match=r"'n1': bias has shape \(2,\).* need \(3,\)"):
+        load(foreign(path, network))
+
+
+def test_a_parameter_without_a_shape_is_refused(path):
+    foreign(path, chain(lif(1), width=1, act=1))
+    for field in ("tau", "r", "v_leak", "v_threshold", "v_reset"):
+        edited(path, f"node/nodes/n1/{field}", 0.5)
+    with pytest.raises(ArtifactError, match="node 'n1': r is a single number without a shape"):
+        load(path)
+
+
+def test_weights_that_are_text_are_refused(path):
+    foreign(path, chain(nir.Affine(np.eye(2), np.zeros(2)), width=2, act=2))
+    with pytest.raises(ArtifactError, match="node 'n1': bias"):
+        load(edited(path, "node/nodes/n1/bias", "zero"))
+
+
+@pytest.mark.parametrize("shape", [[0], [-2], [2.0], [np.nan], "wide"])
+def test_an_input_without_a_shape_is_refused(path, shape):
+    foreign(path, chain(nir.Linear(np.eye(2)), width=2, act=2))
+    with pytest.raises(ArtifactError, match=r"'input': shape is .* whole numbers above 0"):
+        load(edited(path, "node/nodes/input/shape", shape), dt=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("edges", "message"),
+    [
+        ("input->fc, fc->output, fc->lif1", r"'fc' -> 'lif1': there is no node 'lif1'"),
+        ("input->fc, fc->output, fc->output", "is there twice"),
+        ("input->fc, fc->output, fc->input", "goes into an Input node"),
+        ("input->output", "the shapes of the graph disagree"),
+    ],
+)
+def test_edges_that_make_no_graph_are_refused(path, edges, message):
+    nodes = {
+        "input": nir.Input(np.array([3])),
+        "fc": nir.Linear(np.ones((2, 3))),
+        "output": nir.Output(np.array([2])),
+    }
+    pairs = [tuple(edge.split("->")) for edge in edges.split(", ")]
+    foreign(path, nir.NIRGraph(nodes, pairs, type_check=False))
+    with pytest.raises(ArtifactError, match=message):
+        load(path, dt=1e-3)
+
+
+@pytest.mark.parametrize("name", ["a/b", "", "."])
+def test_a_name_that_hdf5_cannot_hold_is_refused_before_it_is_written(name):
+    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    network = nir.NIRGraph({**ends, name: lif(2)}, [("input", name), (name, "output")])
+    with pytest.raises(ArtifactError, match="HDF5 cannot hold this name"):
+        Artifact(network, None, Convention(1e-3))
+
+
+# metadata that cannot be true
+
+
+def test_a_timestep_that_the_gains_contradict_is_refused(artifact, path):
+    save(artifact, path)
+    with pytest.raises(ArtifactError, match=r"say dt = 0\.002 s, the nodes 0\.001 s"):
+        load(edited(path, "node/metadata/spikedeploy/convention/dt", 2e-3))
+
+
+def test_a_convention_that_does_not_exist_is_refused(artifact, path):
+    save(artifact, path)
+    with pytest.raises(ArtifactError, match="reset 'soft' is unknown"):
+        load(edited(path, "node/metadata/spikedeploy/convention/reset", "soft"))
+
+
+def test_a_schema_of_the_future_is_refused(artifact, path):
+    save(artifact, path)
+    with pytest.raises(ArtifactError, match="schema is 99; this version reads 1"):
+        load(edited(path, "node/metadata/spikedeploy/schema", 99))
+
+
+def test_weights_that_were_changed_after_the_export_are_noticed(artifact, path):
+    save(artifact, path)
+    with h5py.File(path, "r+") as file:
+        file["node/nodes/n1/weight"][0, 0] += 1e-9
+    with pytest.raises(ArtifactError, match="not the one that was exported"):
+        load(path)
+
+
+def test_a_codec_that_was_changed_after_the_export_is_noticed(artifact, path):
+    save(artifact, path)
+    with pytest.raises(ArtifactError, match="not the one that was exported"):
+        load(edited(path, "node/metadata/spikedeploy/codec/encoder/threshold", 0.9))
+
+
+def test_kinds_that_only_other_tools_compute_come_back_too(path):
+    convolution = nir.Conv2d((4, 4), np.ones((2, 1, 3, 3)), 1, (1, 1), 1, 1, np.zeros(2))
+    ends = {"input": nir.Input(np.array([1, 4, 4])), "output": nir.Output(np.array([2, 4, 4]))}
+    network = nir.NIRGraph({**ends, "conv": convolution}, [("input", "conv"), ("conv", "output")])
+    save(Artifact(network, None, Convention(1e-3), ORIGIN), path)
+    np.testing.assert_array_equal(load(path).graph.nodes["conv"].weight, convolution.weight)
+
+
+def test_a_codec_for_another_input_is_refused(artifact):
+    with pytest.raises(ArtifactError, match="makes 40 spike trains, node 'input' takes 30"):
+        Artifact(artifact.graph, codec(4), artifact.convention)
+
+
+def test_a_codec_with_a_part_missing_is_refused_by_its_path(artifact, path):
+    save(artifact, path)
+    with h5py.File(path, "r+") as file:
+        del file["node/metadata/spikedeploy/codec/encoder/std"]
+    with pytest.raises(ArtifactError, match=r"spikedeploy\.codec\.encoder\.std is missing"):
+        load(path)
+
+
+def test_edges_are_walked_and_not_the_order_of_the_file(path):
+    network = graph(
+        "input->z, z->a, a->output",
+        input=nir.Input(np.array([2])),
+        output=nir.Output(np.array([2])),
+        a=lif(2),
+        z=nir.Linear(np.eye(2)),
+    )
+    assert sorted(load(foreign(path, network)).graph.edges) == sorted(network.edges)

@@ -1,0 +1,81 @@
+"""Options of a chip in a line of text mean what they mean in Python."""
+
+import pytest
+
+from spikedeploy.runtime.chips.chip import CHIPS, chip, listed
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.errors import ChipError
+
+
+@pytest.mark.parametrize("name", sorted(CHIPS))
+def test_a_name_without_options_is_the_datasheet(name):
+    assert chip(f"{name}:") == chip(name)
+
+
+def test_text_and_python_give_the_same_chip():
+    spelled = chip("int:weight_bits=4, decay_bits=6,membrane=12-wrap,current=14")
+    given = chip(
+        "int",
+        weight_bits=4,
+        decay_bits=6,
+        membrane=Register(12, "wrap"),
+        current=Register(14, "clip"),
+    )
+    assert spelled == given
+    assert spelled != chip("int")
+
+
+def test_what_python_gives_goes_before_the_text():
+    assert chip("loihi1:weight_bits=4,sign_mode=mixed", weight_bits=5).fixed.weight_bits == 5
+    assert chip("loihi1:weight_bits=4,sign_mode=mixed").fixed.sign_mode == "mixed"
+
+
+def test_a_register_is_its_bits_and_overflows_as_before():
+    assert chip("loihi1", membrane=20).fixed.membrane == Register(20, "clip")
+    assert chip("loihi1:current=20").fixed.current == Register(20, "wrap-once")
+    assert chip("loihi1:current=20-wrap-once").fixed.current == Register(20, "wrap-once")
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("loihi1", ["loihi1"]),
+        (" loihi1, odin,", ["loihi1", "odin"]),
+        (
+            "loihi1:sign_mode=mixed,weight_bits=4,int:membrane=12,odin",
+            ["loihi1:sign_mode=mixed,weight_bits=4", "int:membrane=12", "odin"],
+        ),
+        ("", []),
+    ],
+)
+def test_a_comma_parts_options_and_chips(text, names):
+    assert listed(text) == names
+
+
+def test_lists_and_nothing_have_a_spelling():
+    assert chip("truenorth:resets=zero").resets == ("zero",)
+    assert chip("spinnaker2:resets=zero/subtract").resets == ("zero", "subtract")
+    assert chip("truenorth:floor=-100").steps.floor == -100
+    assert chip("odin:floor=none").steps.floor is None
+    assert chip("xylo-a2:events_max=3").events.events_max == 3
+    assert chip("ideal:delay=1").delay == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("int:weight_bits", "option 'weight_bits' has no value. Write it as int:weight_bits=4"),
+        ("int:=4", "option '=4' has no value|no option ''"),
+        ("int:weight_bit=4", "no option 'weight_bit'; did you mean 'weight_bits'"),
+        ("int:weight_bits=four", "weight_bits must be a whole number, found 'four'"),
+        ("int:membrane=12-up", "membrane '12-up' overflows in an unknown way.*saturate"),
+        ("int:membrane=wide", "membrane must be a whole number, found 'wide'"),
+        ("loihi1:sign_mode=both", "sign_mode 'both' is unknown"),
+        ("loihi1:sources=x", "'sources' cannot be given as text"),
+        ("ideal:weight_bits=4", "chip 'ideal' has no option 'weight_bits'"),
+        ("inf:weight_bits=4", "there is no chip 'inf'; did you mean 'int'"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_by_name(text, message):
+    with pytest.raises(ChipError, match=message):
+        chip(text)

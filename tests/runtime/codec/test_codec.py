@@ -1,0 +1,168 @@
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.codec.codec import ENCODERS, Codec, Normaliser, PopulationEncoder
+from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.runtime.metadata import Record
+from tests.networks import codec
+
+
+def one_neuron(drive, timesteps):
+    """Spikes of a neuron that is driven by `drive` in every timestep."""
+    x = np.sqrt(-2 * np.log(drive))
+    encoder = PopulationEncoder(np.zeros((1, 1)), np.ones((1, 1)))
+    return encoder.encode(np.array([[x]]), timesteps)[0, :, 0].tolist()
+
+
+def test_a_drive_of_half_spikes_every_second_timestep():
+    # v: 0.5, 1.0 -> spike, 0.001; 0.501, 1.001 -> spike, 0.002; 0.502
+    assert one_neuron(0.5, 5) == [0, 1, 0, 1, 0]
+
+
+def test_an_observation_on_the_centre_spikes_in_every_timestep():
+    # v: 1 -> spike, 0.001; 1.001 -> spike, 0.002; ...
+    assert one_neuron(1.0, 5) == [1, 1, 1, 1, 1]
+
+
+def test_the_soft_reset_keeps_what_is_above_the_threshold():
+    # v: 0.7, 1.4 -> 0.401, 1.101 -> 0.102, 0.802, 1.502 -> spike; a reset to 0 would skip one
+    assert one_neuron(0.7, 5) == [0, 1, 1, 0, 1]
+
+
+def test_spikes_equal_the_definition_worked_neuron_by_neuron():
+    rng = np.random.default_rng(1)
+    encoder = PopulationEncoder(rng.normal(size=(3, 4)), rng.uniform(0.2, 1, (3, 4)), 0.8)
+    x = rng.normal(size=(5, 3))
+    spikes = encoder.encode(x, 7)
+    for b, i, p in np.ndindex(5, 3, 4):
+        drive = np.exp(-0.5 * ((x[b, i] - encoder.mean[i, p]) / encoder.std[i, p]) ** 2)
+        v = 0.0
+        for t in range(7):
+            v += drive
+            assert spikes[b, t, i * 4 + p] == (v > 0.8)
+            v -= 0.8 * (v > 0.8)
+
+
+def test_a_batch_encodes_to_the_bits_of_its_rows():
+    c = codec(6)
+    obs = np.random.default_rng(0).normal(size=(9, 6))
+    alone = [c.encode(row[None]) for row in obs]
+    np.testing.assert_array_equal(c.encode(obs), np.concatenate(alone))
+
+
+def test_spikes_are_bytes_with_time_in_the_middle():
+    spikes = codec(6, populations=4, timesteps=7).encode(np.zeros((2, 6)))
+    assert spikes.shape == (2, 7, 24)
+    assert spikes.dtype == np.uint8
+    assert set(np.unique(spikes)) == {0, 1}
+
+
+def test_the_normaliser_shifts_scales_and_clips():
+    normaliser = Normaliser(np.array([1.0, 1.0, 1.0]), np.array([2.0, 2.0, 2.0]), 3.0)
+    x = normaliser(np.array([[5.0, 100.0, -100.0]]))
+    np.testing.assert_array_equal(x, [[2.0, 3.0, -3.0]])
+
+
+def test_encoding_leaves_the_observation_as_it_was():
+    obs = np.full((1, 6), 1.5)
+    codec(6).encode(obs)
+    assert (obs == 1.5).all()
+
+
+def test_decoding_squashes_the_mean_over_time():
+    output = np.array([[[1.0, 0.0], [0.0, 0.0], [2.0, 0.0], [0.0, 0.0], [-1.0, 5.0]]])
+    np.testing.assert_allclose(codec(2).decode(output), np.tanh([[0.4, 1.0]]))
+    np.testing.assert_allclose(codec(2, squash="none").decode(output), [[0.4, 1.0]])
+
+
+def test_a_choice_is_the_action_with_the_largest_mean_and_the_first_of_equals():
+    output = np.zeros((3, 5, 4))
+    output[0, :, 2] = 1.0
+    output[1, 0, 3], output[1, 1:, 1] = 1.0, 0.25  # a mean of 1/5 each
+    output[2] = -1.0
+    choosing = codec(2, squash="argmax")
+    assert choosing.decode(output).tolist() == [2, 1, 0]
+    assert choosing.chooses
+    np.testing.assert_allclose(choosing.scores(output)[1], [0.0, 0.2, 0.0, 0.2])
+    assert not codec(2).chooses
+
+
+def test_scores_are_what_is_squashed():
+    output = np.random.default_rng(0).normal(size=(3, 5, 2))
+    np.testing.assert_array_equal(np.tanh(codec(2).scores(output)), codec(2).decode(output))
+
+
+def test_float32_encodes_in_float32_and_differs_in_few_spikes():
+    obs = np.random.default_rng(0).normal(size=(300, 20))
+    double, single = codec(20), codec(20).astype(np.float32)
+    assert single.encoder.mean.dtype == single.normaliser.std.dtype == np.float32
+    assert np.mean(double.encode(obs) != single.encode(obs)) < 1e-4
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_an_observation_that_is_not_finite_is_refused_by_index(bad):
+    obs = np.zeros((2, 3))
+    obs[1, 2] = bad
+    with pytest.raises(ObservationError, match=r"index 2 of row 1"):
+        codec(3).encode(obs)
+
+
+@pytest.mark.parametrize("shape", [(3,), (1, 4), (1, 1, 3)])
+def test_an_observation_of_the_wrong_size_is_refused(shape):
+    with pytest.raises(ObservationError, match=r"needs \(B, 3\)"):
+        codec(3).encode(np.zeros(shape))
+
+
+def test_an_output_with_the_wrong_number_of_timesteps_is_refused():
+    with pytest.raises(ObservationError, match=r"\(B, 5, act\)"):
+        codec(3).decode(np.zeros((1, 4, 2)))
+
+
+def test_a_codec_survives_its_record_bit_for_bit():
+    before = codec(6, squash="none")
+    after = Codec.from_record(Record(before.to_record(), "codec"))
+    obs = np.random.default_rng(0).normal(size=(50, 6))
+    np.testing.assert_array_equal(before.encode(obs), after.encode(obs))
+    assert (after.timesteps, after.squash) == (before.timesteps, before.squash)
+
+
+@pytest.mark.parametrize("kind", ENCODERS)
+def test_the_table_lists_encoders_under_their_kind(kind):
+    assert ENCODERS[kind].kind == kind
+
+
+def test_an_unknown_encoder_is_refused_with_the_known_ones():
+    record = codec(3).to_record()
+    record["encoder"]["kind"] = "latency"
+    with pytest.raises(ArtifactError, match="'latency'; known encoders are population, rate"):
+        Codec.from_record(Record(record, "codec"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"timesteps": 0}, "at least 1"),
+        ({"squash": "sigmoid"}, "known are tanh, none, argmax"),
+        ({"encoder": codec(4).encoder}, "takes 3 numbers and the encoder 4"),
+    ],
+)
+def test_a_codec_that_cannot_work_is_refused(change, message):
+    c = codec(3)
+    parts = {"normaliser": c.normaliser, "encoder": c.encoder, "timesteps": 5, "squash": "tanh"}
+    with pytest.raises(ArtifactError, match=message):
+        Codec(**{**parts, **change})
+
+
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.0), (0.0, np.nan), (np.nan, 1.0)])
+def test_receptive_fields_and_scales_that_are_none_are_refused(mean, std):
+    with pytest.raises(ArtifactError, match="normaliser: mean must be finite"):
+        Normaliser(np.full(2, mean), np.full(2, std), 5.0)
+    with pytest.raises(ArtifactError, match="population encoder: mean must be finite"):
+        PopulationEncoder(np.full((2, 3), mean), np.full((2, 3), std))
+
+
+def test_parameters_of_different_shapes_are_refused():
+    with pytest.raises(ArtifactError, match=r"shape \(obs,\), found \(2,\) and \(3,\)"):
+        Normaliser(np.zeros(2), np.ones(3), 5.0)
+    with pytest.raises(ArtifactError, match=r"shape \(obs, P\), found \(2,\) and \(2,\)"):
+        PopulationEncoder(np.zeros(2), np.ones(2))

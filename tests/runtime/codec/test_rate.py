@@ -1,0 +1,134 @@
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.metadata import Record
+from spikedeploy.trainers.rate import TorchRateEncoder as TorchEncoder
+
+
+def encoder(mode="regular", observed=1):
+    return RateEncoder(np.full(observed, -1.0), np.ones(observed), mode)
+
+
+def spikes(x, timesteps, mode="regular"):
+    return encoder(mode).encode(np.array([[x]]), timesteps)[0, :, 0].tolist()
+
+
+def test_an_accumulator_worked_by_hand():
+    # n = 64, from 128: 192, 256 -> spike, 0; 64, 128, 192, 256 -> spike
+    assert spikes(-0.5, 8) == [0, 1, 0, 0, 0, 1, 0, 0]
+    # n = 96: 224, 320 -> spike, 64; 160, 256 -> spike, 0; 96, 192, 288 -> spike, 32
+    assert spikes(-0.25, 7) == [0, 1, 0, 1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("mode", ["regular", "bernoulli"])
+def test_the_ends_of_the_range_never_spike_and_always_spike(mode):
+    for low in (-1.0, -7.0):
+        assert spikes(low, 500, mode) == [0] * 500
+    for high in (1.0, 7.0):
+        assert spikes(high, 500, mode) == [1] * 500
+
+
+@pytest.mark.parametrize("timesteps", [1, 3, 16, 100])
+def test_regular_spikes_equal_an_accumulator_for_every_level(timesteps):
+    x = np.arange(257) / 128 - 1
+    found = encoder(observed=257).encode(x[None], timesteps)[0]
+    for n in range(257):
+        accumulator = 128
+        for t in range(timesteps):
+            accumulator += n
+            assert found[t, n] == accumulator // 256
+            accumulator %= 256
+
+
+def test_a_short_window_counts_the_rate_to_the_nearest_spike():
+    x = np.linspace(-1, 1, 999)
+    counts = encoder(observed=999).encode(x[None], 16)[0].sum(axis=0)
+    assert np.abs(counts - 16 * (x + 1) / 2).max() <= 0.5 + 16 / 512
+
+
+def test_each_number_has_a_range_of_its_own():
+    wide = RateEncoder(np.array([0.0, -4.0]), np.array([1.0, 4.0]))
+    assert wide.levels(np.array([[0.5, 0.5]])).tolist() == [[128, 144]]
+
+
+def test_halves_go_to_the_even_level():
+    x = np.array([[0.5, 1.5, 2.5]]) / 128 - 1
+    assert encoder(observed=3).levels(x).tolist() == [[0, 2, 2]]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_torch_and_numpy_spike_alike(dtype):
+    x = np.random.default_rng(0).uniform(-1.5, 1.5, (500, 28))
+    x[:4] = np.linspace(-1, 1, 112).reshape(4, 28)
+    theirs = TorchEncoder(28, "regular").to(dtype)(torch.from_numpy(x).to(dtype), 16)
+    precision = np.float32 if dtype == torch.float32 else np.float64
+    ours = encoder(observed=28).astype(precision).encode(x.astype(precision), 16)
+    np.testing.assert_array_equal(ours, theirs.transpose(0, 1).numpy())
+
+
+def test_a_byte_below_the_level_is_a_spike():
+    x = np.random.default_rng(0).uniform(-1, 1, (3, 5))
+    found = encoder("bernoulli", 5).encode(x, 20, Xorshift(9, 5))
+    levels = np.rint(128 * (x + 1))
+    np.testing.assert_array_equal(found, Xorshift(9, 5).draw(3, 20) < levels[:, None])
+    assert found.dtype == np.uint8
+
+
+def test_random_spikes_come_at_the_rate():
+    x = np.linspace(-1, 1, 50)
+    rates = encoder("bernoulli", 50).encode(x[None], 4096)[0].mean(axis=0)
+    np.testing.assert_allclose(rates, (x + 1) / 2, atol=4 * 0.5 / 64)
+
+
+def test_the_same_seed_throws_the_same_dice_and_another_does_not():
+    x = np.zeros((2, 5))
+    code = encoder("bernoulli", 5)
+    first, again = (code.encode(x, 16, Xorshift(4, 5)) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert (code.encode(x, 16, Xorshift(5, 5)) != first).any()
+
+
+def test_without_dice_encoding_is_a_function_of_the_observation():
+    x = np.zeros((2, 5))
+    code = encoder("bernoulli", 5)
+    np.testing.assert_array_equal(code.encode(x, 16), code.encode(x, 16))
+    np.testing.assert_array_equal(code.encode(x, 16), code.encode(x, 16, Xorshift(0, 5)))
+
+
+def test_dice_that_are_kept_go_on():
+    x, rng = np.zeros((2, 5)), Xorshift(4, 5)
+    code = encoder("bernoulli", 5)
+    assert (code.encode(x, 16, rng) != code.encode(x, 16, rng)).any()
+
+
+@pytest.mark.parametrize("mode", ["regular", "bernoulli"])
+def test_a_codec_of_rates_survives_its_record(mode):
+    before = Codec(Normaliser(np.zeros(3), np.ones(3), 1.0), encoder(mode, 3), 16, squash="argmax")
+    after = Codec.from_record(Record(before.to_record(), "codec"))
+    x = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    np.testing.assert_array_equal(before.encode(x), after.encode(x))
+    assert (after.encoder.mode, after.squash, after.chooses) == (mode, "argmax", True)
+
+
+def test_only_the_random_mode_is_random():
+    assert encoder("bernoulli").random
+    assert not encoder("regular").random
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "mode", "message"),
+    [
+        (np.zeros(2), np.ones(3), "regular", r"shape \(obs,\), found \(2,\) and \(3,\)"),
+        (np.zeros(2), np.array([1.0, 0.0]), "regular", r"found 0\.0 and 0\.0 at index 1"),
+        (np.zeros(2), np.array([1.0, np.inf]), "regular", "must be finite"),
+        (np.zeros(2), np.ones(2), "poisson", "'poisson' is unknown; known are regular, bernoulli"),
+    ],
+)
+def test_ranges_and_modes_that_are_none_are_refused(low, high, mode, message):
+    with pytest.raises(ArtifactError, match=message):
+        RateEncoder(low, high, mode)

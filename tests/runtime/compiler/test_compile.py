@@ -1,0 +1,239 @@
+"""A graph becomes a program that means the same, or is refused by the rule that it breaks."""
+
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.networks import chain, cuba, graph, lif, popsan
+
+CONVENTION = Convention(1e-3)
+
+
+def affine(fan_in, size, gain=2.0):
+    rng = np.random.default_rng(fan_in + size)
+    return nir.Affine(gain * rng.normal(size=(size, fan_in)) / fan_in**0.5, rng.normal(size=size))
+
+
+def ends(width, act):
+    return {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
+
+
+def skipping():
+    """Two layers, and a connection from the input that skips the first."""
+    edges = "input->a, a->l1, l1->b, b->l2, input->c, c->l2, l2->output"
+    nodes = {"a": affine(8, 6), "b": affine(6, 5), "c": affine(8, 5), "l1": cuba(6), "l2": cuba(5)}
+    return Artifact(graph(edges, **ends(8, 5), **nodes), None, CONVENTION)
+
+
+def recurrent():
+    """A layer that hears itself, and a second one."""
+    edges = "input->a, a->l1, l1->r, r->l1, l1->b, b->l2, l2->c, c->output"
+    nodes = {
+        "a": affine(8, 6), "r": affine(6, 6), "b": affine(6, 5), "c": affine(5, 3),
+        "l1": cuba(6), "l2": lif(5, tau=0.004, r=4.0, threshold=0.3),
+    }  # fmt: skip
+    return Artifact(graph(edges, **ends(8, 3), **nodes), None, CONVENTION)
+
+
+def integrating():
+    """Neurons without leak, with bias, that weights reach only through a Linear node."""
+    neurons = nir.IF(np.full(6, 1000.0), np.full(6, 1.0))
+    nodes = [nir.Linear(affine(8, 6).weight), neurons]
+    return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
+
+
+def with_gains():
+    """Neurons whose gains are not 1, and that leak toward something else than 0."""
+    values = (0.004, 0.01, 1.7, 0.3, 0.5)
+    neurons = nir.CubaLIF(*(np.full(6, v) for v in values), w_in=np.full(6, 2.5))
+    return Artifact(chain(affine(8, 6, gain=5.0), neurons, width=8, act=6), None, CONVENTION)
+
+
+def without_weights():
+    """Spikes that go into neurons without weights."""
+    nodes = {"a": affine(8, 6), "l1": cuba(6), "l2": lif(6, tau=0.002, r=2.0, threshold=0.7)}
+    edges = "input->a, a->l1, l1->l2, l2->output"
+    return Artifact(graph(edges, **ends(8, 6), **nodes), None, CONVENTION)
+
+
+NETWORKS = [popsan, skipping, recurrent, integrating, with_gains]
+
+
+def changed(artifact, **convention):
+    return replace(artifact, convention=replace(artifact.convention, **convention))
+
+
+def raster(program, batch=3, timesteps=12):
+    shape = (batch, timesteps, program.width)
+    return (np.random.default_rng(1).random(shape) < 0.3).astype(np.uint8)
+
+
+@pytest.mark.parametrize("build", NETWORKS)
+@pytest.mark.parametrize(
+    "convention",
+    [
+        {},
+        {"reset": "subtract"},
+        {"integrator": "exponential"},
+        {"state": "kept"},
+        {"delay": 1},
+        {"delay": 1, "state": "kept"},
+    ],
+    ids=str,
+)
+def test_the_ideal_chip_equals_the_float_graph(build, convention):
+    check_against_float(changed(build(), **convention))
+
+
+def test_spikes_may_go_into_neurons_without_weights():
+    check_against_float(without_weights())
+
+
+def check_against_float(artifact):
+    twin, program = FloatGraph(artifact), compile_program(artifact, chip("ideal"))
+    machine = Machine(program, batch=3, trace=True)
+    for _ in range(2):
+        spikes = raster(program)
+        expected = twin.run(spikes)
+        output = machine.infer(spikes)
+        for name, found in machine.recordings.items():
+            np.testing.assert_array_equal(found.spikes, expected[name])
+            assert found.spikes.any()
+        np.testing.assert_allclose(output, expected["output"], atol=1e-12)
+
+
+def slow(artifact, bias=1.0):
+    """The same network with decays and thresholds that a chip holds exactly, whole weights too."""
+    nodes = dict(artifact.graph.nodes)
+    for name, node in nodes.items():
+        if isinstance(node, nir.Affine) and name != "n7":
+            weight = np.round(node.weight * 60).clip(-255, 255)
+            weight[0, 0] = 255  # so that the scale is 1
+            nodes[name] = nir.Affine(weight, np.round(bias * node.bias * 100).clip(-255, 255))
+        if isinstance(node, nir.CubaLIF):
+            nodes[name] = cuba(node.r.size, alpha=0.5, beta=0.75, threshold=100.0)
+    return replace(artifact, graph=nir.NIRGraph(nodes, artifact.graph.edges))
+
+
+@pytest.mark.parametrize("build", [popsan, skipping])
+def test_staggered_biases_make_a_delaying_chip_mean_the_same(build):
+    artifact = slow(build())
+    # decays without rounding: what differs then is time alone
+    delayed = compile_program(artifact, chip("loihi1"))
+    prompt = compile_program(artifact, chip("loihi1", delay=0))
+    spikes = raster(delayed)
+    first, second = Machine(delayed, 3, trace=True), Machine(prompt, 3, trace=True)
+    np.testing.assert_array_equal(first.infer(spikes), second.infer(spikes))
+    for name, found in first.recordings.items():
+        np.testing.assert_array_equal(found.membrane, second.recordings[name].membrane)
+        assert found.spikes.any()
+
+
+def test_biases_that_all_start_at_once_mean_something_else():
+    artifact = slow(popsan(), bias=5.0)
+    staggered, at_once = (
+        compile_program(artifact, chip("loihi1"), stagger=s) for s in (True, False)
+    )
+    spikes = raster(staggered)
+    one, other = (Machine(program, 3, trace=True) for program in (staggered, at_once))
+    one.infer(spikes)
+    other.infer(spikes)
+    last = staggered.output
+    assert (one.recordings[last].spikes != other.recordings[last].spikes).any()
+
+
+def test_layers_start_when_the_input_can_have_reached_them():
+    program = compile_program(popsan(), chip("loihi1"))
+    assert [layer.start for layer in program.layers] == [1, 2, 3]
+    assert program.steps(5) == 8
+    assert program.lags == ((0,), (0,), (0,))
+    assert [layer.start for layer in compile_program(popsan(), chip("ideal")).layers] == [0, 0, 0]
+
+
+def test_a_skip_waits_for_the_layers_that_it_skips():
+    program = compile_program(skipping(), chip("loihi1"))
+    assert sorted(program.delays[1]) == [1, 2]
+    assert program.lags == ((0,), (0, 0))
+
+
+def test_a_convention_with_delay_is_not_staggered():
+    program = compile_program(changed(popsan(), delay=1), chip("loihi1"))
+    assert [layer.start for layer in program.layers] == [0, 0, 0]
+    assert program.lags == ((1,), (1,), (1,))
+
+
+def test_gains_are_folded_into_weights_and_biases():
+    artifact = with_gains()
+    layer = compile_program(artifact, chip("ideal")).layers[0]
+    node = artifact.graph.nodes["n1"]
+    # (dt / tau_syn) w_in (dt / tau_mem) r
+    gain = (1 / 4) * 2.5 * (1 / 10) * 1.7
+    np.testing.assert_allclose(layer.synapses[0].weight, node.weight.T * gain)
+    np.testing.assert_allclose(layer.bias, node.bias * gain)
+    # (dt / tau_mem) v_leak
+    np.testing.assert_allclose(layer.voltage_bias, 0.1 * 0.3)
+
+
+def test_the_readout_stays_in_float():
+    program = compile_program(popsan(), chip("loihi1"))
+    np.testing.assert_array_equal(program.readout.weight.T, popsan().graph.nodes["n7"].weight)
+    assert program.output == "n6"
+
+
+def reset_elsewhere():
+    nodes = [affine(8, 6), cuba(6)]
+    nodes[1].v_reset = np.full(6, 0.1)
+    return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
+
+
+def leaky_readout():
+    nodes = [affine(8, 6), nir.LI(*(np.full(6, v) for v in (0.01, 1.0, 0.0)))]
+    return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
+
+
+def long_loop():
+    edges = "input->a, a->l1, l1->b, b->l2, l2->r, r->l1, l2->output"
+    nodes = {"a": affine(8, 6), "b": affine(6, 5), "r": affine(5, 6), "l1": cuba(6), "l2": cuba(5)}
+    return Artifact(graph(edges, **ends(8, 5), **nodes), None, CONVENTION)
+
+
+def no_neurons():
+    return Artifact(chain(affine(8, 6), width=8, act=6), None, CONVENTION)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (reset_elsewhere, "layer 'n2': v_reset"),
+        (leaky_readout, "node 'n2': LI has no place on a chip"),
+        (long_loop, "layers 'l2' -> 'l1': the feedback would have to arrive"),
+        (no_neurons, "node 'output': the output must come from a spiking node"),
+    ],
+)
+def test_what_a_chip_cannot_do_is_refused_by_name(build, message):
+    with pytest.raises(RuleError, match=message):
+        compile_program(build(), chip("loihi1"))
+
+
+def test_a_long_loop_runs_when_every_connection_takes_a_timestep():
+    program = compile_program(long_loop(), chip("loihi1"), stagger=False)
+    assert Machine(program, 3).infer(raster(program)).any()
+
+
+def test_a_reset_that_the_chip_lacks_is_refused():
+    with pytest.raises(RuleError, match="reset 'subtract': a spike on loihi1 can only do 'zero'"):
+        compile_program(changed(popsan(), reset="subtract"), chip("loihi1"))
+
+
+def test_more_delay_than_the_chip_has_is_refused():
+    with pytest.raises(RuleError, match="need a delay of 2 timesteps; loihi1 has at most 1"):
+        compile_program(skipping(), chip("loihi1", delay_max=1))

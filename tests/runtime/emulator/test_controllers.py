@@ -1,0 +1,223 @@
+"""A policy file acts on a robot: in float, on the ideal chip, and on a real one."""
+
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.emulator.controllers import MachinePool, Sampler, SpikingController
+from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
+from tests.networks import chain, cuba, popsan, spiking_mlp
+
+LOIHI1 = chip("loihi1")
+OBSERVATIONS = np.random.default_rng(5).normal(size=(200, 3))
+
+
+def acted(artifact, name, **options):
+    controller = SpikingController(artifact, name and chip(name), **options)
+    controller.reset(0)
+    return controller, controller.act_batch(OBSERVATIONS)
+
+
+def test_the_ideal_chip_acts_as_the_float_twin_spike_by_spike():
+    twin, expected = acted(popsan(), None)
+    ideal, actions = acted(popsan(), "ideal")
+    np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-9)
+    for event in ("spike_in", "sop", "bias_sop", "spike_out", "message"):
+        assert ideal.ledger.by_layer(event) == twin.ledger.by_layer(event)
+    assert ideal.ledger.sparsity == twin.ledger.sparsity
+
+
+def test_eight_bits_act_almost_like_float():
+    _, expected = acted(popsan(hidden=(64, 64)), None)
+    _, actions = acted(popsan(hidden=(64, 64)), "loihi1")
+    assert 0 < np.abs(actions - expected).mean() < 0.15
+
+
+def test_fewer_bits_act_less_like_float():
+    artifact = popsan(hidden=(64, 64))
+    _, expected = acted(artifact, None)
+    errors = []
+    for bits in (8, 4, 2):
+        controller = SpikingController(artifact, chip("loihi1", weight_bits=bits))
+        errors.append(np.abs(controller.act_batch(OBSERVATIONS) - expected).mean())
+    assert errors == sorted(errors)
+
+
+@pytest.mark.parametrize("name", [None, "ideal", "loihi1"])
+def test_acting_alone_is_acting_in_a_batch(name):
+    controller, actions = acted(popsan(), name)
+    alone = np.stack([controller.act(observation) for observation in OBSERVATIONS[:9]])
+    np.testing.assert_allclose(alone, actions[:9], rtol=0, atol=1e-12)
+    assert controller.ledger.inferences == len(OBSERVATIONS) + 9
+
+
+@pytest.mark.parametrize("name", [None, "ideal", "loihi1"])
+def test_kept_states_make_the_past_matter_until_reset(name):
+    artifact = popsan()
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    controller = SpikingController(kept, name and chip(name))
+    controller.reset(0)
+    first = [controller.act(observation) for observation in OBSERVATIONS[:5]]
+    assert controller.act(OBSERVATIONS[0]).tolist() != first[0].tolist()
+    controller.reset(1)
+    again = [controller.act(observation) for observation in OBSERVATIONS[:5]]
+    np.testing.assert_array_equal(again, first)
+
+
+def test_options_reach_the_compiler():
+    _, nearest = acted(popsan(), "loihi1")
+    _, truncated = acted(popsan(), "loihi1", quantisation=Quantisation(rounding="truncate"))
+    assert (nearest != truncated).any()
+
+
+@pytest.mark.parametrize("name", [None, "loihi1"])
+def test_an_observation_with_nan_is_refused(name):
+    controller = SpikingController(popsan(), name and chip(name))
+    with pytest.raises(ObservationError, match="nan at index 1"):
+        controller.act(np.array([0.0, np.nan, 0.0]))
+
+
+def test_a_file_without_codec_cannot_act():
+    artifact = Artifact(chain(cuba(6), width=6, act=6), None, popsan().convention)
+    with pytest.raises(ArtifactError, match="no codec"):
+        SpikingController(artifact)
+
+
+def test_a_graph_that_no_chip_can_hold_still_runs_in_float():
+    leaky = nir.LI(*(np.full(6, value) for value in (0.01, 1.0, 0.0)))
+    artifact = Artifact(chain(cuba(6), leaky, width=6, act=6), None, popsan().convention)
+    machine = FloatMachine(artifact)
+    output = machine.infer(np.ones((2, 4, 6), np.uint8))
+    assert output.shape == (2, 4, 6)
+    assert output.any()
+    with pytest.raises(RuleError, match="events cannot be counted: rule primitive: node 'n2'"):
+        machine.ledger  # noqa: B018
+
+
+def test_the_float_twin_keeps_no_rows_when_told_so():
+    controller = SpikingController(popsan(), ledger="none")
+    controller.act_batch(OBSERVATIONS)
+    assert controller.ledger.inferences == 0
+
+
+CHIPS = [None, "ideal", "loihi1"]
+
+
+def kept(artifact):
+    return replace(artifact, convention=replace(artifact.convention, state="kept"))
+
+
+def random(artifact):
+    low, high = artifact.codec.encoder.low, artifact.codec.encoder.high
+    code = replace(artifact.codec, encoder=RateEncoder(low, high, "bernoulli"))
+    return replace(artifact, codec=code)
+
+
+def driven(artifact, name, seed=0, count=30, **options):
+    """The actions of one robot that sees the observations one after another."""
+    controller = SpikingController(artifact, name and chip(name), **options)
+    controller.reset(seed)
+    seen = np.random.default_rng(1).uniform(-1, 1, (count, artifact.codec.encoder.observed))
+    return [controller.act(each).tolist() for each in seen]
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_choice_is_an_index_for_one_robot_and_for_many(name):
+    controller = SpikingController(spiking_mlp(), name and chip(name))
+    action = controller.act(np.zeros(6))
+    assert (action.shape, action.dtype) == ((), np.int64)
+    assert controller.act_batch(np.zeros((4, 6))).tolist() == [int(action)] * 4
+
+
+def test_a_random_code_acts_alike_with_the_same_seed_and_otherwise_with_another():
+    policy = random(spiking_mlp(squash="tanh"))
+    assert driven(policy, "loihi1", seed=3) == driven(policy, "loihi1", seed=3)
+    assert driven(policy, "loihi1", seed=3) != driven(policy, "loihi1", seed=4)
+
+
+def test_a_chip_hears_the_same_dice_as_its_float_twin():
+    policy = random(spiking_mlp(squash="tanh"))
+    np.testing.assert_allclose(driven(policy, "ideal", 3), driven(policy, None, 3), atol=1e-12)
+
+
+def test_robots_in_a_batch_throw_their_own_dice():
+    controller = SpikingController(random(spiking_mlp(squash="tanh")))
+    actions = controller.act_batch(np.zeros((5, 6)))
+    assert len({tuple(action) for action in actions.tolist()}) == 5
+    controller.reset(0)
+    np.testing.assert_allclose(controller.act(np.zeros(6)), actions[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_sampled_actions_come_from_the_seed_of_the_episode(name):
+    policy = spiking_mlp()
+    drawn = driven(policy, name, 3, sampled=True)
+    assert drawn == driven(policy, name, 3, sampled=True)
+    assert drawn != driven(policy, name, 4, sampled=True)
+    assert drawn != driven(policy, name, 3)
+
+
+def test_actions_are_drawn_as_often_as_the_softmax_says():
+    scores = np.array([0.0, 1.0, -np.inf, 2.0, 1000.0 - 999.0])
+    expected = np.exp(scores) / np.exp(scores).sum()
+    drawn = Sampler(True)(np.tile(scores, (20_000, 1)))
+    found = np.bincount(drawn, minlength=5) / 20_000
+    np.testing.assert_allclose(found, expected, atol=4 * 0.5 / 20_000**0.5)
+    assert found[2] == 0
+
+
+def test_large_scores_do_not_overflow():
+    assert Sampler(True)(np.array([[1e4, 0.0], [0.0, 1e4]])).tolist() == [0, 1]
+
+
+def test_numbers_cannot_be_sampled():
+    with pytest.raises(ConfigError, match="only one of several actions can be sampled"):
+        SpikingController(popsan(), sampled=True)
+
+
+def test_what_remembers_says_so():
+    policy = spiking_mlp()
+    assert not SpikingController(policy).remembers
+    assert SpikingController(policy, sampled=True).remembers
+    assert SpikingController(random(policy)).remembers
+    assert SpikingController(kept(policy)).remembers
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_kept_membranes_of_robots_in_a_batch_are_their_own(name):
+    policy = kept(spiking_mlp(squash="tanh"))
+    seen = np.random.default_rng(1).uniform(-1, 1, (8, 3, 6))
+    together = SpikingController(policy, name and chip(name))
+    actions = np.stack([together.act_batch(step) for step in seen])
+    for robot in range(3):
+        alone = SpikingController(policy, name and chip(name))
+        expected = np.stack([alone.act(step[robot]) for step in seen])
+        np.testing.assert_allclose(actions[:, robot], expected, rtol=0, atol=1e-12)
+
+
+def test_kept_membranes_make_the_ideal_chip_act_as_the_float_twin():
+    policy = kept(spiking_mlp(squash="tanh"))
+    np.testing.assert_allclose(driven(policy, "ideal"), driven(policy, None), atol=1e-12)
+    assert driven(policy, None) != driven(spiking_mlp(squash="tanh"), None)
+
+
+def test_a_kept_state_is_one_long_inference():
+    # two inferences of 16 timesteps are one of 32, spike by spike
+    policy = kept(spiking_mlp())
+    raster = (np.random.default_rng(0).random((3, 32, 6)) < 0.4).astype(np.uint8)
+    for make in (
+        lambda: FloatMachine(policy),
+        lambda: MachinePool(compile_program(policy, LOIHI1)),
+    ):
+        whole, parts = make(), make()
+        halves = [parts.infer(raster[:, :16]), parts.infer(raster[:, 16:])]
+        joined = np.concatenate(halves, axis=1)
+        np.testing.assert_allclose(whole.infer(raster), joined, rtol=0, atol=1e-12)

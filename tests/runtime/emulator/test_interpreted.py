@@ -1,0 +1,135 @@
+"""The machine's slow way: the interpreter behind the same calls, for every arithmetic there is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.traces.trace_file import read_trace
+from tests.networks import popsan
+from tests.paths import GOLDEN
+from tests.programs import random_programs, rasters
+from tests.xylo_networks import network
+
+runs = st.tuples(
+    st.sampled_from([1, 3]),  # batch
+    st.sampled_from([1, 4]),  # timesteps
+    st.sampled_from([0.1, 0.5, 1.0]),  # rate
+    st.integers(0, 2**32 - 1),
+)
+
+
+def check_same(one, other):
+    """Two machines left the same recordings, states and counts."""
+    for name, found in one.recordings.items():
+        for quantity, values in vars(found).items():
+            np.testing.assert_array_equal(values, getattr(other.recordings[name], quantity))
+    for name in one.membrane:
+        np.testing.assert_array_equal(one.membrane[name], other.membrane[name])
+        np.testing.assert_array_equal(one.current[name], other.current[name])
+    np.testing.assert_array_equal(one.ledger.counts, other.ledger.counts)
+    assert one.ledger.steps == other.ledger.steps
+    assert one.ledger.timesteps == other.ledger.timesteps
+
+
+@settings(max_examples=40, deadline=None)
+@given(random_programs(), runs)
+def test_interpreted_inferences_equal_the_kernels_and_their_ledger(program, run):
+    fast = Machine(program, run[0], trace=True)
+    slow = Machine(program, run[0], trace=True, backend="interpreter")
+    for raster in rasters(program, *run, inferences=3):
+        np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
+    check_same(slow, fast)
+
+
+@settings(max_examples=25, deadline=None)
+@given(random_programs(), runs)
+def test_interpreted_steps_equal_the_kernels_and_their_ledger(program, run):
+    fast, slow = Machine(program, run[0]), Machine(program, run[0], backend="interpreter")
+    raster = rasters(program, run[0], 7, *run[2:])[0]
+    for row in raster.swapaxes(0, 1):
+        np.testing.assert_array_equal(slow.step(row), fast.step(row))
+        check_same(slow, fast)
+
+
+@pytest.mark.parametrize("state", ["reset", "kept"])
+def test_a_policy_with_a_delayed_readout_is_interpreted_to_the_same_bits(state):
+    artifact = popsan()
+    convention = replace(artifact.convention, state=state, delay=1)
+    program = compile_program(replace(artifact, convention=convention), chip("loihi1"))
+    fast, slow = Machine(program, 2), Machine(program, 2, backend="interpreter")
+    for raster in rasters(program, 2, 5, 0.3, seed=0, inferences=3):
+        np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
+
+
+def test_a_pool_of_interpreted_machines_keeps_one_ledger():
+    program = compile_program(popsan(hidden=(4, 3)), chip("loihi1"))
+    raster = rasters(program, CHUNK + 1, 3, 0.2, seed=1)[0]
+    fast, slow = MachinePool(program), MachinePool(program, backend="interpreter")
+    np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
+    np.testing.assert_array_equal(slow.ledger.counts, fast.ledger.counts)
+
+
+@pytest.mark.parametrize("backend", ["numpy", "auto", "interpreter"])
+@pytest.mark.parametrize(
+    "name", ["xylo_B_two_syn_bias_rec", "xylo_own_aliases", "lava_own_exponent_mixed"]
+)
+def test_what_the_kernels_do_not_know_runs_all_the_same(name, backend):
+    recorded = read_trace(GOLDEN / f"{name}.json")
+    machine = Machine(recorded.program, trace=True, backend=backend)
+    output = machine.infer(recorded.raster)
+    for layer, expected in trace(recorded.program, recorded.raster).items():
+        for quantity, found in vars(machine.recordings[layer]).items():
+            np.testing.assert_array_equal(found, getattr(expected, quantity))
+    np.testing.assert_array_equal(output, machine.recordings[recorded.program.output].spikes)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("xylo_A_ff", "chip 'xylo-a2' computes with EventPoint"),
+        ("lava_own_exponent_mixed", "layer 'layer0': its weights have a negative exponent"),
+    ],
+)
+def test_the_compiled_backend_refuses_what_it_does_not_know(name, reason):
+    recorded = read_trace(GOLDEN / f"{name}.json")
+    with pytest.raises(ConfigError, match=reason):
+        Machine(recorded.program, backend="numba")
+
+
+def test_a_xylo_that_streams_shows_each_window_from_its_start_on():
+    artifact = network(np.random.default_rng(2), [6, 9, 7, 3], ["cuba"] * 3, loops={1, 2})
+    program = compile_program(artifact, chip("xylo-a2"))
+    raster = np.random.default_rng(3).integers(0, 4, (2, 30, 6)).astype(np.uint8)
+    traces = trace(program, raster)
+    machine = Machine(program, 2)
+    for step in range(30):
+        output = machine.step(raster[:, step])
+        for layer in program.layers:
+            row = step - layer.start
+            expected = traces[layer.name].membrane[:, row] if row >= 0 else 0
+            np.testing.assert_array_equal(machine.membrane[layer.name], expected)
+        if step >= 2:
+            np.testing.assert_array_equal(output, traces["l3"].spikes[:, step - 2])
+    assert [layer.start for layer in program.layers] == [0, 1, 2]
+    assert traces["l3"].spikes.any()
+
+
+def test_an_unknown_backend_is_refused():
+    with pytest.raises(ConfigError, match="'numba', 'auto', 'interpreter'"):
+        Machine(compile_program(popsan(), chip("loihi1")), backend="gpu")
+
+
+def test_a_channel_of_xylo_takes_fifteen_events_in_a_timestep():
+    machine = Machine(read_trace(GOLDEN / "xylo_A_ff.json").program)
+    machine.infer(np.full((1, 2, machine.program.width), 15, np.uint8))
+    with pytest.raises(ObservationError, match="0 to 15"):
+        machine.infer(np.full((1, 2, machine.program.width), 16, np.uint8))

@@ -1,0 +1,140 @@
+"""The machine is fast, and equal to the interpreter, which is short and right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError, ObservationError
+from tests.equality import check_like_the_interpreter, runs
+from tests.networks import popsan
+from tests.programs import random_programs, rasters
+
+
+@settings(max_examples=150, deadline=None)
+@given(random_programs(), runs)
+def test_the_machine_equals_the_interpreter_in_every_current_membrane_and_spike(program, run):
+    check_like_the_interpreter(program, run, "numpy")
+
+
+@settings(max_examples=40, deadline=None)
+@given(random_programs(), runs)
+def test_a_chip_that_streams_shows_each_window_from_its_start_on(program, run):
+    batch, timesteps, *_ = run
+    raster = rasters(program, *run)[0]
+    traces = trace(program, raster)
+    machine = Machine(program, batch)
+    for step in range(timesteps):
+        machine.step(raster[:, step])
+        current, membrane = machine.current, machine.membrane
+        for layer in program.layers:
+            row = step - layer.start
+            expected = traces[layer.name]
+            if row < 0:
+                assert not membrane[layer.name].any()
+            else:
+                np.testing.assert_array_equal(current[layer.name], expected.current[:, row])
+                np.testing.assert_array_equal(membrane[layer.name], expected.membrane[:, row])
+
+
+@pytest.mark.parametrize("name", ["ideal", "loihi1"])
+def test_states_that_are_kept_make_two_inferences_one_long_one(name):
+    artifact = popsan()
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    program = compile_program(kept, chip(name))
+    raster = rasters(program, 2, 10, 0.3, seed=0)[0]
+    whole, halves = Machine(program, 2), Machine(program, 2)
+    expected = whole.infer(raster)
+    output = np.concatenate([halves.infer(raster[:, :5]), halves.infer(raster[:, 5:])], axis=1)
+    np.testing.assert_array_equal(output, expected)
+    assert Machine(program, 2).infer(raster[:, 5:]).tolist() != output[:, 5:].tolist()
+
+
+def test_states_that_are_reset_make_inferences_independent():
+    program = compile_program(popsan(), chip("loihi1"))
+    first, second = rasters(program, 1, 5, 0.3, seed=0, inferences=2)
+    machine = Machine(program)
+    expected = machine.infer(second)
+    machine.infer(first)
+    np.testing.assert_array_equal(machine.infer(second), expected)
+
+
+def test_reset_forgets_what_was_kept():
+    artifact = popsan()
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept", delay=1))
+    machine = Machine(compile_program(kept, chip("loihi1")))
+    raster = rasters(machine.program, 1, 5, 0.3, seed=0)[0]
+    expected = machine.infer(raster)
+    assert machine.infer(raster).tolist() != expected.tolist()
+    machine.reset()
+    assert not any(values.any() for values in machine.membrane.values())
+    np.testing.assert_array_equal(machine.infer(raster), expected)
+
+
+@pytest.mark.parametrize("name", ["ideal", "loihi1"])
+def test_a_batch_gives_what_single_inferences_give(name):
+    program = compile_program(popsan(hidden=(210, 30)), chip(name))
+    raster = rasters(program, CHUNK + 3, 5, 0.2, seed=1)[0]
+    together, alone = MachinePool(program), Machine(program)
+    output = together.infer(raster)
+    expected = np.concatenate([alone.infer(raster[i : i + 1]) for i in range(len(raster))])
+    # the readout is float64 and may be summed in another order
+    np.testing.assert_allclose(output, expected, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(together.ledger.counts, alone.ledger.counts)
+
+
+def test_subtractive_reset_runs_on_the_ideal_chip_as_in_the_interpreter():
+    artifact = popsan()
+    convention = Convention(1e-3, reset="subtract")
+    program = compile_program(replace(artifact, convention=convention), chip("ideal"))
+    raster = rasters(program, 1, 7, 0.3, seed=0)[0]
+    machine = Machine(program, trace=True)
+    machine.infer(raster)
+    for name, expected in trace(program, raster).items():
+        found = machine.recordings[name]
+        np.testing.assert_array_equal(found.spikes, expected.spikes)
+        np.testing.assert_allclose(found.membrane, expected.membrane, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "raster",
+    [
+        np.zeros((1, 5, 29), np.uint8),
+        np.zeros((2, 5, 30), np.uint8),
+        np.zeros((5, 30), np.uint8),
+        np.zeros((1, 0, 30), np.uint8),
+        np.full((1, 5, 30), 2, np.uint8),
+        np.zeros((1, 5, 30)),
+        np.full((1, 5, 30), np.nan),
+    ],
+    ids=["width", "batch", "axes", "empty", "two", "floats", "nan"],
+)
+def test_a_raster_that_is_not_one_is_refused(raster):
+    machine = Machine(compile_program(popsan(), chip("loihi1")))
+    with pytest.raises(ObservationError, match=r"the spikes have shape|the raster holds"):
+        machine.infer(raster)
+
+
+def test_a_running_machine_refuses_another_way_of_running():
+    artifact = popsan()
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    machine = Machine(compile_program(kept, chip("loihi1")))
+    machine.infer(np.zeros((1, 5, 30), np.uint8))
+    with pytest.raises(ConfigError, match="Call reset"):
+        machine.infer(np.zeros((1, 4, 30), np.uint8))
+    with pytest.raises(ConfigError, match="Call reset"):
+        machine.step(np.zeros((1, 30), np.uint8))
+    machine.reset()
+    machine.step(np.zeros((1, 30), np.uint8))
+
+
+def test_a_machine_needs_at_least_one_network():
+    with pytest.raises(ConfigError, match="batch is 0"):
+        Machine(compile_program(popsan(), chip("loihi1")), batch=0)

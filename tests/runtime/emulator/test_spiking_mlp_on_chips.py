@@ -1,0 +1,171 @@
+"""Layers of LIF neurons on a rate code, as the karts' policies have them, on every rung."""
+
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.interpreter import Interpreter, trace
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.networks import chain, lif, spiking_mlp
+
+FAST = [name for name in CHIPS if chip(name).arithmetic is None or chip(name).fixed]
+
+LOIHI1 = chip("loihi1")
+
+
+def neurons(weight, bias, beta, threshold):
+    """LIF neurons behind a weight matrix (N, M), without a readout."""
+    tau = 1e-3 / (1 - beta)
+    layer = lif(len(weight), tau, tau / 1e-3, threshold)
+    layer.v_reset = np.zeros(len(weight))
+    affine = nir.Affine(np.array(weight), np.array(bias))
+    nodes = chain(affine, layer, width=len(weight[0]), act=len(weight))
+    return Artifact(nodes, None, Convention(1e-3))
+
+
+def kart(**options):
+    """A network of the size that drives a kart, with random weights."""
+    return spiking_mlp(obs=28, act=5, hidden=(64, 64), **options)
+
+
+def kept(artifact):
+    return replace(artifact, convention=replace(artifact.convention, state="kept"))
+
+
+def observations(count=300):
+    return np.random.default_rng(0).uniform(-1, 1, (count, 28))
+
+
+def on_every_rung(artifact, raster):
+    """Spikes (T, N) in float, on `ideal`, and on loihi1 interpreted and fast."""
+    yield FloatGraph(artifact).run(raster)["n2"][0]
+    for name in ("ideal", "loihi1"):
+        program = compile_program(artifact, chip(name))
+        yield trace(program, raster)["n2"].spikes[0]
+        machine = Machine(program, trace=True)
+        machine.infer(raster)
+        yield machine.recordings["n2"].spikes[0]
+
+
+def test_a_lif_neuron_worked_by_hand_spikes_alike_on_every_rung():
+    # weights 2.55 and -1, bias 0.5, beta 1/2, threshold 3
+    #
+    # t   hears      V = V / 2 + x
+    # 0   a          2.55 + 0.5              = 3.05 > 3: spike, then 0
+    # 1   b          -1 + 0.5                = -0.5
+    # 2   -          -0.25 + 0.5             = 0.25
+    # 3   a and b    0.125 + 1.55 + 0.5      = 2.175
+    # 4   -          1.0875 + 0.5            = 1.5875
+    # 5   a          0.79375 + 3.05          = 3.84375: spike, then 0
+    # 6   -          0.5
+    artifact = neurons([[2.55, -1.0]], [0.5], beta=0.5, threshold=3.0)
+    raster = np.array([[[1, 0], [0, 1], [0, 0], [1, 1], [0, 0], [1, 0], [0, 0]]], np.uint8)
+    for spikes in on_every_rung(artifact, raster):
+        assert spikes.ravel().tolist() == [1, 0, 0, 0, 0, 1, 0]
+    # 255 / 2.55 = 100 mantissas of 64 state units for one float unit; halves are exact
+    ran = trace(compile_program(artifact, LOIHI1), raster)["n2"].membrane.ravel().tolist()
+    assert ran == [0, -3200, 1600, 13920, 10160, 0, 3200]
+
+
+def test_a_membrane_that_leaks_in_twelve_bits_worked_by_hand():
+    # beta 0.9 is 3686 / 4096, and what is left is rounded toward zero; the threshold is 19200
+    #
+    # t   hears   255 * 64 = 16320 at a time       -100 * 64 = -6400 at a time
+    # 0   1       16320                            -6400
+    # 1   0       14686.4 -> 14686                 -5759.4 -> -5759
+    # 2   0       13215.97 -> 13215                -5182.5 -> -5182
+    # 3   1       11892.2 -> 11892, 28212: spike   -4663.3 -> -4663, -11063
+    artifact = neurons([[2.55], [-1.0]], [0.0, 0.0], beta=0.9, threshold=3.0)
+    raster = np.array([[[1], [0], [0], [1]]], np.uint8)
+    program = compile_program(artifact, LOIHI1)
+    machine = Machine(program, trace=True)
+    machine.infer(raster)
+    for ran in (trace(program, raster)["n2"], machine.recordings["n2"]):
+        assert ran.membrane[0, :, 0].tolist() == [16320, 14686, 13215, 0]
+        assert ran.membrane[0, :, 1].tolist() == [-6400, -5759, -5182, -11063]
+        assert ran.spikes[0, :, 0].tolist() == [0, 0, 0, 1]
+
+
+def test_a_neuron_without_a_current_forgets_its_input_at_once():
+    artifact = neurons([[2.55]], [0.0], beta=0.9, threshold=9.0)
+    raster = np.array([[[1], [0], [1]]], np.uint8)
+    current = trace(compile_program(artifact, LOIHI1), raster)["n2"].current
+    assert (current[0, :, 0] > 0).tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize("state", ["reset", "kept"])
+def test_the_machine_equals_the_interpreter_over_three_inferences(name, state):
+    artifact = kart() if state == "reset" else kept(kart())
+    program = compile_program(artifact, chip(name))
+    machine, interpreter = Machine(program, 2, trace=True), Interpreter(program, 2)
+    for seed in range(3):
+        raster = (np.random.default_rng(seed).random((2, 16, 28)) < 0.4).astype(np.uint8)
+        if state == "reset":
+            interpreter = Interpreter(program, 2)
+        expected = interpreter.run(raster)
+        machine.infer(raster)
+        for layer, ran in machine.recordings.items():
+            np.testing.assert_array_equal(ran.spikes, expected[layer].spikes)
+            np.testing.assert_allclose(ran.membrane, expected[layer].membrane, rtol=0, atol=1e-12)
+
+
+def test_the_ideal_chip_equals_float_in_every_spike():
+    artifact = kart()
+    raster = artifact.codec.encode(observations())
+    machine = Machine(compile_program(artifact, chip("ideal")), len(raster), trace=True)
+    machine.infer(raster)
+    expected = FloatGraph(artifact).run(raster)
+    for name, ran in machine.recordings.items():
+        np.testing.assert_array_equal(ran.spikes, expected[name])
+
+
+def test_eight_bits_move_few_spikes_and_few_choices_and_nothing_saturates():
+    artifact = kart()
+    raster = artifact.codec.encode(observations())
+    expected = FloatGraph(artifact).run(raster)
+    machine = Machine(compile_program(artifact, LOIHI1), len(raster), trace=True)
+    output = machine.infer(raster)
+    for (name, ran), moved in zip(machine.recordings.items(), (0.005, 0.03), strict=True):
+        # errors add up from layer to layer
+        assert 0 < np.mean(ran.spikes != expected[name]) < moved
+    chosen = artifact.codec.decode(output)
+    assert np.mean(chosen == artifact.codec.decode(expected["output"])) > 0.95
+    assert machine.ledger.total("saturation") == 0
+
+
+def test_fewer_bits_move_more_choices():
+    artifact = kart()
+    twin = SpikingController(artifact).act_batch(observations())
+    wrong = [
+        np.mean(
+            SpikingController(artifact, chip("loihi1", weight_bits=bits)).act_batch(observations())
+            != twin
+        )
+        for bits in (8, 4, 2)
+    ]
+    assert wrong == sorted(wrong)
+    assert wrong[0] < wrong[-1]
+
+
+def test_a_reader_may_ask_for_membranes_that_are_kept(tmp_path):
+    save(kart(), tmp_path / "p.nir")
+    assert load(tmp_path / "p.nir").convention.state == "reset"
+    found = load(tmp_path / "p.nir", state="kept").convention
+    assert found.state == "kept"
+    assert found.source.startswith("state given")
+
+
+def test_membranes_that_are_kept_change_what_a_kart_does():
+    fresh, carried = (SpikingController(each, LOIHI1) for each in (kart(), kept(kart())))
+    actions = [[int(c.act(x)) for x in observations(60)] for c in (fresh, carried)]
+    assert actions[0][0] == actions[1][0]
+    assert actions[0] != actions[1]

@@ -1,0 +1,99 @@
+"""SpiNNaker2: whole weights and float32 states, which is approximate and says so."""
+
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.networks import chain, lif, popsan
+
+CHIP = chip("spinnaker2")
+
+
+def test_it_is_labelled_approximate():
+    assert "approximate" in CHIP.summary
+    assert "approximate" in CHIP.evidence
+
+
+def test_the_largest_weight_of_a_population_becomes_127_and_everything_else_follows():
+    artifact = popsan()
+    layer = compile_program(artifact, CHIP).layers[0]
+    weight = artifact.graph.nodes["n1"].weight.T
+    scale = 127 / np.abs(weight).max()
+    np.testing.assert_array_equal(layer.synapses[0].weight, np.rint(weight * scale))
+    np.testing.assert_allclose(layer.threshold, 0.5 * scale, rtol=1e-6)
+    np.testing.assert_allclose(layer.bias, artifact.graph.nodes["n1"].bias * scale, rtol=1e-6)
+    assert layer.threshold.dtype == layer.bias.dtype == layer.current_decay.dtype == np.float32
+    assert layer.scale == pytest.approx(1 / scale)
+
+
+def test_its_states_are_those_of_a_plain_loop_in_float32():
+    program = compile_program(popsan(), CHIP)
+    layer = program.layers[0]
+    raster = (np.random.default_rng(0).random((1, 12, 30)) < 0.3).astype(np.uint8)
+    found = trace(program, raster)[layer.name]
+    assert found.membrane.dtype == np.float32
+    n = 3
+    current = membrane = np.float32(0)
+    for t in range(12):
+        arrived = np.float32(int(raster[0, t] @ layer.synapses[0].weight[:, n].astype(int)))
+        current = layer.current_decay[n] * current + (layer.bias[n] + arrived)
+        membrane = layer.membrane_decay[n] * membrane + current
+        spikes = membrane > layer.threshold[n]
+        membrane = np.float32(0) if spikes else membrane
+        assert (found.current[0, t, n], found.membrane[0, t, n]) == (current, membrane)
+        assert found.spikes[0, t, n] == spikes
+    assert found.spikes[0, :, n].any()
+
+
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+@pytest.mark.parametrize("integrator", ["euler", "exponential"])
+def test_eight_bits_change_few_spikes_and_sixteen_fewer(reset, integrator):
+    artifact = popsan()
+    convention = replace(artifact.convention, reset=reset, integrator=integrator)
+    artifact = replace(artifact, convention=convention)
+    raster = (np.random.default_rng(1).random((8, 20, 30)) < 0.3).astype(np.uint8)
+    expected = FloatGraph(artifact).run(raster)
+
+    def differing(used):
+        found = trace(compile_program(artifact, used), raster)
+        return sum(int((found[n].spikes != expected[n]).sum()) for n in found)
+
+    fine, coarse = (
+        differing(chip("spinnaker2", weight_bits=16)),
+        differing(chip("spinnaker2:weight_bits=3")),
+    )
+    assert fine <= differing(CHIP) < coarse
+    assert fine <= 3
+
+
+def test_an_impossible_width_is_refused():
+    with pytest.raises(ChipError, match="weight_bits is 1; choose 2 to 16"):
+        chip("spinnaker2", weight_bits=1)
+
+
+@pytest.mark.parametrize(
+    ("weight", "threshold", "message"),
+    [
+        # 127 / 1e-3 * 1e36 > 3.4e38
+        (
+            1e-3,
+            1e36,
+            "rule threshold-range: layer 'n2': threshold 1e.36 is 1.27e.41 beside .* whole",
+        ),
+        (1e-310, 1.0, "rule weight-bits: layer 'n2': the largest weight is 1e-310"),
+    ],
+)
+def test_what_float32_cannot_hold_is_refused_by_layer(weight, threshold, message):
+    nodes = nir.Linear(np.full((1, 1), weight)), lif(1, tau=1e-3, r=1.0, threshold=threshold)
+    artifact = Artifact(chain(*nodes, width=1, act=1), None, Convention(1e-3))
+    with pytest.raises(RuleError, match=message):
+        compile_program(artifact, CHIP, limits=False)

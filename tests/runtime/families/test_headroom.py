@@ -1,0 +1,88 @@
+"""Headroom: a network that overflows its registers is scaled down until it cannot."""
+
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import RuleError
+from tests.networks import chain, cuba, lif, popsan
+
+PROVEN = Quantisation(headroom="proven")
+
+
+def crowd(axons=600, threshold=100.0, size=1):
+    """Neurons that so many axons drive with the largest weight, which one timestep overflows."""
+    weight = np.ones((size, axons))
+    neurons = cuba(size, alpha=0.0, beta=0.75, threshold=threshold)
+    return Artifact(
+        chain(nir.Linear(weight), neurons, width=axons, act=size), None, Convention(1e-3)
+    )
+
+
+def everything(artifact, timesteps=6):
+    width = artifact.graph.nodes["input"].input_type["input"][0]
+    return np.ones((1, timesteps, width), np.uint8)
+
+
+def ran(artifact, quantisation, name="loihi1"):
+    machine = Machine(compile_program(artifact, chip(name), quantisation))
+    output = machine.infer(everything(artifact))
+    return output, machine.ledger.total("saturation")
+
+
+def test_without_headroom_a_crowd_wraps_the_current_and_silences_the_neuron():
+    output, saturations = ran(crowd(), Quantisation())
+    # 600 * 255 * 64 = 9,792,000 > 2**23
+    assert saturations > 0
+    assert not output.any()
+
+
+@pytest.mark.parametrize("granularity", ["layer", "channel"])
+@pytest.mark.parametrize("name", ["loihi1", "loihi1-nengo"])
+def test_with_proven_headroom_nothing_overflows_and_it_spikes_as_in_float(granularity, name):
+    artifact = crowd()
+    output, saturations = ran(artifact, replace(PROVEN, granularity=granularity), name)
+    float_twin = Machine(compile_program(artifact, chip("ideal"))).infer(everything(artifact))
+    assert saturations == 0
+    assert float_twin.any()
+    np.testing.assert_array_equal(output, float_twin)
+
+
+def test_proven_headroom_takes_no_more_than_the_narrowest_register_asks_for():
+    program = compile_program(crowd(), chip("loihi1"), PROVEN)
+    (weight,) = set(program.layers[0].synapses[0].weight.ravel().tolist())
+    # the accumulator's 2**21 - 1 = 600 * 64 * 54.6
+    assert weight == 54
+
+
+def test_each_neuron_of_its_own_scale_has_its_own_headroom():
+    artifact = crowd(size=2)
+    artifact.graph.nodes["n1"].weight[1, 1:] = 0.0
+    program = compile_program(artifact, chip("loihi1"), replace(PROVEN, granularity="channel"))
+    # the second neuron hears one axon only, which overflows nothing
+    assert program.layers[0].synapses[0].weight.max(axis=0).tolist() == [54, 255]
+
+
+def test_where_nothing_can_overflow_headroom_changes_nothing():
+    plain = compile_program(popsan(), chip("loihi1"))
+    proven = compile_program(popsan(), chip("loihi1"), PROVEN)
+    for one, other in zip(plain.layers, proven.layers, strict=True):
+        np.testing.assert_array_equal(one.synapses[0].weight, other.synapses[0].weight)
+        assert one.scale == other.scale
+
+
+def test_a_membrane_without_a_leak_has_no_headroom_that_can_be_proven():
+    neurons = lif(1)
+    graph = chain(
+        nir.Linear(-np.ones((1, 2))), nir.IF(neurons.r, neurons.v_threshold), width=2, act=1
+    )
+    with pytest.raises(RuleError, match="layer 'n2': no scale keeps its membranes"):
+        compile_program(Artifact(graph, None, Convention(1e-3)), chip("loihi1"), PROVEN)

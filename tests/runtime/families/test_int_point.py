@@ -1,0 +1,152 @@
+"""The family of free widths: any of its chips runs fast, and means what its widths say."""
+
+from itertools import pairwise
+
+import nir
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator import backend
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.runtime.emulator.ledger import count
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ChipError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.equality import check_equal
+from tests.networks import chain, cuba, lif, popsan
+
+BACKENDS = ["numpy", *(["numba"] if backend.find_spec("numba") else [])]
+
+
+def network(seed=0, reset="zero", sizes=(30, 14, 6)):
+    """Neurons whose thresholds a few bits can hold beside their weights."""
+    rng = np.random.default_rng(seed)
+    nodes = []
+    for fan_in, size in pairwise(sizes):
+        bias = rng.uniform(-1, 1, size)
+        nodes += [nir.Affine(rng.uniform(-1, 2, (size, fan_in)), bias), cuba(size, threshold=3.0)]
+    return Artifact(chain(*nodes, width=sizes[0], act=sizes[-1]), None, Convention(1e-3, reset))
+
+
+@st.composite
+def chips(draw):
+    mode = draw(st.sampled_from(["mixed", "split"]))
+    overflows = st.sampled_from(["clip", "wrap"])
+    return chip(
+        "int",
+        weight_bits=draw(st.integers(2, 16) if mode == "mixed" else st.integers(1, 15)),
+        sign_mode=mode,
+        decay_bits=draw(st.integers(1, 16)),
+        mantissa_shift=draw(st.integers(0, 4)),
+        threshold_bits=draw(st.integers(4, 20)),
+        accumulator=Register(draw(st.integers(10, 36)), draw(overflows)),
+        current=Register(draw(st.integers(10, 36)), draw(overflows)),
+        membrane=Register(draw(st.integers(10, 36)), draw(overflows)),
+        refractory=draw(st.sampled_from([1, 1, 2])),
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    chips(),
+    st.sampled_from(["zero", "subtract"]),
+    st.sampled_from([0, 1, 2]),
+    st.sampled_from(BACKENDS),
+    st.sampled_from([1, 3]),
+)
+def test_every_one_of_them_is_fast_and_equal_to_the_interpreter(used, reset, seed, engine, batch):
+    program = compile_program(network(seed, reset), used)
+    raster = (np.random.default_rng(seed).random((batch, 9, 30)) < 0.4).astype(np.uint8)
+    machine = Machine(program, batch, trace=True, backend=engine)
+    machine.infer(raster)
+    traces = trace(program, raster)
+    check_equal(machine.recordings, traces)
+    counts = count(
+        program,
+        {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
+        {name: t.busy for name, t in traces.items()},
+        {name: t.overflows for name, t in traces.items()},
+    )
+    np.testing.assert_array_equal(machine.ledger.counts, counts)
+
+
+@pytest.mark.parametrize(
+    ("mode", "bits", "largest"), [("mixed", 2, 1), ("mixed", 16, 32767), ("split", 1, 1)]
+)
+def test_a_weight_uses_all_its_bits(mode, bits, largest):
+    fixed = chip("int", sign_mode=mode, weight_bits=bits).fixed
+    assert (fixed.weight_step, fixed.weight_max) == (1, largest)
+    program = compile_program(network(), chip("int", sign_mode=mode, weight_bits=bits))
+    assert np.abs(program.layers[0].synapses[0].weight).max() == largest
+
+
+def test_by_hand():
+    # weights 3 and -2 of 3 bits, half of the current and 3/4 of the membrane stay, threshold 5
+    #
+    # t   arrives   current              membrane
+    # 0   3         3                    3
+    # 1   3         1.5 -> 1 + 3 = 4     2.25 -> 2 + 4 = 6 > 5: spike, 6 - 5 = 1
+    # 2   -2        2 - 2 = 0            0.75 -> 0
+    # 3   -2        -2                   -2
+    # 4   -         -1                   -1.5 -> -1 - 1 = -2
+    neurons = nir.CubaLIF(
+        *(np.full(1, v) for v in (2e-3, 4e-3, 4.0, 0.0, 5.0)), w_in=np.full(1, 2.0)
+    )
+    network = chain(nir.Linear(np.array([[3.0, -2.0]])), neurons, width=2, act=1)
+    artifact = Artifact(network, None, Convention(1e-3, reset="subtract"))
+    program = compile_program(artifact, chip("int:weight_bits=3,decay_bits=2,mantissa_shift=0"))
+    raster = np.array([[[1, 0], [1, 0], [0, 1], [0, 1], [0, 0]]], np.uint8)
+    found = trace(program, raster)["n2"]
+    assert found.current.ravel().tolist() == [3, 4, 0, -2, -1]
+    assert found.membrane.ravel().tolist() == [3, 1, 0, -2, -2]
+    assert found.spikes.ravel().tolist() == [0, 1, 0, 0, 0]
+
+
+def test_with_wide_numbers_it_comes_to_the_spikes_of_the_float_graph():
+    artifact = popsan()
+    raster = (np.random.default_rng(3).random((4, 20, 30)) < 0.3).astype(np.uint8)
+    wide = chip("int", weight_bits=16, decay_bits=16, membrane=36, current=36, accumulator=36)
+    found = trace(compile_program(artifact, wide), raster)
+    expected = FloatGraph(artifact).run(raster)
+    differ = sum(int((found[n].spikes != expected[n]).sum()) for n in found)
+    narrow = trace(compile_program(artifact, chip("int", weight_bits=3, decay_bits=3)), raster)
+    assert sum(int((narrow[n].spikes != expected[n]).sum()) for n in narrow) > 10 * differ
+    assert differ <= 3
+
+
+def test_a_narrow_membrane_leaves_room_above_the_threshold():
+    used = chip("int", membrane=Register(8, "clip"), mantissa_shift=0)
+    # 127 is the largest membrane; 126 the largest threshold that it can be above
+    assert used.fixed.threshold_max == 126
+    neurons = lif(1, tau=1.0, r=1000.0, threshold=1.0)
+    artifact = Artifact(
+        chain(nir.Linear(np.ones((1, 1))), neurons, width=1, act=1), None, Convention(1e-3)
+    )
+    found = trace(compile_program(artifact, used), np.ones((1, 4, 1), np.uint8))["n2"]
+    # the weight is the threshold, 126 of both: one is not above, two are, clipped or not
+    assert found.spikes.ravel().tolist() == [0, 1, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"weight_bits": 1}, "weight_bits is 1; the chip stores one of 2, 3"),
+        ({"weight_bits": 16, "sign_mode": "split"}, "weight_bits is 16; the chip stores"),
+        ({"decay_bits": 17}, "decay_bits is 17; choose 1 to 16"),
+        ({"membrane": 40}, "membrane has 40 bits; choose at most 36"),
+        ({"membrane": 1}, "a register of 1 bits; choose 2 to 62"),
+        ({"membrane": Register(24, "none")}, "membrane must end somewhere"),
+        ({"membrane": 6, "mantissa_shift": 6}, "no threshold above 0 is left"),
+        ({"threshold_max": 3}, "no option 'threshold_max'; did you mean 'threshold_bits'"),
+    ],
+)
+def test_an_impossible_width_is_refused_with_its_limit(options, message):
+    with pytest.raises(ChipError, match=message):
+        chip("int", **options)

@@ -1,0 +1,334 @@
+"""The compiled machine equals the interpreter and the NumPy kernels in everything, and is lean."""
+
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator import backend
+from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.interpreter import Interpreter
+from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba_numba import arrays as native_program
+from spikedeploy.runtime.families.cuba_numba import kernels as native_kernels
+from tests.equality import check_equal, check_like_the_interpreter, runs
+from tests.networks import popsan
+from tests.paths import ROOT
+from tests.programs import layer, random_programs, rasters
+
+compiled = pytest.mark.skipif(
+    backend.find_spec("numba") is None, reason="numba is not installed (pip install '.[fast]')"
+)
+
+
+def known(program):
+    """The program with registers that the compiled kernels know."""
+    fixed = program.chip.fixed
+    overflow = "clip" if fixed.membrane.overflow == "saturate" else fixed.membrane.overflow
+    plain = replace(
+        fixed, push=Register(24, "none"), membrane=Register(fixed.membrane.bits, overflow)
+    )
+    return replace(program, chip=replace(program.chip, arithmetic=plain))
+
+
+compilable_programs = random_programs().map(known)
+
+
+@compiled
+@settings(max_examples=150, deadline=None)
+@given(compilable_programs, runs, st.sampled_from(["zero", "subtract"]))
+def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(program, run, reset):
+    # no chip of integers subtracts yet, but the specification says what would happen
+    program = replace(program, convention=replace(program.convention, reset=reset))
+    check_like_the_interpreter(program, run, "numba")
+
+
+@compiled
+@settings(max_examples=60, deadline=None)
+@given(compilable_programs, runs)
+def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(program, run):
+    batch, *_ = run
+    ours, numpy = (Machine(program, batch, backend=name) for name in ("numba", "numpy"))
+    for raster in rasters(program, *run, inferences=3):
+        np.testing.assert_array_equal(ours.infer(raster), numpy.infer(raster))
+        for one in program.layers:
+            for found, expected in (
+                (ours.current, numpy.current),
+                (ours.membrane, numpy.membrane),
+            ):
+                assert found[one.name].dtype == expected[one.name].dtype
+                np.testing.assert_array_equal(found[one.name], expected[one.name])
+    check_ledgers(ours, numpy)
+
+
+@compiled
+@settings(max_examples=60, deadline=None)
+@given(compilable_programs, runs)
+def test_step_by_step_it_equals_the_numpy_kernels(program, run):
+    batch, timesteps, *_ = run
+    ours, numpy = (Machine(program, batch, backend=name) for name in ("numba", "numpy"))
+    for raster in rasters(program, *run, inferences=2):
+        for step in range(timesteps):
+            spikes = raster[:, step]
+            np.testing.assert_array_equal(ours.step(spikes), numpy.step(spikes))
+            for name in [one.name for one in program.layers]:
+                np.testing.assert_array_equal(ours.current[name], numpy.current[name])
+                np.testing.assert_array_equal(ours.membrane[name], numpy.membrane[name])
+        check_ledgers(ours, numpy)
+        for machine in (ours, numpy):
+            machine.reset()
+            assert not any(values.any() for values in machine.membrane.values())
+
+
+def check_ledgers(ours, numpy):
+    found, expected = ours.ledger, numpy.ledger
+    np.testing.assert_array_equal(found.counts, expected.counts)
+    assert (found.inferences, found.timesteps, found.steps) == (
+        expected.inferences, expected.timesteps, expected.steps,
+    )  # fmt: skip
+
+
+@compiled
+@pytest.mark.parametrize("rows", ["each", "total", "none"])
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_policy_with_a_readout_acts_and_counts_as_with_numpy(rows, delay):
+    artifact = popsan(hidden=(210, 30))
+    artifact = replace(artifact, convention=replace(artifact.convention, delay=delay))
+    program = compile_program(artifact, chip("loihi1"))
+    raster = rasters(program, CHUNK + 3, 5, 0.2, seed=1)[0]
+    ours, numpy = (MachinePool(program, rows, backend=name) for name in ("numba", "numpy"))
+    np.testing.assert_array_equal(ours.infer(raster), numpy.infer(raster))
+    check_ledgers(ours, numpy)
+
+
+@compiled
+def test_states_that_are_kept_go_on_in_windows_of_another_length_where_numpy_does_too():
+    artifact = popsan()
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    forward = compile_program(kept, chip("loihi1"))
+    machine = Machine(forward, backend="numba")
+    machine.infer(np.zeros((1, 5, 30), np.uint8))
+    with pytest.raises(ConfigError, match="Call reset"):
+        machine.infer(np.zeros((1, 4, 30), np.uint8))
+    # a loop: rows run one after another, however many
+    last = forward.layers[-1]
+    wire = replace(last.synapses[0], source=last.name, delay=1, weight=np.ones((20, 20), np.int16))
+    looped = replace(last, synapses=(*last.synapses, wire))
+    program = replace(forward, layers=(*forward.layers[:-1], looped))
+    ours, numpy = (Machine(program, 2, backend=name) for name in ("numba", "numpy"))
+    for timesteps in (5, 3, 8):
+        raster = rasters(program, 2, timesteps, 0.4, seed=timesteps)[0]
+        np.testing.assert_array_equal(ours.infer(raster), numpy.infer(raster))
+    for name, membrane in numpy.membrane.items():
+        np.testing.assert_array_equal(ours.membrane[name], membrane)
+    check_ledgers(ours, numpy)
+
+
+@compiled
+@pytest.mark.parametrize("dtype", [np.bool_, np.uint8, np.uint32])
+def test_any_raster_that_numpy_takes_is_taken_in_any_layout(dtype):
+    program = compile_program(popsan(), chip("loihi1"))
+    raster = rasters(program, 3, 5, 0.3, seed=0)[0].astype(dtype)
+    expected = Machine(program, 3).infer(raster)
+    machine = Machine(program, 3, backend="numba")
+    np.testing.assert_array_equal(machine.infer(raster), expected)
+    np.testing.assert_array_equal(machine.infer(np.asfortranarray(raster)), expected)
+
+
+@compiled
+def test_an_output_is_not_changed_by_the_next_inference():
+    program = compile_program(popsan(), chip("loihi1"))
+    program = replace(program, readout=None)
+    busy, still = np.ones((1, 5, 30), np.uint8), np.zeros((1, 5, 30), np.uint8)
+    machine = Machine(program, trace=True, backend="numba")
+    output = machine.infer(busy)
+    recordings, kept = machine.recordings, output.copy()
+    membranes = {name: r.membrane.copy() for name, r in recordings.items()}
+    machine.infer(still)
+    np.testing.assert_array_equal(output, kept)
+    for name, membrane in membranes.items():
+        np.testing.assert_array_equal(recordings[name].membrane, membrane)
+
+
+@compiled
+def test_weights_and_sums_of_any_width_are_exact():
+    narrow = compile_program(popsan(hidden=(40, 12)), chip("loihi1"))
+    raster = rasters(narrow, 2, 5, 0.5, seed=3)[0]
+    none = Register(62, "none")
+    datasheet = chip("loihi1", accumulator=none, current=none, membrane=none)
+    for factor in (1, 1 << 7, 1 << 16, 1 << 30):  # weights and sums of 8 to 64 bits
+        layers = [
+            replace(
+                one,
+                synapses=tuple(
+                    replace(s, weight=s.weight.astype(np.int64) * factor) for s in one.synapses
+                ),
+                bias=one.bias.astype(np.int64) * factor,
+                threshold=one.threshold * factor,
+            )
+            for one in narrow.layers
+        ]
+        program = replace(narrow, chip=datasheet, layers=tuple(layers))
+        machine = Machine(program, 2, trace=True, backend="numba")
+        machine.infer(raster)
+        check_equal(machine.recordings, Interpreter(program, 2).run(raster))
+
+
+@compiled
+def test_a_state_that_float64_cannot_decay_exactly_is_decayed_in_whole_numbers():
+    # 49 bits times 12 are too many, though the next drive makes the sum small again
+    none = Register(62, "none")
+    datasheet = chip("loihi1", accumulator=none, current=none, membrane=none)
+    rng = np.random.default_rng(0)
+    large = (1 << 43) + rng.integers(0, 1 << 42, 300)
+    weight = np.stack([large, -large])
+    neurons = layer(
+        datasheet.fixed, "n", weight.T, (Synapses("input", weight, delay=1),),
+        decays=(0, 4096), threshold=1 << 60, start=1,
+    )  # fmt: skip
+    program = Program(datasheet, Convention(1e-3), "input", 2, (neurons,), "n", None)
+    machine = Machine(program, trace=True, backend="numba")
+    raster = np.array([[[1, 0], [0, 1], [0, 0]]], np.uint8)
+    machine.infer(raster)
+    check_equal(machine.recordings, Interpreter(program, 1).run(raster))
+
+
+@compiled
+@pytest.mark.parametrize("rows", ["total", "none"])
+def test_a_step_into_memory_of_the_caller_allocates_nothing(rows):
+    program = compile_program(popsan(hidden=(300, 200)), chip("loihi1"))
+    machine = Machine(program, 4, ledger=rows, backend="numba")
+    raster = rasters(program, 4, 50, 0.3, seed=0)[0]
+    out = np.empty((4, 2))
+    expected = Machine(program, 4)
+
+    def run():
+        for step in range(50):
+            assert machine.step(raster[:, step], out) is out
+
+    run()
+    tracemalloc.start()
+    try:
+        run()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # views and numbers of Python come and go; one row of one layer would be 9,600
+    assert peak < 4_000
+    for step in range(100):
+        output = expected.step(raster[:, step % 50])
+    np.testing.assert_array_equal(out, output)
+
+
+@compiled
+def test_machine_code_is_kept_on_disk():
+    assert all(
+        type(getattr(native_kernels, name)._cache).__name__ == "FunctionCache"
+        for name in ("run", "_ticks", "_leap")
+    )
+
+
+def test_the_kernels_count_in_the_order_of_the_ledger():
+    assert [getattr(native_kernels, name) for name in NAMES.values()] == list(range(len(EVENTS)))
+    assert tuple(NAMES) == EVENTS
+
+
+NAMES = {
+    "spike_in": "SPIKE_IN",
+    "sop": "SOP",
+    "bias_sop": "BIAS_SOP",
+    "neuron_update": "UPDATE",
+    "neuron_idle": "IDLE",
+    "spike_out": "SPIKE_OUT",
+    "message": "MESSAGE",
+    "saturation": "SATURATION",
+}
+
+
+def test_the_kernels_know_every_field_of_the_arithmetic():
+    # a new field changes what a chip computes: teach the kernels, or let runtime.backend refuse it
+    at_compile_time = {
+        "weight_bits", "weight_bits_allowed", "sign_mode", "step_rounding", "threshold_max",
+        "bias_mantissa_max", "bias_exponent_max", "current_decay_offset", "membrane_decay_offset",
+        "exponents", "decay_max",
+    }  # fmt: skip
+    in_the_kernels = {
+        "mantissa_shift", "decay_bits", "accumulator", "current", "membrane", "refractory",
+    }  # fmt: skip
+    refused = {"push"}  # unless it lets everything through
+    assert {f.name for f in fields(CubaFixedPoint)} == at_compile_time | in_the_kernels | refused
+    assert {f.name for f in fields(Register)} == {"bits", "overflow", "between"}
+    assert set(backend.OVERFLOWS) == set(native_program.OVERFLOWS)
+
+
+@pytest.mark.parametrize(
+    "register",
+    [
+        {"push": Register(24, "wrap")},
+        {"membrane": Register(24, "saturate")},
+        {"membrane": Register(24, "clip", (0, 1000))},
+    ],
+)
+def test_registers_that_the_kernels_do_not_know_are_refused_and_auto_takes_numpy(register):
+    program = compile_program(popsan(), chip("loihi1"))
+    odd = replace(
+        program, chip=replace(program.chip, arithmetic=replace(program.chip.fixed, **register))
+    )
+    with pytest.raises(ConfigError, match=r"'loihi1' has a register that the compiled kernels"):
+        Machine(odd, backend="numba")
+    assert not backend.compiles(odd, "auto")
+
+
+@pytest.mark.parametrize(
+    ("name", "installed", "message"),
+    [
+        ("loihi1", None, r"Numba is not installed.*pip install"),
+        ("ideal", object(), r"chip 'ideal' has no integers"),
+    ],
+)
+def test_what_cannot_be_compiled_is_refused_and_auto_takes_numpy(
+    name, installed, message, monkeypatch
+):
+    monkeypatch.setattr(backend, "find_spec", lambda package: installed)
+    program = compile_program(popsan(), chip(name))
+    with pytest.raises(ConfigError, match=message):
+        Machine(program, backend="numba")
+    raster = rasters(program, 1, 5, 0.3, seed=0)[0]
+    np.testing.assert_array_equal(
+        Machine(program, backend="auto").infer(raster), Machine(program).infer(raster)
+    )
+
+
+def test_an_unknown_backend_is_refused():
+    with pytest.raises(ConfigError, match="backend 'cuda' is unknown"):
+        Machine(compile_program(popsan(), chip("loihi1")), backend="cuda")
+
+
+def test_numba_is_not_loaded_until_a_machine_is_compiled():
+    code = """
+import sys
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.emulator.machine import Machine
+from tests.equality import check_equal, check_like_the_interpreter, runs
+from tests.networks import popsan
+Machine(compile_program(popsan(), chip("loihi1")))
+assert "numba" not in sys.modules
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

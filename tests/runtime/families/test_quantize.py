@@ -1,0 +1,260 @@
+"""Floats become the integers of a chip, with bounded error or a refusal that says why."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Layer, Synapses
+from spikedeploy.runtime.compiler.quantisation import Quantisation, Tuning
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.families.cuba.quantise import quantise, stored
+
+FIXED = chip("loihi1").fixed
+TRUNCATE = Quantisation(rounding="truncate")
+CHANNEL = Quantisation(granularity="channel")
+
+
+def floats(weight, bias=0.0, threshold=0.5, voltage_bias=0.0, alpha=0.5, beta=0.75):
+    """A float layer with one row of weights per axon."""
+    weight = np.atleast_2d(np.asarray(weight, float))
+    ones = np.ones(weight.shape[1])
+    return Layer(
+        name="lif1",
+        synapses=(Synapses("input", weight, 1),),
+        bias=bias * ones,
+        voltage_bias=voltage_bias * ones,
+        threshold=threshold * ones,
+        current_decay=alpha * ones,
+        membrane_decay=beta * ones,
+        scale=1.0,
+        start=0,
+    )
+
+
+def test_the_largest_weight_becomes_the_chips_largest_and_the_threshold_follows():
+    layer = quantise(floats([[0.3, -0.6, 0.01]]), FIXED)
+    # 255 / 0.6 = 425 mantissas per unit
+    assert layer.synapses[0].weight.tolist() == [[128, -255, 4]]
+    assert layer.threshold.tolist() == [212 * 64] * 3
+    assert layer.scale == pytest.approx(1 / 425 / 64)
+
+
+def test_a_bias_shares_the_scale_of_the_weights():
+    layer = quantise(floats([[0.3]], bias=-0.6), FIXED)
+    assert layer.synapses[0].weight.tolist() == [[128]]
+    assert layer.bias.tolist() == [-255]
+
+
+def test_truncation_drops_fractions_as_popsan_does():
+    layer = quantise(floats([[0.3, -0.31, 0.6]], alpha=0.9), FIXED, TRUNCATE)
+    # 127.5, -131.75 and 212.5 mantissas; a decay of 409.6 / 4096
+    assert layer.synapses[0].weight.tolist() == [[127, -131, 255]]
+    assert layer.threshold.tolist() == [212 * 64] * 3
+    assert layer.current_decay.tolist() == [4096 - 409] * 3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_truncation_is_the_formula_of_popsans_mapping(seed):
+    rng = np.random.default_rng(seed)
+    weight, bias = rng.normal(size=(8, 6)), rng.normal(size=6)
+    layer = quantise(replace(floats(weight), bias=bias), FIXED, TRUNCATE)
+    # k = 255 / max(|W|, |b|), int(clip(W k)), int(vth k)  (pop-spiking-deep-rl, utility.py)
+    k = 255 / max(np.abs(weight).max(), np.abs(bias).max())
+    assert layer.synapses[0].weight.tolist() == np.clip(weight * k, -255, 255).astype(int).tolist()
+    assert layer.bias.tolist() == np.clip(bias * k, -255, 255).astype(int).tolist()
+    assert layer.threshold.tolist() == [int(0.5 * k) * 64] * 6
+    # 1/2 and 1/4 of 4096, as there
+    assert (4096 - layer.current_decay).tolist() == [2048] * 6
+    assert (4096 - layer.membrane_decay).tolist() == [1024] * 6
+
+
+def test_decays_are_rounded_to_twelve_bits():
+    layer = quantise(floats([[1.0]], alpha=0.9, beta=0.8), FIXED)
+    assert layer.current_decay.tolist() == [4096 - 410]
+    assert layer.membrane_decay.tolist() == [4096 - 819]
+
+
+def test_a_current_without_memory_and_a_membrane_without_leak_are_exact():
+    layer = quantise(floats([[1.0]], alpha=0.0, beta=1.0), FIXED)
+    assert (layer.current_decay[0], layer.membrane_decay[0]) == (0, 4096)
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([2, 3, 4, 5, 6, 8]),
+    st.sampled_from(["split", "mixed"]),
+)
+def test_a_weight_is_off_by_half_a_step_at_most(seed, bits, mode):
+    fixed = chip("loihi1", weight_bits=bits, sign_mode=mode).fixed
+    weight = np.random.default_rng(seed).normal(size=(6, 5))
+    layer = quantise(floats(weight, threshold=3.0), fixed)
+    whole = layer.synapses[0].weight
+    assert (whole % fixed.weight_step == 0).all()
+    assert np.abs(whole).max() <= fixed.weight_max
+    error = np.abs(whole * layer.scale * 64 - weight)
+    assert error.max() <= 0.5 * fixed.weight_step * layer.scale * 64 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("rounding", ["nearest", "truncate"])
+def test_what_is_quantised_is_stored_unchanged(rounding):
+    fixed = chip("loihi1", weight_bits=3, sign_mode="mixed").fixed
+    weight = np.random.default_rng(1).normal(size=(9, 9))
+    whole = (
+        quantise(floats(weight, threshold=3.0), fixed, Quantisation(rounding=rounding))
+        .synapses[0]
+        .weight
+    )
+    np.testing.assert_array_equal(stored(whole, fixed), whole)
+
+
+@pytest.mark.parametrize(("rule", "kept"), [("floor", -256), ("zero", -254)])
+def test_emulators_differ_in_odd_negative_mixed_weights(rule, kept):
+    fixed = chip("loihi1", sign_mode="mixed", step_rounding=rule).fixed
+    assert stored(np.array([[-255, 255, -254]]), fixed).tolist() == [[kept, 254, -254]]
+
+
+def test_a_threshold_that_does_not_fit_shrinks_the_scale():
+    layer = quantise(floats([[0.6, 0.2]], threshold=1000.0), FIXED)
+    # 131071 / 1000 mantissas per unit
+    assert layer.threshold.tolist() == [131071 * 64] * 2
+    assert layer.synapses[0].weight.tolist() == [[79, 26]]
+
+
+def test_a_voltage_bias_is_a_mantissa_and_an_exponent():
+    layer = quantise(floats([[1.0]], voltage_bias=0.5), FIXED)
+    # 0.5 * 255 * 64 = 8160 = 4080 * 2
+    assert layer.voltage_bias.tolist() == [8160]
+    layer = quantise(floats([[1.0]], voltage_bias=-0.3), FIXED)
+    # 0.3 * 255 * 64 = 4896 = 2448 * 2
+    assert layer.voltage_bias.tolist() == [-4896]
+    layer = quantise(floats([[1.0]], voltage_bias=3.0001), FIXED)
+    # 3.0001 * 255 * 64 = 48961.6, of which an exponent of 4 keeps 3060 * 16
+    assert layer.voltage_bias.tolist() == [48960]
+
+
+def test_a_voltage_bias_that_does_not_fit_shrinks_the_scale():
+    layer = quantise(floats([[1.0]], voltage_bias=100.0), FIXED)
+    assert layer.voltage_bias.tolist() == [4095 << 7]
+    assert layer.synapses[0].weight.tolist() == [[82]]
+
+
+@pytest.mark.parametrize(
+    ("layer", "rule", "message"),
+    [
+        (floats([[1.0]], threshold=-0.5), "threshold-range", "threshold -0.5 is below 0"),
+        (
+            floats([[1.0]], threshold=1e-4),
+            "threshold-range",
+            "threshold 0.0001 is 0.026 of the smallest",
+        ),
+        (floats([[1e-3]], threshold=1e6), "weight-bits", "every weight becomes 0"),
+        (floats([[1.0]], alpha=1.0), "decay-range", "a current that keeps all"),
+        (floats([[1.0]], beta=0.0), "decay-range", "a membrane that keeps nothing"),
+    ],
+)
+def test_what_the_chip_cannot_hold_is_refused_by_rule_layer_and_limit(layer, rule, message):
+    with pytest.raises(RuleError, match=rf"^rule {rule}: layer 'lif1': {message}"):
+        quantise(layer, FIXED)
+
+
+def test_effective_decays_without_an_offset_may_be_nothing_or_all():
+    fixed = chip("loihi1", current_decay_offset=0, membrane_decay_offset=1).fixed
+    layer = quantise(floats([[1.0]], alpha=1.0, beta=0.0), fixed)
+    assert (layer.current_decay[0], layer.membrane_decay[0]) == (4096, 0)
+
+
+def test_a_layer_without_weights_is_no_reason_to_refuse():
+    layer = replace(floats([[0.0]]), threshold=np.array([0.5]))
+    assert quantise(layer, FIXED).threshold.tolist() == [131071 * 64]
+
+
+def test_an_unknown_rounding_is_refused():
+    with pytest.raises(ConfigError, match=r"rounding 'up' is unknown\. Choose 'nearest' or 't"):
+        Quantisation(rounding="up")
+
+
+def test_with_a_scale_for_each_neuron_every_one_fills_the_weight():
+    layer = quantise(floats([[0.3, -0.6], [0.1, 0.02]], voltage_bias=0.01), FIXED, CHANNEL)
+    # 255 / 0.3 = 850 and 255 / 0.6 = 425 mantissas per unit
+    assert layer.synapses[0].weight.tolist() == [[255, -255], [85, 8]]
+    # 0.5 of each, 425 and 212.5
+    assert layer.threshold.tolist() == [425 * 64, 212 * 64]
+    assert layer.voltage_bias.tolist() == [544, 272]
+    assert layer.scale.tolist() == pytest.approx([1 / 850 / 64, 1 / 425 / 64])
+
+
+def test_with_a_scale_for_each_neuron_only_a_threshold_that_does_not_fit_shrinks_it():
+    layer = replace(floats([[0.6, 0.6]]), threshold=np.array([1000.0, 0.5]))
+    layer = quantise(layer, FIXED, CHANNEL)
+    # 131071 / 1000 * 0.6 and 255
+    assert layer.synapses[0].weight.tolist() == [[79, 255]]
+    assert layer.threshold.tolist() == [131071 * 64, 212 * 64]
+
+
+def test_with_a_scale_for_each_neuron_one_without_weights_keeps_its_threshold():
+    layer = quantise(floats([[0.6, 0.0]]), FIXED, CHANNEL)
+    assert layer.threshold.tolist() == [212 * 64, 131071 * 64]
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([2, 4, 6, 8]),
+    st.sampled_from(["split", "mixed"]),
+    st.sampled_from(["nearest", "truncate"]),
+)
+def test_the_error_bound_of_a_neuron_with_its_own_scale_is_no_larger(seed, bits, mode, rounding):
+    fixed = chip("loihi1", weight_bits=bits, sign_mode=mode).fixed
+    weight = np.random.default_rng(seed).normal(size=(6, 5))
+    worst = 1.0 if rounding == "truncate" else 0.5
+    bounds = {}
+    for granularity in ("layer", "channel"):
+        layer = quantise(
+            floats(weight, threshold=3.0), fixed, Quantisation(granularity, rounding=rounding)
+        )
+        error = np.abs(layer.synapses[0].weight * layer.scale * 64 - weight).max(axis=0)
+        bounds[granularity] = worst * fixed.weight_step * layer.scale * 64 * np.ones(5)
+        assert (error <= bounds[granularity] * (1 + 1e-9)).all()
+    assert (bounds["channel"] <= bounds["layer"] * (1 + 1e-12)).all()
+    assert bounds["channel"].max() == pytest.approx(bounds["layer"].max())
+
+
+def test_a_reach_above_one_clips_the_largest_weights_and_nothing_else():
+    tuned = Quantisation(tuned={"lif1": Tuning(reach=2.0)})
+    layer = quantise(floats([[0.3, -0.6, 0.1]]), FIXED, tuned)
+    # 2 * 255 / 0.6 = 850 mantissas per unit
+    assert layer.synapses[0].weight.tolist() == [[255, -255, 85]]
+    assert layer.threshold.tolist() == [425 * 64] * 3
+
+
+def test_a_reach_above_one_leaves_a_threshold_that_fills_its_register():
+    tuned = Quantisation(tuned={"lif1": Tuning(reach=2.0)})
+    layer = quantise(floats([[0.6, 0.2]], threshold=1000.0), FIXED, tuned)
+    assert layer.threshold.tolist() == [131071 * 64] * 2
+    assert layer.synapses[0].weight.tolist() == [[79, 26]]
+
+
+def test_a_tuned_threshold_is_multiplied_before_it_is_rounded():
+    tuned = Quantisation(tuned={"lif1": Tuning(threshold=0.9)})
+    layer = quantise(floats([[0.3, -0.6]]), FIXED, tuned)
+    # 0.45 * 425 = 191.25
+    assert layer.threshold.tolist() == [191 * 64] * 2
+    assert layer.synapses[0].weight.tolist() == [[128, -255]]
+
+
+@pytest.mark.parametrize("wrong", [{"granularity": "neuron"}, {"headroom": "some"}])
+def test_an_unknown_choice_is_refused_by_name(wrong):
+    ((name, value),) = wrong.items()
+    with pytest.raises(ConfigError, match=f"{name} '{value}' is unknown"):
+        Quantisation(**wrong)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
+def test_a_tuning_that_is_no_factor_is_refused(value):
+    with pytest.raises(ConfigError, match="reach"):
+        Tuning(reach=value)

@@ -1,0 +1,323 @@
+"""NIR for Xylo: what the quantisers make of numbers that can be worked out by hand."""
+
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ChipError, ConfigError, RuleError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.networks import chain, cuba, graph, lif, popsan
+from tests.xylo_networks import network
+
+CONVENTION = Convention(1e-3, reset="subtract", spikes="many")
+ONCE = Convention(1e-3, reset="subtract")
+A2 = chip("xylo-a2")
+CHANNEL = Quantisation("channel")
+
+
+def two_layers(first, second, neurons=cuba, bias=(0, 0), convention=CONVENTION, **options):
+    """1 input -> 2 hidden -> 1 output, with thresholds 1; currents keep 1/2, membranes 3/4."""
+    build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0} | options if neurons is cuba else {}
+    nodes = [
+        nir.Affine(np.array(first, float), np.array(bias, float)),
+        neurons(2, **build),
+        nir.Linear(np.array(second, float)),
+        neurons(1, **build),
+    ]
+    return Artifact(chain(*nodes, width=1, act=1), None, convention)
+
+
+def compiled(artifact, quantisation=PLAIN, **options):
+    return compile_program(artifact, A2, quantisation, **options)
+
+
+def shifted(bits):
+    return Quantisation(weight_shift=bits)
+
+
+def test_one_scale_makes_the_largest_hidden_weight_127_and_outputs_have_their_own():
+    # currents on Xylo have decayed before they are used: 0.5 becomes 0.5 / (1 - 1/2) = 1
+    hidden, output = compiled(two_layers([[0.5], [-0.125]], [[2, 1]])).layers
+    assert hidden.synapses[0].weight.tolist() == [[127, -32]]  # -0.25 * 127 = -31.75
+    assert hidden.threshold.tolist() == [127, 127]
+    assert hidden.scale == pytest.approx(1 / 127)
+    assert output.synapses[0].weight.tolist() == [[127], [64]]  # 2 * 31.75 = 63.5, to even
+    assert output.threshold.tolist() == [32]  # 127 / 4 = 31.75
+
+
+def test_each_channel_has_a_scale_of_its_own():
+    hidden, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=CHANNEL).layers
+    assert hidden.synapses[0].weight.tolist() == [[127, -127]]
+    assert hidden.threshold.tolist() == [127, 508]
+    np.testing.assert_allclose(hidden.scale, [1 / 127, 1 / 508])
+
+
+def test_time_constants_become_shifts():
+    hidden, _ = compiled(two_layers([[1], [1]], [[1, 1]])).layers
+    assert hidden.current_decay.tolist() == [[1, 1]]  # keeps 1/2
+    assert hidden.membrane_decay.tolist() == [2, 2]  # keeps 3/4
+
+
+@pytest.mark.parametrize(
+    ("ratio", "dash"), [(1, 1), (1.4, 1), (2.8, 1), (2.9, 2), (5.6, 2), (5.7, 3), (40000, 15)]
+)
+def test_a_dash_is_the_rounded_logarithm_of_the_time_constant(ratio, dash):
+    # a current's dash is at least 1: with 0 nothing would be left of an event
+    program = compiled(two_layers([[1], [1]], [[1, 1]], alpha=1 - 1 / ratio))
+    assert program.layers[0].current_decay.tolist() == [[dash, dash]]
+
+
+@pytest.mark.parametrize(("ratio", "dash"), [(0.3, 1), (2.8, 1), (2.9, 2), (11.3, 3), (11.4, 4)])
+def test_the_exponential_integrator_has_the_same_dashes(ratio, dash):
+    # keeps exp(-1/ratio) of itself, which is less than 1 - 1/ratio would be
+    nodes = [nir.Linear(np.ones((1, 1))), cuba(1), nir.Linear(np.ones((1, 1))), cuba(1)]
+    for node in nodes[1::2]:
+        node.tau_syn[:] = ratio * 1e-3
+    convention = replace(CONVENTION, integrator="exponential")
+    program = compiled(Artifact(chain(*nodes, width=1, act=1), None, convention))
+    assert program.layers[0].current_decay.tolist() == [[dash]]
+
+
+def test_a_bias_is_what_it_comes_to_through_the_current():
+    # 0.1 / (1 - 1/2) = 0.2 in every timestep; the largest weight, 1 / (1/2) = 2, is 127
+    artifact = two_layers([[1], [1]], [[1, 1]], bias=[0.1, -0.3])
+    hidden, _ = compiled(artifact).layers
+    assert hidden.voltage_bias.tolist() == [13, -38]  # 12.7 and -38.1
+    assert not hidden.bias.any()
+    [first] = [r for r in compiled(artifact).remarks if "bias is added to the membrane" in r]
+    assert first.startswith("layer 'n2'")
+
+
+def test_the_largest_bias_sets_the_scale_where_it_is_above_all_weights():
+    hidden, _ = compiled(two_layers([[1], [1]], [[1, 1]], bias=[2, 0])).layers
+    assert hidden.voltage_bias.tolist() == [127, 0]  # 2 / (1/2) = 4
+    assert hidden.synapses[0].weight.tolist() == [[64, 64]]  # 2 * 127/4 = 63.5, to even
+
+
+def test_the_bias_of_a_channel_may_be_wider_than_its_weights():
+    artifact = two_layers([[1], [1]], [[1, 1]], bias=[2, 0])
+    hidden, _ = compiled(artifact, quantisation=CHANNEL).layers
+    assert hidden.synapses[0].weight.tolist() == [[127, 127]]  # 1 / (1/2) = 2
+    assert hidden.voltage_bias.tolist() == [254, 0]  # 2 / (1/2) = 4
+
+
+def test_a_threshold_beyond_16_bits_rescales_everything():
+    weak = two_layers([[0.001], [0.0005]], [[1, 1]])
+    hidden, output = compiled(weak).layers
+    # 1 * 127 / 0.002 = 63500 would not fit; with 32767 the weight is 0.002 * 32767 = 65.5
+    assert hidden.threshold.tolist() == [32767, 32767]
+    assert hidden.synapses[0].weight.tolist() == [[66, 33]]
+    assert output.threshold.tolist() == [64]  # outputs are as they were: 127 / 2
+
+
+def test_a_weight_shift_makes_states_finer_and_leaves_the_weights():
+    plain, finer = (compiled(two_layers([[0.5], [0.1]], [[2, 1]]), shifted(s)) for s in (0, 3))
+    hidden = finer.layers[0]
+    assert hidden.synapses[0].weight.tolist() == [[127 << 3, 25 << 3]]
+    assert hidden.threshold.tolist() == [127 << 3] * 2
+    assert hidden.scale == pytest.approx(plain.layers[0].scale / 8)
+
+
+def test_fractions_can_be_dropped():
+    hidden, _ = compiled(
+        two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=Quantisation(rounding="truncate")
+    ).layers
+    assert hidden.synapses[0].weight.tolist() == [[127, -31]]
+
+
+def test_a_spike_of_a_neuron_without_current_still_adds_up_to_its_weight():
+    # keeps 7/8 in both; the shortest current gives 1/2, 1/4, ... of the weight, in all 1
+    program = compiled(two_layers([[1], [1]], [[1, 1]], neurons=lambda n: lif(n, 8e-3, 8.0)))
+    hidden, _ = program.layers
+    assert hidden.current_decay.tolist() == [[1, 1]]
+    assert hidden.synapses[0].weight.tolist() == [[127, 127]]
+    assert hidden.threshold.tolist() == [127, 127]
+    assert any("no synaptic current" in remark for remark in program.remarks)
+
+
+def test_membranes_of_a_spike_follow_the_float_graph_where_decays_are_powers_of_two():
+    # nothing spikes, and what a shift of 8 rounds off is below a part in a hundred
+    artifact = two_layers([[0.05], [0.1]], [[1, 1]])
+    raster = np.zeros((1, 12, 1), np.uint8)
+    raster[0, [0, 3, 4]] = 1
+    machine = Machine(compiled(artifact, shifted(3)), trace=True)
+    machine.infer(raster)
+    hidden = machine.program.layers[0]
+    # I = I/2 + w x      V = 3/4 V + I
+    current = membrane = np.zeros(2)
+    for t, x in enumerate(raster[0, :, 0]):
+        current = current / 2 + np.array([0.05, 0.1]) * x
+        membrane = 0.75 * membrane + current
+        found = machine.recordings["n2"].membrane[0, t] * hidden.scale
+        np.testing.assert_allclose(found, membrane, atol=0.01)
+
+
+def test_spike_counts_follow_the_float_graph():
+    rng = np.random.default_rng(0)
+    artifact = network(rng, [12, 40, 30, 8], ["leaking"] * 3, loops={1}, delay=1)
+    for node in artifact.graph.nodes.values():
+        if isinstance(node, nir.CubaLIF):
+            # powers of two, so that only rounding differs; no output above 1 spike a timestep
+            node.tau_syn[:], node.w_in[:] = 4e-3, 4.0
+            node.tau_mem[:], node.r[:] = 8e-3, 8.0
+            node.v_leak[:] *= 0.1
+            node.v_threshold[:] = 4.0
+    raster = (rng.random((1, 400, 12)) < 0.2).astype(np.uint8)
+    expected = FloatGraph(artifact).run(raster)
+    program = compiled(artifact, replace(CHANNEL, weight_shift=2), limits=False)
+    machine = Machine(program, trace=True)
+    machine.infer(raster)
+    for name in ("l1", "l2"):
+        found = machine.recordings[name].spikes
+        assert found.max() > 1
+        rates, wanted = found.mean(axis=1), expected[name].mean(axis=1)
+        assert np.abs(rates - wanted).mean() < 0.1 * wanted.mean()
+
+
+# populations, order and time
+
+
+def test_layers_before_the_last_are_hidden_and_the_last_is_the_output():
+    rng = np.random.default_rng(0)
+    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3, loops={2}))
+    assert program.output_apart
+    wires = {a.name: [(s.source, s.delay) for s in a.synapses] for a in program.layers}
+    assert wires == {"l1": [("input", 0)], "l2": [("l1", 1), ("l2", 1)], "l3": [("l2", 1)]}
+    assert [layer.start for layer in program.layers] == [0, 1, 2]
+
+
+def test_a_bias_behind_the_first_layer_starts_all_layers_at_once():
+    rng = np.random.default_rng(0)
+    biased = network(rng, [4, 5, 6, 3], ["cuba"] * 3, biased=True)
+    program = compiled(biased)
+    assert [layer.start for layer in program.layers] == [0, 0, 0]
+    assert any(r.startswith("layer 'l2' has a bias") for r in program.remarks)
+    with pytest.raises(RuleError, match=r"^rule bias: layer 'l2' has a bias"):
+        compiled(biased, stagger=True)
+
+
+def test_a_convention_with_delay_is_what_xylo_does():
+    rng = np.random.default_rng(0)
+    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3, biased=True, delay=1))
+    assert program.lags == ((1,), (1,), (1,))
+    assert not any("at once" in remark for remark in program.remarks)
+
+
+def test_a_skip_from_the_input_is_heard_at_once():
+    rng = np.random.default_rng(0)
+    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3, skip=True))
+    assert dict((s.source, s.delay) for s in program.layer("l2").synapses) == {"input": 0, "l1": 1}
+    assert any("'l2' -> 'l1' would need a delay of 0" in r for r in program.remarks)
+
+
+def test_two_maps_from_one_source_become_one_matrix():
+    nodes = {
+        "input": nir.Input(np.array([1])), "output": nir.Output(np.array([1])),
+        "a": nir.Linear(np.array([[1.0]])), "b": nir.Linear(np.array([[0.5]])),
+        "l1": cuba(1, 0.5, 0.75), "c": nir.Linear(np.array([[1.0]])), "l2": cuba(1, 0.5, 0.75),
+    }  # fmt: skip
+    edges = "input->a, input->b, a->l1, b->l1, l1->c, c->l2, l2->output"
+    program = compiled(Artifact(graph(edges, **nodes), None, CONVENTION))
+    [synapses] = program.layer("l1").synapses
+    assert synapses.weight.tolist() == [[127]]
+    assert program.layer("l1").threshold.tolist() == [21]  # 0.5 * 127 / 3
+
+
+def single():
+    return Artifact(chain(nir.Linear(np.ones((2, 3))), cuba(2), width=3, act=2), None, CONVENTION)
+
+
+def recurrent_output():
+    return network(np.random.default_rng(0), [4, 5, 3], ["cuba"] * 2, loops={2})
+
+
+@pytest.mark.parametrize("build", [single, recurrent_output])
+def test_an_output_that_is_no_output_population_is_refused_or_read_as_hidden(build):
+    with pytest.raises(RuleError, match=r"^rule outputs: .* is no output population of xylo-a2"):
+        compiled(build())
+    program = compile_program(build(), chip("xylo-a2", read="any"))
+    machine = Machine(program)
+    spikes = machine.infer(np.full((1, 20, program.width), 15, np.uint8))
+    assert spikes.max() > 1  # as a hidden neuron may
+
+
+def test_a_neuron_to_read_is_one_of_two():
+    with pytest.raises(ChipError, match="read 'all' is unknown"):
+        chip("xylo-a2", read="all")
+
+
+def integrating():
+    nodes = [nir.Linear(np.ones((2, 3))), nir.IF(np.full(2, 1e3), np.ones(2))]
+    return Artifact(chain(*nodes, nir.Linear(np.ones((2, 2))), cuba(2), width=3, act=2),
+                    None, CONVENTION)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("artifact", "message"),
+    [
+        (popsan(), "reset 'zero': a spike on xylo-a2 can only do 'subtract'"),
+        (integrating(), "rule decay-range: .* a membrane that keeps 1 of itself"),
+        (
+            two_layers([[1], [1]], [[0.00001, 0]], threshold=1e9),
+            "^rule weight-bits: .* every weight becomes 0",
+        ),
+        (
+            two_layers([[1], [1]], [[1, 1]], convention=ONCE, threshold=0),
+            "^rule threshold-range: .* 0; a membrane",
+        ),
+        (
+            two_layers([[1], [1]], [[1, 1]], threshold=1e-3),
+            "^rule threshold-range: .* 0.001 becomes 0",
+        ),
+    ],
+    ids=["reset", "integrator", "weights", "zero", "threshold"],
+)
+def test_what_xylo_cannot_do_is_refused_by_name(artifact, message):
+    with pytest.raises(RuleError, match=message):
+        compiled(artifact)
+
+
+def test_spikes_above_are_taken_with_a_remark():
+    artifact = two_layers([[1], [1]], [[1, 1]])
+    [remark] = compiled(replace(artifact, convention=ONCE)).remarks
+    assert "spike at their threshold and above, up to 31 times" in remark
+    assert compiled(artifact).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("bits", "message"),
+    [
+        (16, "weight_shift is 16; choose 0 to 15"),
+        (-1, "weight_shift is -1; choose 0 to 15"),
+    ],
+)
+def test_a_shift_that_the_chip_lacks_is_refused(bits, message):
+    with pytest.raises(ConfigError, match=message):
+        compiled(two_layers([[1], [1]], [[1, 1]]), shifted(bits))
+
+
+def test_other_chips_refuse_what_only_xylo_has():
+    with pytest.raises(ConfigError, match="weight_shift is 1: loihi1 has no shift"):
+        compile_program(popsan(), chip("loihi1"), shifted(1))
+
+
+@pytest.mark.parametrize(
+    ("name", "choice", "message"),
+    [
+        ("xylo-a2", Quantisation(headroom="proven"), "headroom is 'proven'; on xylo-a2 only"),
+        ("xylo-a2", Quantisation("channel", thresholds=3), "thresholds is 3; on xylo-a2 only"),
+        ("spinnaker2", CHANNEL, "granularity is 'channel'; on spinnaker2 only rounding"),
+    ],
+)
+def test_choices_that_a_chip_does_not_have_are_refused(name, choice, message):
+    artifact = replace(two_layers([[1], [1]], [[1, 1]]), convention=ONCE)
+    with pytest.raises(ConfigError, match=message):
+        compile_program(artifact, chip(name), choice)

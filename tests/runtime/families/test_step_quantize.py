@@ -1,0 +1,213 @@
+"""Layers without a synaptic current become integers by the rule of each chip's own tools."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Layer, Synapses
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.families.integrate_and_fire.quantise import (
+    axon_types,
+    check_axons,
+    quantise_steps,
+)
+
+
+def floats(weight, bias=0.0, threshold=1.0, voltage_bias=0.0, alpha=0.0, beta=1.0, name="if1"):
+    """A float layer with one row of weights per axon."""
+    weight = np.atleast_2d(np.asarray(weight, float))
+    ones = np.ones(weight.shape[1])
+    return Layer(
+        name=name,
+        synapses=(Synapses("input", weight, 1),),
+        bias=bias * ones,
+        voltage_bias=voltage_bias * ones,
+        threshold=threshold * ones,
+        current_decay=alpha * ones,
+        membrane_decay=beta * ones,
+        scale=1.0,
+        start=0,
+    )
+
+
+def quantised(layer, name, rounding=None, limits=True, **options):
+    used = chip(name, **options)
+    return quantise_steps(layer, used, used.steps, rounding, limits)
+
+
+def whole(layer):
+    return layer.synapses[0].weight.tolist()
+
+
+def test_speck2f_scales_weights_bias_and_threshold_together():
+    layer = quantised(floats([[0.5, -0.25, 0.1]], bias=0.3, threshold=0.7), "speck2f")
+    # 127 / 0.5 = 254
+    assert whole(layer) == [[127, -64, 25]]  # -63.5 to the even one
+    assert layer.voltage_bias.tolist() == [76] * 3
+    assert layer.bias.tolist() == [0] * 3
+    assert layer.threshold.tolist() == [178] * 3
+    assert layer.scale == pytest.approx(1 / 254)
+
+
+def test_speck2f_uses_the_negative_number_that_has_no_positive():
+    # 128 / 1.0, for 127 / 0.9 is more
+    assert whole(quantised(floats([[-1.0, 0.9]]), "speck2f")) == [[-128, 115]]
+
+
+def test_speck2f_shrinks_weights_beside_a_large_bias_or_threshold():
+    assert whole(quantised(floats([[0.5]], bias=-2.0), "speck2f")) == [[32]]
+    layer = quantised(floats([[0.5]], threshold=1000.0), "speck2f")
+    assert (whole(layer), layer.threshold.tolist()) == ([[16]], [32767])
+
+
+def test_spiker_takes_fraction_bits_and_drops_what_is_left():
+    layer = floats([[0.7, -0.7, 0.011]], threshold=1.01, beta=0.9)
+    layer = quantised(layer, "spiker", weight_bits=8)
+    # 127 / 0.7 = 181: seven fraction bits, 89.6, 1.408 and 129.28
+    assert whole(layer) == [[89, -89, 1]]
+    assert layer.threshold.tolist() == [129] * 3
+    assert layer.scale == 1 / 128
+
+
+@pytest.mark.parametrize(
+    ("beta", "shift"), [(0.0, 0), (0.4, 0), (0.5, 1), (0.75, 2), (0.9, 3), (0.9375, 4), (1.0, -1)]
+)
+def test_spikers_shift_is_the_whole_part_of_the_logarithm(beta, shift):
+    layer = quantised(floats([[1.0]], beta=beta), "spiker", limits=beta < 1)
+    assert layer.membrane_decay.tolist() == [shift]
+
+
+def test_odin_has_magnitudes_of_three_bits():
+    layer = quantised(floats([[0.5, 0.07], [-0.5, -0.25]], threshold=2.0), "odin")
+    # 14 per unit; 0.98 and -3.5
+    assert whole(layer) == [[7, 1], [-7, -4]]
+    assert layer.threshold.tolist() == [28] * 2
+
+
+def test_a_bias_without_a_register_is_an_axon():
+    layer = quantised(floats([[1.0]], bias=0.25, voltage_bias=0.25), "odin")
+    assert (layer.bias.tolist(), layer.voltage_bias.tolist()) == ([4], [0])  # 3.5 to the even one
+    layer = quantised(floats([[1.0]], bias=0.25), "truenorth")
+    assert (layer.bias.tolist(), layer.voltage_bias.tolist()) == ([0], [64])
+
+
+def test_what_is_wanted_goes_before_the_chips_own_rounding():
+    assert whole(quantised(floats([[1.0, 0.29]]), "speck2f", "truncate")) == [[127, 36]]
+    assert whole(quantised(floats([[1.0, 0.29]]), "speck2f")) == [[127, 37]]
+
+
+@settings(max_examples=60)
+@given(
+    st.sampled_from(["speck2f", "truenorth", "odin", "spiker"]),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.1, 1.0, 30.0]),
+)
+def test_a_weight_is_off_by_less_than_one_and_by_half_where_the_nearest_is_taken(name, seed, size):
+    weight = size * np.random.default_rng(seed).normal(size=(6, 5))
+    point = chip(name).steps
+    layer = quantised(floats(weight, threshold=size), name, limits=False)
+    low, high = point.weight_range
+    found = layer.synapses[0].weight
+    assert low <= found.min() <= found.max() <= high
+    error = np.abs(found * layer.scale - weight).max() / layer.scale
+    assert error <= (0.5 if point.rounding == "nearest" else 1.0) * (1 + 1e-9)
+    # and the scale is as large as fits, or half of that where it is a power of two
+    room = max(found.max() / high, found.min() / low, layer.threshold.max() / point.threshold_max)
+    assert room > (0.85 if point.scaling == "full" else 0.42)
+
+
+@pytest.mark.parametrize("name", ["speck2f", "truenorth", "odin", "spiker"])
+@pytest.mark.parametrize("limits", [True, False])
+def test_a_synaptic_current_is_refused_by_the_rule_primitive(name, limits):
+    with pytest.raises(RuleError, match=f"^rule primitive: layer 'if1' .* {name} adds spikes"):
+        quantised(floats([[1.0]], alpha=0.5), name, limits=limits)
+
+
+def test_a_leak_that_is_exponential_is_refused_by_the_rule_decay_range():
+    for name in ("truenorth", "odin", "speck2f"):
+        with pytest.raises(
+            RuleError, match=rf"^rule decay-range: layer 'if1' keeps 0\.9 .* {name}"
+        ):
+            quantised(floats([[1.0]], beta=0.9), name)
+    with pytest.raises(RuleError, match=r"^rule decay-range: .*speck2f has no leak"):
+        quantised(floats([[1.0]], beta=0.9), "speck2f", limits=False)
+
+
+def test_spiker_has_no_neurons_without_a_leak():
+    with pytest.raises(
+        RuleError, match=r"^rule decay-range: layer 'if1' keeps 1 .* leaks by a shift"
+    ):
+        quantised(floats([[1.0]]), "spiker")
+
+
+def test_without_limits_a_linear_leak_takes_what_is_lost_half_way_to_the_threshold():
+    layer = quantised(floats([[1.0]], threshold=8.0, beta=0.8), "odin", limits=False)
+    # 7 per unit: a threshold of 56, of which 0.2 * 28 = 5.6
+    assert (layer.threshold.tolist(), layer.membrane_decay.tolist()) == ([56], [6])
+
+
+def test_an_axon_of_odin_has_one_sign_wherever_it_goes():
+    odin = chip("odin")
+    signed = quantised(floats([[1.0, 0.5], [-1.0, 0.0]]), "odin")
+    check_axons([signed], odin, odin.steps)
+    mixed = quantised(floats([[1.0, -0.5], [-1.0, 0.0]]), "odin")
+    with pytest.raises(
+        RuleError, match=r"^rule sign: layer 'if1': 1 of 2 axons from 'input'.*axon 0"
+    ):
+        check_axons([mixed], odin, odin.steps)
+    # the same neuron excites one layer and inhibits the next
+    other = quantised(floats([[-1.0], [-1.0]], name="if2"), "odin")
+    with pytest.raises(RuleError, match=r"^rule sign: layer 'if2': 1 of 2 axons"):
+        check_axons([signed, other], odin, odin.steps)
+
+
+def test_axons_of_one_type_give_a_neuron_the_same_weight():
+    # rows 0 and 1 agree where both reach; row 2 does not agree with either; row 3 fits the first
+    weight = np.array([[2, 0, 3], [2, 5, 0], [1, 5, 0], [0, 5, 3]])
+    assert axon_types(weight) == 2
+    assert axon_types(np.array([[1], [2], [3], [4], [5]])) == 5
+    assert axon_types(np.zeros((4, 3), int)) == 1
+
+
+def test_truenorth_has_four_types_of_axons():
+    used = chip("truenorth")
+    four = quantised(floats([[0.25], [0.5], [0.75], [1.0], [0.5]]), "truenorth")
+    check_axons([four], used, used.steps)
+    five = quantised(floats([[0.2], [0.4], [0.6], [0.8], [1.0]]), "truenorth")
+    with pytest.raises(RuleError, match=r"^rule axon-types: layer 'if1': its weights need 5 types"):
+        check_axons([five], used, used.steps)
+    wider = chip("truenorth", axon_types=5)
+    check_axons([five], wider, wider.steps)
+
+
+@pytest.mark.parametrize(
+    ("layer", "message"),
+    [
+        (
+            floats([[1.0]], threshold=-0.5),
+            "^rule threshold-range: layer 'if1': threshold -0.5 is below 0",
+        ),
+        (floats([[1.0]], threshold=1e-4), "^rule threshold-range: layer 'if1': threshold 0.0001"),
+        (floats([[1e-3]], threshold=1e6), "^rule weight-bits: layer 'if1': every weight becomes 0"),
+    ],
+)
+def test_what_the_bits_cannot_hold_is_refused(layer, message):
+    with pytest.raises(RuleError, match=message):
+        quantised(layer, "odin")
+
+
+def test_without_limits_a_threshold_that_is_lost_is_the_smallest():
+    assert quantised(floats([[1.0]], threshold=1e-4), "odin", limits=False).threshold.tolist() == [
+        1
+    ]
+
+
+def test_an_unknown_rounding_is_refused():
+    with pytest.raises(ConfigError, match="rounding 'up' is unknown"):
+        quantised(floats([[1.0]]), "speck2f", "up")
+
+
+def test_a_layer_without_weights_is_no_reason_to_refuse():
+    assert quantised(floats([[0.0]], threshold=0.0), "speck2f").threshold.tolist() == [0]

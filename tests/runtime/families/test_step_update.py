@@ -1,0 +1,330 @@
+"""Integrate-and-fire neurons of each chip, by hand and beside a second, plain-Python reading."""
+
+import json
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.runtime.errors import ChipError
+from tests.networks import chain
+from tests.paths import GOLDEN
+
+# networks of random numbers that SANA-FE 2.2.9 ran, by what they have
+SANAFE = {
+    f"{n['reset']}, leak {max(n['leak'])}, bias {max(n['bias'])}": n
+    for n in json.loads((GOLDEN / "neurons" / "sanafe_truenorth.json").read_text())["networks"]
+}
+
+
+def one_layer(name, weights, *, leak=0, threshold, bias=0, reset="zero", floor="none", **options):
+    """Axons (M) onto the neurons (N) of a chip, without a delay."""
+    datasheet = chip(name, delay=0, **options)
+    weight = np.array(weights, np.int16)
+    ones = np.ones(weight.shape[1], np.int64)
+    layer = Layer(
+        name="layer",
+        synapses=(Synapses("input", weight, delay=0),),
+        bias=0 * ones,
+        voltage_bias=bias * ones,
+        threshold=threshold * ones,
+        current_decay=0 * ones,
+        membrane_decay=leak * ones,
+        scale=1.0,
+        start=0,
+    )
+    convention = Convention(1e-3, reset=reset, floor=floor)
+    return Program(datasheet, convention, "input", len(weight), (layer,), "layer", None)
+
+
+def ran(program, raster):
+    """Membranes, spikes and overflows of the first neuron."""
+    found = trace(program, np.array([raster], np.uint8))["layer"]
+    return tuple(a[0, :, 0].tolist() for a in (found.membrane, found.spikes, found.overflows))
+
+
+def test_speck2f_by_hand():
+    # weights 100 and -90, bias 3, threshold 40; all of a timestep is one sum, and subtracted as
+    # often as it goes
+    #
+    # t   spikes   sum                 membrane before     spikes   after
+    # 0   1 0      100 + 3             103                 2        103 - 80 = 23
+    # 1   1 1      100 - 90 + 3        36                  0        36
+    # 2   0 0      3                   39                  0        39
+    # 3   0 1      -90 + 3             -48                 0        -48
+    # 4   1 0      103                 55                  1        15
+    program = one_layer("speck2f", [[100], [-90]], threshold=40, bias=3, reset="subtract")
+    membrane, spikes, lost = ran(program, [[1, 0], [1, 1], [0, 0], [0, 1], [1, 0]])
+    assert membrane == [23, 36, 39, -48, 15]
+    assert spikes == [2, 0, 0, 0, 1]
+    assert not any(lost)
+
+
+def test_speck2f_spikes_at_its_threshold_and_once_where_it_returns_to_zero():
+    program = one_layer("speck2f", [[40], [127]], threshold=40)
+    assert ran(program, [[1, 0], [0, 1]])[:2] == ([0, 0], [1, 1])
+
+
+@pytest.mark.parametrize(("floor", "least"), [("none", -80), ("threshold", -40), ("zero", 0)])
+def test_speck2f_has_the_floor_that_the_convention_wants(floor, least):
+    program = one_layer("speck2f", [[-80]], threshold=40, floor=floor)
+    assert ran(program, [[1]])[0] == [least]
+
+
+def test_speck2f_membranes_end_at_sixteen_bits():
+    program = one_layer("speck2f", [[-128]] * 2, threshold=40, membrane=8)
+    # -256 does not fit 8 bits
+    assert ran(program, [[1, 1], [0, 0]]) == ([-128, -128], [0, 0], [1, 0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["none", "threshold"]))
+def test_speck2f_equals_sinabs_rule_on_the_numbers_that_its_tools_would_make(seed, floor):
+    # sinabs: V += W s + b;  V / threshold spikes, without fraction;  V no lower than min_v_mem
+    rng = np.random.default_rng(seed)
+    weight, bias = rng.normal(size=(6, 5)), rng.normal(size=5) / 4
+    threshold = 1.0
+    # discretize_conv_spike: the smallest of three scales, each with 128 below 0 and 127 above
+    scale = min(
+        *(127 / max(x.max(), 1e-9) for x in (weight, bias)),
+        *(128 / max(-x.min(), 1e-9) for x in (weight, bias)),
+        32767 / threshold,
+    )
+    neurons = nir.IF(np.full(5, 1000.0), np.full(5, threshold))
+    network = chain(nir.Affine(weight.T, bias), neurons, width=6, act=5)
+    convention = Convention(1e-3, "subtract", spikes="many", floor=floor)
+    raster = rng.integers(0, 2, (1, 20, 6)).astype(np.uint8)
+    program = compile_program(Artifact(network, None, convention), chip("speck2f"))
+    found = trace(program, raster)["n2"]
+    w, b = np.rint(weight * scale), np.rint(bias * scale)
+    top = np.rint(threshold * scale)
+    v = np.zeros(5)
+    for row, spikes, membrane in zip(raster[0], found.spikes[0], found.membrane[0], strict=True):
+        v = v + row @ w + b
+        n = (v > 0) * np.trunc(v / top)
+        v = v - n * top
+        v = v if floor == "none" else np.maximum(v, -top)
+        np.testing.assert_array_equal(spikes, n)
+        np.testing.assert_array_equal(membrane, v)
+
+
+def test_truenorth_by_hand():
+    # weights 5 and -4, leak 2 toward 0 after the spikes, threshold 5
+    #
+    # t   spikes   sum   then leak    fires
+    # 0   1 0      5     3
+    # 1   0 1      -1    1            the leak steps over 0
+    # 2   0 1      -3    -1
+    # 3   1 0      4     2
+    # 4   1 0      7     5 >= 5       reset to 0, or less 5
+    # 5   1 0      5     3
+    program = one_layer("truenorth", [[5], [-4]], threshold=5, leak=2)
+    raster = [[1, 0], [0, 1], [0, 1], [1, 0], [1, 0], [1, 0]]
+    assert ran(program, raster)[:2] == ([3, 1, -1, 2, 0, 3], [0, 0, 0, 0, 1, 0])
+    subtracting = one_layer("truenorth", [[5], [-4]], threshold=3, leak=2, reset="subtract")
+    # 3 - 3;  -4 + 2;  -6 + 2;  1 - 2;  4 - 2;  7 - 2 - 3
+    assert ran(subtracting, raster)[:2] == ([0, -2, -4, -1, 2, 2], [1, 0, 0, 0, 0, 1])
+
+
+@pytest.mark.parametrize("network", SANAFE, ids=str)
+def test_truenorth_equals_sanafe_where_the_leak_comes_first(network):
+    """Membranes and spikes of six neurons; SANA-FE delivers a spike one timestep later."""
+    recorded = SANAFE[network]
+    numbers = {name: np.array(recorded[name]) for name in ("threshold", "bias", "leak")}
+    program = one_layer(
+        "truenorth",
+        recorded["weights"],
+        **numbers,
+        reset=recorded["reset"],
+        leak_order="first" if numbers["leak"].any() else "last",
+    )
+    raster = np.roll(np.array([recorded["input"]], np.uint8), 1, axis=1)
+    raster[:, 0] = 0
+    found = trace(program, raster)["layer"]
+    assert found.membrane[0].tolist() == recorded["membrane"]
+    assert found.spikes[0].tolist() == recorded["spikes"]
+    assert found.spikes.any()
+
+
+def test_truenorth_uses_its_leak_as_a_bias_and_spikes_once_a_tick():
+    program = one_layer("truenorth", [[0]], threshold=5, bias=12, reset="subtract")
+    # 12 - 5 = 7;  7 + 12 - 5 = 14
+    assert ran(program, [[0], [0]])[:2] == ([7, 14], [1, 1])
+
+
+def test_odin_by_hand():
+    # weights 7, -5 and 6, leak 1 at the start of a timestep, threshold 10; event after event
+    #
+    # t   events       membrane
+    # 0   7            0, 7
+    # 1   7 -5 6       6, 13 >= 10: spike, 0;  0 - 5 stops at 0;  6
+    # 2   -            5
+    # 3   -5 6         4, 0, 6
+    program = one_layer("odin", [[7], [-5], [6]], threshold=10, leak=1)
+    membrane, spikes, _ = ran(program, [[1, 0, 0], [1, 1, 1], [0, 0, 0], [0, 1, 1]])
+    assert membrane == [7, 6, 5, 6]
+    assert spikes == [0, 1, 0, 0]
+
+
+def test_odin_spikes_again_in_the_same_timestep_and_counts_what_is_over_eight_bits():
+    program = one_layer("odin", [[7]] * 4, threshold=14)
+    assert ran(program, [[1, 1, 1, 1]])[:2] == ([0], [2])
+    full = one_layer("odin", [[7]] * 40, threshold=255)
+    # 36 events are 252, the next would be 259: clamped to 255, which is the threshold
+    membrane, spikes, lost = ran(full, [[1] * 40])
+    assert (membrane, spikes, lost) == ([3 * 7], [1], [1])
+
+
+def test_odin_looks_after_every_event_and_the_time_reference_is_one():
+    # a threshold of 0 is reached by whatever happens: state_core_next_i >= param_thr
+    program = one_layer("odin", [[0], [0]], threshold=0)
+    assert ran(program, [[0, 0], [1, 0], [1, 1]])[1] == [1, 2, 3]
+
+
+def test_spiker_by_hand():
+    # weights 10 and -9, shift 2 rounds down, threshold 12, strictly above
+    #
+    # t   leak               events        membrane
+    # 0   0                  10            10
+    # 1   10 - 2 = 8         10 -9         9
+    # 2   9 - 2 = 7          10            17 > 12: spike, 17 - 12 = 5
+    # 3   5 - 1 = 4          -9            -5
+    # 4   -5 + 2 = -3        -             -3          -5 >> 2 = -2
+    # 5   -3 + 1 = -2        -             -2          -3 >> 2 = -1
+    program = one_layer("spiker", [[10], [-9]], threshold=12, leak=2, reset="subtract")
+    raster = [[1, 0], [1, 1], [1, 0], [0, 1], [0, 0], [0, 0]]
+    assert ran(program, raster)[:2] == ([10, 9, 5, -5, -3, -2], [0, 0, 1, 0, 0, 0])
+
+
+def test_spiker_saturates_at_every_event_and_not_at_their_sum():
+    # 100 + 100 is 127 in 8 bits, less 100 is 27; as one sum it would be 100
+    program = one_layer("spiker", [[100], [100], [-100]], threshold=127, leak=-1, membrane=8)
+    assert ran(program, [[1, 1, 1], [0, 0, 0]]) == ([27, 27], [0, 0], [1, 0])
+
+
+def test_spiker_at_its_threshold_does_not_spike():
+    program = one_layer("spiker", [[12], [13]], threshold=12, leak=0)
+    # a shift of 0 forgets everything
+    assert ran(program, [[1, 0], [0, 1]])[1] == [0, 1]
+
+
+def plainly(program, raster):
+    """Membranes and spikes (T, N) of one copy, in integers of Python, neuron by neuron."""
+    point, layer = program.chip.steps, program.layers[0]
+    subtract = program.convention.reset == "subtract"
+    low, high = -(1 << (point.membrane.bits - 1)), (1 << (point.membrane.bits - 1)) - 1
+    low = low if point.floor is None else max(low, point.floor)
+    membranes, spikes = [], []
+    v = [0] * layer.size
+    for row in raster:
+        counts = [0] * layer.size
+        for n in range(layer.size):
+            threshold, leak = int(layer.threshold[n]), int(layer.membrane_decay[n])
+            weights = [
+                int(w)
+                for w, s in zip(layer.synapses[0].weight[:, n], row, strict=True)
+                for _ in range(s)
+            ]
+            bias = int(layer.bias[n] + layer.voltage_bias[n])
+
+            def leaked(x, leak=leak):
+                if point.leak == "shift":
+                    return x - (x // 2**leak if leak >= 0 else 0)
+                if point.leak == "crossing":
+                    return x - leak if x > 0 else x + leak if x < 0 else x
+                return max(x - leak, 0) if x > 0 else min(x + leak, 0)
+
+            def over(x, threshold=threshold):
+                return x >= threshold if point.fires == "reached" else x > threshold
+
+            groups = [[w] for w in weights] if point.adds == "event" else [weights]
+            if point.adds == "step":
+                groups = [[*weights, bias]]
+            elif (layer.bias + layer.voltage_bias).any():
+                groups = [*groups, [bias]]
+            v[n] = leaked(v[n]) if point.leak_order == "first" else v[n]
+            if point.leak_order == "first" and point.checks == "event" and over(v[n]):
+                counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
+            for group in groups:
+                v[n] = min(max(v[n] + sum(group), low), high)
+                if point.checks == "event" and over(v[n]):
+                    counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
+            v[n] = leaked(v[n]) if point.leak_order == "last" else v[n]
+            while point.checks == "step" and over(v[n]) and counts[n] < point.spikes_max:
+                counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
+                if not subtract:
+                    break
+        membranes.append(list(v))
+        spikes.append(counts)
+    return membranes, spikes
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    st.sampled_from(["speck2f", "truenorth", "odin", "spiker"]),
+    st.sampled_from(["zero", "subtract"]),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([6, 8, None]),
+)
+def test_the_interpreter_equals_a_plain_loop(name, reset, seed, bits):
+    rng = np.random.default_rng(seed)
+    point = chip(name).steps
+    options = {} if bits is None else {"membrane": Register(bits, "saturate")}
+    low, high = point.weight_range
+    top = max(2, min(high, 20))
+    program = one_layer(
+        name,
+        rng.integers(max(low, -top), top + 1, (7, 4)),
+        leak=rng.integers(-1 if point.leak == "shift" else 0, 5, 4),
+        threshold=rng.integers(0 if reset == "zero" else 1, 25, 4),
+        bias=rng.integers(-3, 4, 4) * rng.integers(0, 2),
+        reset=reset,
+        **options,
+    )
+    if point.leak == "none":
+        program = replace(
+            program, layers=(replace(program.layers[0], membrane_decay=np.zeros(4, int)),)
+        )
+    raster = rng.integers(0, 3, (1, 15, 7)).astype(np.uint8)
+    found = trace(program, raster)["layer"]
+    membranes, spikes = plainly(program, raster[0].tolist())
+    assert found.membrane[0].tolist() == membranes
+    assert found.spikes[0].tolist() == spikes
+
+
+def test_copies_of_a_batch_do_not_meet():
+    program = one_layer("odin", np.arange(-7, 8)[:, None] * [[1, -1, 1]], threshold=9, leak=1)
+    rasters = np.random.default_rng(0).integers(0, 3, (5, 20, 15)).astype(np.uint8)
+    together = trace(program, rasters)["layer"]
+    for copy in range(5):
+        alone = trace(program, rasters[copy : copy + 1])["layer"]
+        np.testing.assert_array_equal(together.membrane[copy], alone.membrane[0])
+        np.testing.assert_array_equal(together.spikes[copy], alone.spikes[0])
+        np.testing.assert_array_equal(together.overflows[copy], alone.overflows[0])
+    assert together.spikes.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("odin", {"weight_bits": 0}, "weight_bits is 0; choose 1 to 16"),
+        ("speck2f", {"weight_bits": 1}, "weight_bits is 1; choose 2 to 16"),
+        ("speck2f", {"spikes_max": 300}, "spikes_max is 300; choose 1 to 255"),
+        ("speck2f", {"floor": 4}, "floor is 4; membranes start from 0"),
+        ("speck2f", {"leak": "slow"}, "leak 'slow' is unknown"),
+        ("odin", {"adds": "step"}, "checks is 'event' and adds 'step'"),
+    ],
+)
+def test_an_impossible_arithmetic_is_refused(name, options, message):
+    with pytest.raises(ChipError, match=message):
+        chip(name, **options)

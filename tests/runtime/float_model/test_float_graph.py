@@ -1,0 +1,453 @@
+import random
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model.nodes import FloatNeurons
+from spikedeploy.runtime.graph.order import order
+from tests.networks import chain, cuba, graph, lif, popsan
+
+
+def network(nodes, **convention):
+    """A running graph without codec at dt = 1 ms."""
+    return FloatGraph(Artifact(nodes, None, Convention(1e-3, **convention)))
+
+
+def ends(width, act):
+    return {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
+
+
+def column(*values):
+    """A raster (1, T, 1)."""
+    return np.array(values, float)[None, :, None]
+
+
+def loop(artifact, raster, delay=0, subtract=False):
+    """The policy of networks.popsan, neuron layer by neuron layer, as a textbook writes it."""
+    nodes, trace = artifact.graph.nodes, {}
+    x = raster.astype(float)
+    for fc, spiking in (("n1", "n2"), ("n3", "n4"), ("n5", "n6")):
+        x = np.concatenate([np.zeros_like(x[:, :delay]), x[:, : x.shape[1] - delay]], axis=1)
+        drive = x @ nodes[fc].weight.T + nodes[fc].bias
+        current, membrane = np.zeros((2, *drive[:, 0].shape))
+        x = np.zeros_like(drive)
+        for t in range(drive.shape[1]):
+            current = 0.9 * current + drive[:, t]
+            membrane = 0.8 * membrane + current
+            x[:, t] = membrane > 0.5
+            membrane = membrane - 0.5 * x[:, t] if subtract else membrane * (1 - x[:, t])
+        trace[spiking] = x
+    x = np.concatenate([np.zeros_like(x[:, :delay]), x[:, : x.shape[1] - delay]], axis=1)
+    return {**trace, "output": x @ nodes["n7"].weight.T + nodes["n7"].bias}
+
+
+def spikes_in(artifact, batch=8, seed=0):
+    obs = np.random.default_rng(seed).normal(size=(batch, 3))
+    return artifact.codec.encode(obs)
+
+
+def equal(found, wanted):
+    assert found.keys() == wanted.keys()
+    for name, values in wanted.items():
+        np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-12)
+
+
+# one neuron, worked by hand
+
+
+def test_a_cuba_lif_neuron_worked_by_hand():
+    # I: 0.4, 0.2, 0.1 | V: 0.4, 0.2 + 0.2 = 0.4, 0.2 + 0.1 = 0.3: no spike over 0.5
+    # I: 0.4, 0.6, 0.3 | V: 0.4, 0.2 + 0.6 = 0.8 -> spike, 0; 0 + 0.3: I goes on, V began again
+    nodes = chain(cuba(1, alpha=0.5, beta=0.5), width=1, act=1)
+    assert network(nodes).run(column(0.4, 0, 0))["n1"].ravel().tolist() == [0, 0, 0]
+    assert network(nodes).run(column(0.4, 0.4, 0))["n1"].ravel().tolist() == [0, 1, 0]
+
+
+def test_a_lif_neuron_spikes_only_above_its_threshold():
+    # b = 0.9, (1-b) r = 1: V = 0.9 V + x; V = 1 is not above 1
+    nodes = chain(lif(1), width=1, act=1)
+    assert network(nodes).run(column(1.0, 0.1))["n1"].ravel().tolist() == [0, 0]
+    assert network(nodes).run(column(1.0, 0.2))["n1"].ravel().tolist() == [0, 1]
+
+
+def test_resets_to_zero_and_by_subtraction_differ_by_what_is_left():
+    # V = 2.5 -> spike, then 0 or 1.5; 0.9 * 1.5 = 1.35 -> spike, 0.35; 0.315
+    nodes = chain(lif(1), width=1, act=1)
+    assert network(nodes).run(column(2.5, 0, 0))["n1"].ravel().tolist() == [1, 0, 0]
+    found = network(nodes, reset="subtract").run(column(2.5, 0, 0))
+    assert found["n1"].ravel().tolist() == [1, 1, 0]
+
+
+def test_the_leak_pulls_the_membrane_and_the_reset_goes_to_v_reset():
+    # V = 0.5 V + 0.5 * 3: 1.5 -> spike, -1; -0.5 + 1.5 = 1; 0.5 + 1.5 = 2 -> spike
+    node = lif(1, tau=2e-3, r=2.0, v_leak=3.0)
+    node.v_reset[:] = -1.0
+    found = network(chain(node, width=1, act=1)).run(column(0, 0, 0))
+    assert found["n1"].ravel().tolist() == [1, 0, 1]
+
+
+def test_the_exponential_integrator_decays_by_e_to_the_minus_dt_over_tau():
+    node = nir.LI(np.array([5e-3]), np.array([1.0]), np.array([0.0]))
+    found = network(chain(node, width=1, act=1), integrator="exponential").run(column(1, 0, 0))
+    # V = b V + (1 - b) x
+    b = np.exp(-0.2)
+    np.testing.assert_allclose(found["output"].ravel(), (1 - b) * b ** np.arange(3), rtol=1e-14)
+
+
+def test_integrators_without_a_leak_add_dt_times_r():
+    node = nir.IF(np.array([500.0]), np.array([1.2]))
+    # V = V + 0.5 x: 0.5, 1, 1.5 -> spike, 0, 0.5
+    found = network(chain(node, width=1, act=1)).run(column(1, 1, 1, 0, 1))
+    assert found["n1"].ravel().tolist() == [0, 0, 1, 0, 0]
+    found = network(chain(nir.I(np.array([500.0])), width=1, act=1)).run(column(1, 1, 1))
+    assert found["output"].ravel().tolist() == [0.5, 1.0, 1.5]
+
+
+def test_neurons_that_do_not_spike_put_out_their_membrane():
+    full = [np.array([v]) for v in (2e-3, 2e-3, 2.0, 0.0)]
+    node = nir.CubaLI(*full, w_in=np.array([2.0]))
+    # I: 1, 0.5, 0.25 | V: 1, 0.5 + 0.5, 0.5 + 0.25
+    found = network(chain(node, width=1, act=1)).run(column(1, 0, 0))
+    assert found["output"].ravel().tolist() == [1.0, 1.0, 0.75]
+    assert found.keys() == {"output"}
+
+
+# Input spikes and membranes of the single LIF neuron that the NIR paper ran on seven platforms
+# (Pedersen et al. 2024, github.com/neuromorphs/NIR paper/01_lif, BSD-3): tau 2.5 ms, dt 0.1 ms.
+PAPER_INPUT = [
+    *(60, 220, 270, 310, 320, 350, 370, 400, 410, *range(430, 540, 10), *range(670, 790, 10)),
+    *(840, 850),
+]
+
+
+@pytest.mark.parametrize(
+    ("integrator", "membranes", "scale"),
+    [
+        # lif_norse.csv, float32
+        ("euler", {60: 0.04, 450: 0.09984423, 530: 0.066593304, 999: 0.00016072649}, 1),
+        # lif_nengo.csv, membrane in units of the threshold
+        ("exponential", {60: 0.3921056112240662, 450: 0.9904669463681894}, 10),
+    ],
+    ids=["norse", "nengo"],
+)
+def test_the_neuron_of_the_nir_paper_equals_norse_and_nengo(integrator, membranes, scale):
+    convention = Convention(1e-4, integrator=integrator)
+    node = lif(1, tau=2.5e-3, r=1.0, threshold=0.1)
+    raster = np.zeros((1, 1000, 1))
+    raster[0, PAPER_INPUT] = 1
+    found = FloatGraph(Artifact(chain(node, width=1, act=1), None, convention)).run(raster)
+    assert found["n1"].ravel().nonzero()[0].tolist() == [460, 510, 710, 760]
+    for t, membrane in membranes.items():
+        neuron = FloatNeurons("n1", node, convention, np.float64)
+        neuron(raster[:, : t + 1])
+        assert abs(scale * neuron.membrane.item() - membrane) < 5e-8
+
+
+# graphs
+
+
+def test_a_policy_equals_the_textbook_loop():
+    artifact = popsan()
+    raster = spikes_in(artifact, batch=200)
+    equal(FloatGraph(artifact).run(raster), loop(artifact, raster))
+
+
+def test_subtraction_equals_the_textbook_loop():
+    artifact = popsan()
+    artifact = replace(artifact, convention=Convention(1e-3, reset="subtract"))
+    raster = spikes_in(artifact)
+    equal(FloatGraph(artifact).run(raster), loop(artifact, raster, subtract=True))
+
+
+def test_a_delay_makes_every_affine_hear_the_timestep_before():
+    artifact = popsan()
+    artifact = replace(artifact, convention=Convention(1e-3, delay=1))
+    raster = np.concatenate([spikes_in(artifact), spikes_in(artifact, seed=1)], axis=1)
+    equal(FloatGraph(artifact).run(raster), loop(artifact, raster, delay=1))
+
+
+def test_time_and_batch_have_their_own_axes():
+    artifact = popsan()
+    raster = spikes_in(artifact)
+    trace = FloatGraph(artifact).run(raster)
+    assert {name: values.shape for name, values in trace.items()} == {
+        "n2": (8, 5, 16),
+        "n4": (8, 5, 12),
+        "n6": (8, 5, 20),
+        "output": (8, 5, 2),
+    }
+    assert trace["n2"].dtype == np.uint8
+    alone = FloatGraph(artifact).run(raster[3:4])
+    np.testing.assert_allclose(alone["output"], trace["output"][3:4], rtol=0, atol=1e-12)
+
+
+def test_the_order_of_nodes_and_edges_changes_no_bit():
+    artifact = popsan()
+    raster = spikes_in(artifact)
+    before = FloatGraph(artifact).run(raster)
+    for seed in range(5):
+        nodes, edges = list(artifact.graph.nodes.items()), list(artifact.graph.edges)
+        random.Random(seed).shuffle(nodes)
+        random.Random(seed).shuffle(edges)
+        shuffled = replace(artifact, graph=nir.NIRGraph(dict(nodes), edges))
+        for name, values in FloatGraph(shuffled).run(raster).items():
+            np.testing.assert_array_equal(values, before[name])
+
+
+def test_what_arrives_at_a_node_is_summed():
+    nodes = graph(
+        "input->a, input->b, a->sum, b->sum, input->sum, sum->output",
+        **ends(2, 2),
+        a=nir.Linear(np.array([[1.0, 2.0], [3.0, 4.0]])),
+        b=nir.Affine(np.eye(2), np.array([10.0, 20.0])),
+        sum=nir.Scale(np.array([1.0, -1.0])),
+    )
+    found = network(nodes).run(np.array([[[1.0, 1.0]]]))
+    # a: 3, 7 | b: 11, 21 | input: 1, 1
+    assert found["output"].ravel().tolist() == [15.0, -29.0]
+
+
+def test_flatten_scale_and_threshold_do_what_they_say():
+    flatten = nir.Flatten({"input": np.array([2, 3])}, start_dim=0)
+    nodes = graph(
+        "input->flat, flat->scale, scale->bit, bit->output",
+        input=nir.Input(np.array([2, 3])),
+        output=nir.Output(np.array([6])),
+        flat=flatten,
+        scale=nir.Scale(np.arange(6.0)),
+        bit=nir.Threshold(np.full(6, 2.0)),
+    )
+    found = network(nodes).run(np.ones((1, 4, 2, 3)))
+    assert found["bit"].shape == (1, 4, 6)
+    assert found["output"][0, 0].tolist() == [0, 0, 0, 1, 1, 1]
+
+
+# loops
+
+
+def recurrent(weight, bias=0.0):
+    """A spiking neuron that hears itself through `weight`."""
+    return graph(
+        "input->cell, cell->back, back->cell, cell->output",
+        **ends(1, 1),
+        cell=lif(1),
+        back=nir.Affine(np.array([[weight]]), np.array([bias])),
+    )
+
+
+def test_a_recurrent_spike_arrives_in_the_next_timestep():
+    # V: 1.5 -> spike; 0 + 2 -> spike; ...: it keeps itself going
+    assert network(recurrent(2.0)).run(column(1.5, 0, 0, 0))["cell"].ravel().tolist() == [1] * 4
+    # V: 1.5 -> spike; 0 - 2; -1.8 + 1.5; -0.27 + 1.5 -> spike
+    found = network(recurrent(-2.0)).run(column(1.5, 0, 1.5, 1.5))
+    assert found["cell"].ravel().tolist() == [1, 0, 0, 1]
+
+
+def test_the_bias_of_a_recurrent_connection_is_there_from_the_start():
+    assert network(recurrent(0.0, bias=1.5)).run(column(0, 0))["cell"].ravel().tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("weight", [2.0, -2.0])
+def test_a_recurrent_connection_takes_one_timestep_whatever_the_delay(weight):
+    raster = (np.random.default_rng(0).random((4, 30, 1)) < 0.5) * 1.5
+    found = network(recurrent(weight)).run(raster)
+    delayed = network(recurrent(weight), delay=1).run(raster)
+    np.testing.assert_array_equal(found["cell"], delayed["cell"])
+
+
+def test_a_neuron_may_hear_itself_without_a_weight():
+    nodes = graph("input->cell, cell->cell, cell->output", **ends(1, 1), cell=lif(1, threshold=0.5))
+    assert network(nodes).run(column(1, 0, 0))["cell"].ravel().tolist() == [1, 1, 1]
+
+
+def two_layers(**more):
+    """Two spiking layers and a connection back from the second to the first."""
+    return graph(
+        "input->a, a->up, up->z, z->back, back->a, z->output",
+        **ends(2, 2),
+        a=lif(2),
+        z=lif(2),
+        up=nir.Linear(np.array([[1.5, 0.0], [0.0, 1.5]])),
+        back=nir.Linear(np.array([[0.0, 1.5], [1.5, 0.0]])),
+        **more,
+    )
+
+
+def test_in_a_loop_of_two_layers_only_the_way_back_takes_a_timestep():
+    found = network(two_layers()).run(np.array([[[1.5, 0], [0, 0], [0, 0]]]))
+    # the spike goes up in the same timestep, and comes back, crossed, in the next
+    assert found["a"][0].tolist() == [[1, 0], [0, 1], [1, 0]]
+    assert found["z"][0].tolist() == [[1, 0], [0, 1], [1, 0]]
+
+
+def test_the_edge_that_comes_back_is_found_whatever_the_names():
+    assert order(two_layers()).late == {("z", "back")}
+    # names and files may list the second layer first
+    nodes = graph(
+        "input->z, z->up, up->a, a->back, back->z, a->output",
+        **ends(1, 1),
+        a=lif(1),
+        z=lif(1),
+        up=nir.Linear(np.eye(1)),
+        back=nir.Linear(np.eye(1)),
+    )
+    assert order(nodes).late == {("a", "back")}
+    assert order(nodes).names == ("input", "back", "z", "up", "a", "output")
+
+
+def test_a_graph_without_loops_delays_nothing():
+    assert order(popsan().graph).late == frozenset()
+
+
+def test_a_node_behind_a_loop_is_no_part_of_it():
+    nodes = graph(
+        "input->cell, cell->back, back->cell, cell->last, input->last, last->output",
+        **ends(1, 1),
+        cell=lif(1),
+        back=nir.Linear(np.eye(1)),
+        last=lif(1),
+    )
+    assert order(nodes).late == {("cell", "back")}
+
+
+def test_a_loop_without_a_neuron_is_refused_by_name():
+    nodes = graph(
+        "input->a, a->b, b->a, b->output",
+        **ends(1, 1),
+        a=nir.Linear(np.eye(1)),
+        b=nir.Linear(np.eye(1)),
+    )
+    with pytest.raises(ArtifactError, match="the loop through a, b has no neuron"):
+        network(nodes)
+
+
+def test_loops_equal_a_loop_written_out():
+    rng = np.random.default_rng(0)
+    w_in, w_rec, w_out = rng.normal(size=(9, 4)), rng.normal(size=(9, 9)), rng.normal(size=(3, 9))
+    nodes = graph(
+        "input->w_in, w_in->cell, cell->w_rec, w_rec->cell, cell->w_out, w_out->output",
+        **ends(4, 3),
+        cell=cuba(9),
+        w_in=nir.Linear(w_in),
+        w_rec=nir.Linear(w_rec),
+        w_out=nir.Linear(w_out),
+    )
+    raster = (rng.random((6, 40, 4)) < 0.3).astype(float)
+    current, membrane, spikes = np.zeros((3, 6, 9))
+    wanted = np.zeros((6, 40, 9))
+    for t in range(40):
+        current = 0.9 * current + raster[:, t] @ w_in.T + spikes @ w_rec.T
+        membrane = 0.8 * membrane + current
+        wanted[:, t] = spikes = (membrane > 0.5).astype(float)
+        membrane = membrane * (1 - spikes)
+    found = network(nodes).run(raster)
+    np.testing.assert_array_equal(found["cell"], wanted)
+    np.testing.assert_allclose(found["output"], wanted @ w_out.T, rtol=0, atol=1e-12)
+
+
+# state and number type
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("nodes", [popsan(obs=1).graph, two_layers()], ids=["forward", "loop"])
+def test_a_state_that_is_kept_makes_parts_equal_the_whole(nodes, delay):
+    width = int(nodes.nodes["input"].input_type["input"][0])
+    raster = np.random.default_rng(0).random((3, 12, width)) < 0.3
+    whole = network(nodes, delay=delay).run(raster)
+    running = network(nodes, state="kept", delay=delay)
+    parts = [running.run(part) for part in np.split(raster, [1, 5, 6], axis=1)]
+    for name, values in whole.items():
+        joined = np.concatenate([part[name] for part in parts], axis=1)
+        np.testing.assert_allclose(joined, values, rtol=0, atol=1e-12)
+
+
+def test_a_state_that_is_reset_makes_every_inference_the_first():
+    artifact = popsan()
+    raster, running = spikes_in(artifact), FloatGraph(artifact)
+    first = running.run(raster)
+    equal(running.run(raster), first)
+
+
+def test_reset_forgets_a_state_that_is_kept():
+    artifact = replace(popsan(), convention=Convention(1e-3, state="kept", delay=1))
+    raster, running = spikes_in(artifact), FloatGraph(artifact)
+    first = running.run(raster)
+    assert (running.run(raster)["n6"] != first["n6"]).any()
+    running.reset()
+    equal(running.run(raster), first)
+
+
+def test_a_state_of_another_batch_is_refused():
+    artifact = replace(popsan(), convention=Convention(1e-3, state="kept"))
+    running = FloatGraph(artifact)
+    running.run(spikes_in(artifact, batch=2))
+    with pytest.raises(ObservationError, match=r"state of 2 networks.* Call reset"):
+        running.run(spikes_in(artifact, batch=3))
+
+
+def test_float32_computes_in_float32():
+    artifact = popsan()
+    raster = spikes_in(artifact, batch=100)
+    single, double = FloatGraph(artifact, np.float32).run(raster), FloatGraph(artifact).run(raster)
+    assert single["output"].dtype == np.float32
+    assert np.mean(single["n6"] != double["n6"]) < 1e-3
+
+
+# what is refused
+
+
+def two_inputs():
+    """The sum of two inputs at one output, the second twice at another."""
+    nodes = {"a": nir.Input(np.array([2])), "b": nir.Input(np.array([2]))}
+    outputs = {"sum": nir.Output(np.array([2])), "more": nir.Output(np.array([2]))}
+    edges = "a->sum, b->sum, b->twice, twice->more"
+    return graph(edges, **nodes, **outputs, twice=nir.Scale(np.full(2, 2.0)))
+
+
+def test_several_inputs_and_outputs_go_by_their_names():
+    found = network(two_inputs()).run({"a": [[[1, 2]]], "b": [[[10, 20]]]})
+    assert {name: rows.tolist() for name, rows in found.items()} == {
+        "sum": [[[11, 22]]],
+        "more": [[[20, 40]]],
+    }
+
+
+@pytest.mark.parametrize(
+    ("raster", "message"),
+    [
+        (np.zeros((1, 2, 2)), "inputs a, b, but there is one raster without a name"),
+        ({"a": np.zeros((1, 2, 2))}, r"rasters for a\. Give one for each; b has no pair"),
+        ({"a": np.zeros((1, 2, 2)), "b": np.zeros((1, 3, 2))}, "Make all rasters equally long"),
+    ],
+)
+def test_rasters_that_are_not_those_of_the_inputs_are_refused(raster, message):
+    with pytest.raises(ObservationError, match=message):
+        network(two_inputs()).run(raster)
+
+
+def test_a_spiking_node_must_leave_the_name_output_to_the_readout():
+    nodes = graph(
+        "input->output, output->end",
+        input=nir.Input(np.array([1])),
+        end=nir.Output(np.array([1])),
+        output=lif(1),
+    )
+    with pytest.raises(ArtifactError, match=r"'output' spikes.* Rename it"):
+        network(nodes)
+
+
+@pytest.mark.parametrize("shape", [(5, 30), (1, 5, 31), (1, 0, 30), (0, 5, 30)])
+def test_a_raster_of_the_wrong_shape_is_refused(shape):
+    with pytest.raises(ObservationError, match=r"takes \(B, T, 30\)"):
+        FloatGraph(popsan()).run(np.zeros(shape))
+
+
+def test_a_raster_with_nan_is_refused():
+    with pytest.raises(ObservationError, match="NaN"):
+        FloatGraph(popsan()).run(np.full((1, 5, 30), np.nan))

@@ -1,0 +1,342 @@
+"""What nir's own type checker accepts, and what is refused here by node and remedy."""
+
+import contextlib
+from dataclasses import fields
+
+import h5py
+import nir
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import (
+    ArtifactError,
+    ConventionError,
+    ObservationError,
+    SpikedeployError,
+)
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.networks import chain, cuba, lif
+
+
+def alone(node, shape, out):
+    nodes = {"input": nir.Input(np.array(shape)), "n": node, "output": nir.Output(np.array(out))}
+    return nir.NIRGraph(nodes, [("input", "n"), ("n", "output")], type_check=False)
+
+
+def artifact(network):
+    return Artifact(network, None, Convention(1e-3))
+
+
+def conv2d(**change):
+    """A sound convolution of (2, 6, 6) but for the change."""
+    sound = {
+        "input_shape": None,
+        "weight": np.ones((4, 2, 3, 3)),
+        "stride": 1,
+        "padding": 0,
+        "dilation": 1,
+        "groups": 1,
+        "bias": np.zeros(4),
+    }
+    return nir.Conv2d(**{**sound, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bias": np.zeros(3)}, r"bias has shape \(3,\).* need \(4,\)"),
+        ({"bias": np.array([0, 0, np.nan, 0])}, "bias holds nan at index"),
+        ({"weight": np.ones((4, 2, 3))}, "a Conv2d needs 4 axes"),
+        ({"weight": np.ones((4, 0, 3, 3))}, "weight is empty"),
+        ({"groups": 3}, "4 features cannot be divided into 3 groups"),
+        ({"groups": 2}, r"2 channels arrive, but the weight .* with 2 groups is for 4"),
+        ({"groups": 0}, "groups holds 0; it must be 1 or more"),
+        ({"stride": (0, 1)}, "stride holds 0"),
+        ({"stride": (1.5, 1)}, "stride is .*whole numbers, one or 2"),
+        ({"dilation": (1, -1)}, "dilation holds -1"),
+        ({"dilation": 4}, r"a kernel that reaches over \(9, 9\) does not fit into \(6, 6\)"),
+        ({"padding": (1, 1, 1)}, "padding is"),
+        ({"padding": -1}, "padding holds -1"),
+        ({"padding": "same", "stride": 2}, "'same' with stride .* means different things"),
+        ({"padding": 10**6}, "is more than 16777216 numbers"),
+        ({"input_shape": (6, 5)}, r"'input' puts out \(2, 6, 6\), 'n' takes \(2, 6, 5\)"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_convolution_that_is_none_is_refused_by_name(change, message):
+    # set afterwards where nir's own constructor would fail first
+    late = {n: v for n, v in change.items() if n != "input_shape"}
+    node = conv2d(**{n: v for n, v in change.items() if n == "input_shape"})
+    for name, value in late.items():
+        setattr(node, name, value)
+    with pytest.raises(ArtifactError, match=f"'n'.*{message}|{message}"):
+        artifact(alone(node, (2, 6, 6), (4, 4, 4)))
+
+
+def test_a_word_for_padding_that_nobody_knows_is_refused():
+    node = conv2d()
+    node.padding = "reflect"
+    with pytest.raises(ArtifactError, match="'n': padding is 'reflect'"):
+        artifact(alone(node, (2, 6, 6), (4, 4, 4)))
+
+
+def test_nir_takes_height_for_width_and_a_group_for_all_and_is_not_believed():
+    node = nir.Conv2d((10, 10), np.ones((4, 1, 3, 5)), 1, 0, 1, 2, np.zeros(4))
+    assert (node.input_type["input"][0], node.output_type["output"][2]) == (1, 8)
+    sound = artifact(alone(node, (2, 10, 10), (4, 8, 6)))
+    assert sound.graph.nodes["n"].output_type["output"].tolist() == [4, 8, 6]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "stride", "padding", "message"),
+    [
+        ([3, 0], [1, 1], [0, 0], "kernel_size holds 0"),
+        ([3, 3], [0, 1], [0, 0], "stride holds 0"),
+        ([3, 3], [1, 1], [0, -1], "padding holds -1"),
+        ([3.5, 3], [1, 1], [0, 0], "kernel_size is"),
+        ([7, 3], [1, 1], [0, 0], "does not fit"),
+    ],
+)
+def test_a_pool_that_is_none_is_refused_by_name(kernel, stride, padding, message):
+    node = nir.SumPool2d(*map(np.array, (kernel, stride, padding)))
+    with pytest.raises(ArtifactError, match=f"'n': .*{message}"):
+        artifact(alone(node, (2, 6, 6), (2, 4, 4)))
+
+
+def test_a_pool_of_one_axis_is_refused_by_what_it_takes():
+    node = nir.SumPool2d(*(np.array(v) for v in ([2, 2], [1, 1], [0, 0])))
+    with pytest.raises(ArtifactError, match=r"'n': \(6,\) arrives, but it takes \(C, H, W\)"):
+        artifact(alone(node, (6,), (6,)))
+
+
+@pytest.mark.parametrize(("start", "end"), [(2, 1), (0, 3), (-4, -1)])
+def test_axes_that_are_not_there_are_not_flattened(start, end):
+    node = nir.Flatten({"input": None}, start, end)
+    with pytest.raises(ArtifactError, match="node 'n': "):
+        artifact(alone(node, (2, 3, 4), (24,)))
+
+
+@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
+def test_a_delay_that_is_none_is_refused(value):
+    node = nir.Delay(np.array([1e-3, value]))
+    with pytest.raises(ArtifactError, match="node 'n': delay holds"):
+        artifact(alone(node, (2,), (2,)))
+
+
+def test_a_threshold_below_the_reset_is_refused():
+    node = lif(2, threshold=-1.0)
+    with pytest.raises(ArtifactError, match="'n': v_threshold holds -1, below its v_reset 0"):
+        artifact(alone(node, (2,), (2,)))
+
+
+@pytest.mark.parametrize("kind", [lif, cuba], ids=["LIF", "CubaLIF"])
+def test_every_field_of_a_neuron_has_its_shape_and_is_finite(kind):
+    for field in fields(kind(2)):
+        if field.name in ("input_type", "output_type", "metadata"):
+            continue
+        for value in (np.ones(3), np.ones((2, 1)), np.array(1.0), np.array([1.0, np.nan])):
+            node = kind(2)
+            setattr(node, field.name, value)
+            with pytest.raises(ArtifactError, match=f"node 'n': .*{field.name}|node 'n': .* shape"):
+                artifact(alone(node, (2,), (2,)))
+
+
+class Oscillator(nir.NIRNode):
+    """A node that some other tool invented."""
+
+    def __init__(self):
+        self.input_type = self.output_type = {}
+
+
+def test_a_kind_that_nir_does_not_have_is_refused_by_name():
+    with pytest.raises(ArtifactError, match="'n': Oscillator is no primitive of NIR"):
+        artifact(alone(Oscillator(), (2,), (2,)))
+
+
+@pytest.mark.parametrize("name", ["a/b", "", ".", "a\0b", 3])
+def test_a_name_that_no_file_can_hold_is_refused(name):
+    network = alone(lif(2), (2,), (2,))
+    network.nodes[name] = network.nodes.pop("n")
+    network.edges = [("input", name), (name, "output")]
+    with pytest.raises(ArtifactError, match="HDF5 cannot hold this name"):
+        artifact(network)
+
+
+@pytest.mark.parametrize(
+    ("edges", "message"),
+    [
+        ([("input", "output"), ("a", "output")], "'a': no edges lead to it from an Input"),
+        ([("input", "output"), ("input", "a")], "'a': no edges lead from it to an Output"),
+        ([("input", "output"), ("a", "b"), ("b", "a")], "'a': no edges lead to it"),
+        ([("input", "a"), ("a", "b"), ("b", "a"), ("input", "output")], "'a': no .* to an Output"),
+        ([("a", "output"), ("b", "a"), ("a", "b")], "'a': no edges lead to it"),
+    ],
+)
+def test_a_node_beside_the_way_is_refused_by_name(edges, message):
+    nodes = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    named = {name for edge in edges for name in edge} - {"input", "output"}
+    nodes |= {name: lif(2) for name in named}
+    with pytest.raises(ArtifactError, match=message):
+        artifact(nir.NIRGraph(nodes, edges, type_check=False))
+
+
+@pytest.mark.parametrize("shape", [(3, 1), (1, 3), (3,)])
+def test_shapes_that_only_numpy_would_join_are_refused(shape):
+    node = nir.Scale(np.ones(shape))
+    with pytest.raises(ArtifactError, match=r"'input' -> 'n': the shapes of the graph disagree"):
+        artifact(alone(node, (3, 3), (3, 3)))
+
+
+# files
+
+
+def written(path, network):
+    nir.write(path, network)
+    return path
+
+
+def test_a_slash_in_a_name_is_recognised_when_the_file_is_read(tmp_path):
+    network = alone(lif(2), (2,), (2,))
+    network.nodes["l/f"] = network.nodes.pop("n")
+    network.edges = [("input", "l/f"), ("l/f", "output")]
+    with pytest.raises(ArtifactError, match=r"'l' has no type. If it was called 'l/f'.* Rename"):
+        load(written(tmp_path / "a.nir", network))
+
+
+def test_a_kind_of_the_future_is_named(tmp_path):
+    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
+    with h5py.File(path, "r+") as file:
+        del file["node/nodes/n/type"]
+        file["node/nodes/n/type"] = "Resonator"
+    with pytest.raises(ArtifactError, match="'n': 'Resonator' is no primitive of NIR"):
+        load(path)
+
+
+def test_a_node_with_a_field_missing_is_named_with_what_there_is(tmp_path):
+    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
+    with h5py.File(path, "r+") as file:
+        del file["node/nodes/n/tau"]
+    with pytest.raises(ArtifactError, match=r"'n': no LIF can be made of r \(2,\), .*tau"):
+        load(path)
+
+
+def test_parameters_of_different_shape_are_named(tmp_path):
+    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
+    with h5py.File(path, "r+") as file:
+        del file["node/nodes/n/tau"]
+        file["node/nodes/n/tau"] = np.ones(3)
+    with pytest.raises(
+        ArtifactError, match=r"'n': no LIF can be made of .*tau \(3,\).* same shape"
+    ):
+        load(path)
+
+
+def test_the_broken_graph_of_the_nir_paper_is_refused_by_its_inner_node(tmp_path):
+    # paper/03_rnn/extras/*_subgraph.nir: an edge names 'lif', the node is called 'lif1'
+    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    edges = [("input", "lif1"), ("lif1", "output"), ("lif", "w_rec"), ("w_rec", "lif")]
+    nodes = {**ends, "lif1": lif(2), "w_rec": nir.Linear(np.eye(2))}
+    inner = nir.NIRGraph(nodes, edges, type_check=False)
+    network = alone(inner, (2,), (2,))
+    with pytest.raises(ArtifactError, match=r"in node 'n': edge 'lif' -> 'w_rec'.* no node 'lif'"):
+        load(written(tmp_path / "a.nir", network))
+
+
+def test_a_file_that_claims_more_than_memory_holds_is_refused(tmp_path):
+    path = written(tmp_path / "a.nir", alone(nir.Linear(np.eye(2)), (2,), (2,)))
+    with h5py.File(path, "r+") as file:
+        del file["node/nodes/n/weight"]
+        file.create_dataset("node/nodes/n/weight", (1 << 20, 1 << 20), "f4", chunks=(8, 8))
+    with pytest.raises(ArtifactError, match=r"node/nodes/n/weight is \d+ bytes, for which"):
+        load(path)
+
+
+def test_texts_that_hdf5_would_read_for_ever_are_refused(tmp_path):
+    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
+    content = bytearray(path.read_bytes())
+    heap = content.index(b"GCOL")
+    at, end = heap + 16, heap + int.from_bytes(content[heap + 8 : heap + 16], "little")
+    while content[at] or content[at + 1]:
+        at += 16 + -(-int.from_bytes(content[at + 8 : at + 16], "little") // 8) * 8
+    # the free space behind the last text now has no length, and is never left
+    assert at < end - 16
+    content[at + 8 : at + 16] = bytes(8)
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError, match=r"its texts, at byte \d+, are damaged"):
+        load(path)
+
+
+def test_a_text_longer_than_its_file_is_refused(tmp_path):
+    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
+    with h5py.File(path) as file:
+        offset = file["node/edges"].id.get_offset()
+    content = bytearray(path.read_bytes())
+    content[offset : offset + 4] = b"\xff\xff\xff\x7f"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError, match="node/edges holds a text of 2147483647 bytes"):
+        load(path)
+
+
+def test_zeros_that_compress_well_are_read(tmp_path):
+    network = alone(nir.Linear(np.zeros((1000, 2000))), (2000,), (1000,))
+    assert load(written(tmp_path / "a.nir", network), dt=1e-3).graph.nodes["n"].weight.size == 2e6
+
+
+# numbers
+
+
+def test_gains_too_large_for_a_number_are_refused():
+    node = cuba(1)
+    node.w_in[:], node.r[:] = 1e300, 1e300
+    with pytest.raises(ConventionError, match=r"'n': at dt = 0\.001 s its gain .* too large"):
+        artifact(alone(node, (1,), (1,)))
+
+
+def test_sums_too_large_for_a_number_are_refused_by_node():
+    network = chain(nir.Linear(np.array([[1e200]])), lif(1, threshold=1e307), width=1, act=1)
+    with pytest.raises(ObservationError, match=r"node 'n1': its values became too large"):
+        FloatGraph(artifact(network)).run(np.full((1, 2, 1), 1e200))
+
+
+ODD = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -1.0, 5e-324, 1e308, -1e308, 1e-310])
+SHAPES = st.sampled_from([(), (0,), (1,), (2,), (3,), (2, 2), (2, 1), (1, 2)])
+
+
+@st.composite
+def mutilated(draw):
+    """A sound graph of several kinds, with one thing in it that may be odd."""
+    nodes = {
+        "input": nir.Input(np.array([2])),
+        "fc": nir.Affine(np.eye(2), np.zeros(2)),
+        "cuba": cuba(2),
+        "lif": lif(2),
+        "if": nir.IF(np.full(2, 1e3), np.ones(2)),
+        "wait": nir.Delay(np.full(2, 1e-3)),
+        "scale": nir.Scale(np.ones(2)),
+        "bit": nir.Threshold(np.zeros(2)),
+        "output": nir.Output(np.array([2])),
+    }
+    edges = list(zip(list(nodes)[:-1], list(nodes)[1:], strict=True))
+    edges.append(("lif", "fc"))
+    name = draw(st.sampled_from([n for n in nodes if n not in ("input", "output")]))
+    numbers = [f for f, v in vars(nodes[name]).items() if isinstance(v, np.ndarray)]
+    field = draw(st.sampled_from(numbers))
+    if draw(st.booleans()):
+        getattr(nodes[name], field).flat[draw(st.integers(0, 1))] = draw(ODD)
+    else:
+        setattr(nodes[name], field, np.full(draw(SHAPES), draw(ODD)))
+    edges.pop(draw(st.integers(0, len(edges) - 1))) if draw(st.booleans()) else None
+    return nir.NIRGraph(nodes, edges, type_check=False)
+
+
+@settings(max_examples=300, deadline=None)
+@given(mutilated(), st.sampled_from(["euler", "exponential"]), st.sampled_from([1e-3, 1e-12, 1e12]))
+def test_a_graph_with_something_odd_is_refused_by_us_or_computes_numbers(network, integrator, dt):
+    with contextlib.suppress(SpikedeployError):
+        sound = Artifact(network, None, Convention(dt, integrator=integrator))
+        found = FloatGraph(sound).run(np.ones((1, 4, 2)))
+        assert np.isfinite(found["output"]).all()

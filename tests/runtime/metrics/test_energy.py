@@ -1,0 +1,190 @@
+"""Energy and time are one dot product over the ledger, and one example is SANA-FE's."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metrics.energy import (
+    STATIC,
+    TABLES,
+    energy,
+    energy_estimate,
+    energy_table,
+    latency,
+    latency_estimate,
+    mac_energy,
+    static_energy,
+)
+from spikedeploy.runtime.metrics.energy_tables import Uncertainty
+from spikedeploy.runtime.metrics.traffic import Traffic
+from tests.paths import GOLDEN
+from tests.programs import layer
+
+
+@pytest.fixture
+def sanafe_run():
+    """SANA-FE's example: 10 inputs, all to all onto 10 neurons that never spike, 5 timesteps."""
+    datasheet = chip("loihi1")
+    weight = np.ones((10, 10), np.int16)
+    neurons = layer(
+        datasheet.fixed,
+        "lif",
+        weight.T,
+        (Synapses("input", weight, delay=1),),
+        decays=(4095, 0),
+        threshold=131071 << 6,
+        start=1,
+    )
+    program = Program(datasheet, Convention(1e-3), "input", 10, (neurons,), "lif", None)
+    machine = Machine(program)
+    for spiking in (1, 0, 1, 0, 1):
+        machine.step(np.full((1, 10), spiking, np.uint8))
+    return machine.ledger
+
+
+@pytest.fixture
+def expected():
+    path = GOLDEN / "sanafe_loihi_energy_example.json"
+    return json.loads(path.read_text())["result"]
+
+
+def joules(ledger, *events):
+    prices = TABLES["sanafe"].joules
+    return sum(ledger.total(event) * prices[event] for event in events)
+
+
+def test_the_energy_of_sanafes_example_is_reproduced(sanafe_run, expected):
+    per_run = energy(sanafe_run, TABLES["sanafe"]) * sanafe_run.inferences
+    parts = expected["energy"]
+    assert per_run == pytest.approx(parts["total"], rel=1e-9)
+    assert joules(sanafe_run, "sop") == pytest.approx(parts["synapse"])
+    assert joules(sanafe_run, "message") == pytest.approx(parts["network"])
+    assert joules(sanafe_run, "neuron_update", "neuron_idle") == pytest.approx(parts["soma"])
+    assert sanafe_run.total("sop") == expected["spikes(synops)"]
+    assert sanafe_run.total("message") == expected["packets_sent"]
+
+
+def test_the_time_of_sanafes_example_is_an_upper_bound_by_a_tenth(sanafe_run, expected):
+    per_run = latency(sanafe_run, TABLES["sanafe"]) * sanafe_run.inferences
+    assert 1.0 < per_run / expected["sim_time"] < 1.1
+
+
+def ledger(inferences=1, timesteps=5, steps=8, **events):
+    counts = np.zeros((inferences, 1, len(EVENTS)), np.int64)
+    for event, number in events.items():
+        counts[:, 0, EVENTS.index(event)] = number
+    return Ledger(("lif",), (10,), counts, inferences, timesteps * inferences, steps * inferences)
+
+
+def test_energy_is_per_inference():
+    table = TABLES["davies2018"]
+    assert energy(ledger(1, sop=1000), table) == pytest.approx(23.6e-9)
+    assert energy(ledger(3, sop=1000), table) == pytest.approx(23.6e-9)
+
+
+def test_active_and_inactive_neurons_have_their_own_prices():
+    table = TABLES["davies2018"]
+    assert energy(ledger(neuron_update=10, neuron_idle=10), table) == pytest.approx(1330e-12)
+
+
+def test_latency_adds_events_and_synchronisation():
+    # 100 * 3.5 ns + 8 * 113 ns
+    assert latency(ledger(sop=100), TABLES["davies2018"]) == pytest.approx(1254e-9)
+
+
+def test_networks_without_spikes_pay_for_their_weights_too():
+    # float32: 4.6 pJ for the arithmetic, half a read of 10 pJ for the weight
+    assert mac_energy(311_000, TABLES["horowitz45"]) == pytest.approx(311_000 * 9.6e-12)
+    assert mac_energy(1000, TABLES["horowitz45-int8"]) == pytest.approx(1000 * 1.55e-12)
+
+
+def test_a_synaptic_operation_costs_less_than_a_mac_in_the_same_technology():
+    for name in ("horowitz45", "horowitz45-int8"):
+        prices = TABLES[name].joules
+        assert prices["sop"] < prices["mac"] < 3 * prices["sop"]
+
+
+@pytest.mark.parametrize("name", sorted(TABLES))
+def test_every_table_says_where_it_comes_from_and_prices_known_events(name):
+    table = energy_table(name)
+    assert table.name == name
+    assert table.source
+    assert table.provenance
+    assert set(table.joules) | set(table.seconds) <= {*EVENTS, "mac", "hop_x", "hop_y"}
+    assert table.most.keys() <= table.joules.keys()
+    assert all(table.most[event] > table.joules[event] for event in table.most)
+    for uncertainty in (table.uncertainty, table.time_uncertainty):
+        assert uncertainty.why
+        assert uncertainty.low <= 1 <= uncertainty.high
+    assert all(price > 0 for price in [*table.joules.values(), *table.seconds.values()])
+
+
+def test_an_energy_says_between_what_it_lies():
+    fitted = energy_estimate(ledger(sop=1000), TABLES["sanafe"])
+    assert fitted.value == pytest.approx(35.5e-9)
+    # 11.7 % each way
+    assert (fitted.low, fitted.high) == pytest.approx((31.3465e-9, 39.6535e-9))
+    least = energy_estimate(ledger(sop=1000), TABLES["davies2018"])
+    assert (least.low, least.high) == (least.value, float("inf"))
+
+
+def test_where_sources_disagree_an_energy_is_an_interval():
+    found = energy_estimate(ledger(sop=1000, neuron_update=10), TABLES["spinnaker2"])
+    # 450 and 1500 pJ a synaptic event, 2.19 nJ an update in both
+    assert (found.low, found.high) == pytest.approx((471.9e-9, 1521.9e-9))
+
+
+def test_an_all_in_price_has_nothing_added_to_it():
+    events = ledger(sop=100, bias_sop=10, neuron_update=5, neuron_idle=5, spike_out=3, message=9)
+    assert energy(events, TABLES["truenorth"]) == pytest.approx(110 * 26e-12)
+
+
+def test_a_chip_with_a_clock_takes_a_tick_per_timestep():
+    found = latency_estimate(ledger(steps=8, sop=1000), TABLES["truenorth"])
+    assert (found.low, found.value, found.high) == pytest.approx((8e-3, 8e-3, 8e-3))
+
+
+def test_static_power_is_a_line_of_its_own():
+    # 104 mW for a millisecond
+    assert static_energy(1e-3, STATIC["loihi1"]) == pytest.approx(104e-6)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ((1, 1), "exact"),
+        ((1, float("inf")), "at least"),
+        ((0, 1), "at most"),
+        ((0, 1.25), "at most 1.25 times"),
+        ((0.9, 1.1), "± 10 %"),
+        ((0.5, 3), "0.5 to 3 times"),
+        ((0, float("inf")), "no bound known"),
+    ],
+)
+def test_an_uncertainty_is_said_in_a_few_words(bounds, words):
+    assert Uncertainty(*bounds, "why").describe() == words
+
+
+def test_hops_cost_what_their_direction_costs():
+    # three packets; two steps along a row, one along a column, instead of the ledger's message
+    found = energy(ledger(message=9), TABLES["sanafe"], Traffic(message=3, hop_x=2, hop_y=1))
+    assert found == pytest.approx((3 * 111 + 2 * 3.0 + 4.2) * 1e-12)
+
+
+def test_an_unknown_table_is_refused_with_a_suggestion():
+    with pytest.raises(ConfigError, match="'davies'; did you mean 'davies2018'"):
+        energy_table("davies")
+
+
+def test_a_table_without_macs_or_times_says_so():
+    with pytest.raises(ConfigError, match="no price for multiply-accumulates"):
+        mac_energy(1, TABLES["sanafe"])
+    with pytest.raises(ConfigError, match="has no times"):
+        latency(ledger(), TABLES["horowitz45"])

@@ -1,0 +1,70 @@
+"""What a chip reads and writes, counted by hand."""
+
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.metrics.memory import MemoryTraffic, Widths, memory, memory_counts, widths
+from tests.programs import layer
+
+
+def program(**options):
+    """Two axons onto three neurons that keep their membranes; one of six weights is 0."""
+    used = chip("loihi1", **options)
+    weight = np.array([[5, 0, 7], [1, 2, 3]], np.int16)
+    synapses = (Synapses("input", weight, delay=1),)
+    kept = {"decays": (4095, 0), "threshold": 1000 << 6, "start": 0}
+    neurons = layer(used.fixed, "n", weight.T, synapses, **kept)
+    return Program(used, Convention(1e-3), "input", 2, (neurons,), "n", None)
+
+
+def run(network, rows):
+    machine = Machine(network)
+    for row in rows:
+        machine.step(np.array([row], np.uint8))
+    return machine.ledger
+
+
+def test_a_synaptic_operation_reads_a_weight_and_an_update_writes_both_states():
+    network = program()
+    found = memory(run(network, [[1, 0], [0, 1], [0, 0]]), network)
+    # 2 and 3 weights of 8 bits; 9 neuron-timesteps look at a current and a membrane of 24 bits;
+    # two neurons are updated in the second timestep and all three in the third
+    assert found == {
+        "n": MemoryTraffic(
+            weight_reads=5,
+            state_reads=18,
+            state_writes=10,
+            read_bits=5 * 8 + 18 * 24,
+            write_bits=10 * 24,
+        )
+    }
+
+
+def test_there_is_a_row_for_each_timestep_of_a_stream():
+    network = program()
+    counts = memory_counts(run(network, [[1, 0], [0, 1], [0, 0]]), network)
+    assert counts.shape == (3, 1, 5)
+    assert counts[:, 0, 0].tolist() == [2, 3, 0]
+    assert counts[:, 0, 2].tolist() == [0, 4, 6]
+
+
+def test_fewer_bits_are_fewer_bits_to_read():
+    network = program(weight_bits=4)
+    found = memory(run(network, [[1, 1]]), network)["n"]
+    assert (found.weight_reads, found.read_bits) == (5, 5 * 4 + 3 * 48)
+
+
+@pytest.mark.parametrize(
+    ("name", "wide"),
+    [
+        ("loihi1", Widths(8, (24, 24))),
+        ("xylo-a2", Widths(8, (16, 16, 16))),
+        ("ideal", Widths(32, (32, 32))),
+    ],
+)
+def test_widths_are_those_of_the_datasheet(name, wide):
+    assert widths(chip(name)) == wide

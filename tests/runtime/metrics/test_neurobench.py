@@ -1,0 +1,113 @@
+"""NeuroBench's numbers against counts made by hand; test_neurobench_peer has NeuroBench itself."""
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.metrics.memory import packed_bytes
+from spikedeploy.runtime.metrics.neurobench import (
+    connection_sparsity,
+    dense,
+    footprint,
+    neurobench,
+    parameter_count,
+)
+from tests.measuring import DT, IDEAL, convolutions, measured, network, neurons_of, raster
+from tests.networks import chain, lif, popsan
+
+
+def test_two_neurons_are_counted_by_hand():
+    # axon 0 reaches both neurons, axon 1 the second; both keep their membranes for ever
+    weight = np.array([[1.0, 1.0], [0.0, 2.0]])
+    neurons = nir.IF(np.full(2, 1 / DT), np.full(2, 2.5))
+    file = Artifact(chain(nir.Linear(weight.T), neurons, width=2, act=2), None, Convention(DT))
+    # membranes: (1, 1), (1, 3 -> spike), (1, 0), (2, 1)
+    spikes = np.array([[[1, 0], [0, 1], [0, 0], [1, 0]]], np.uint8)
+    found = measured(compile_program(file, IDEAL), file.graph, spikes)
+    assert (found.effective_acs, found.effective_macs, found.dense) == (2 + 1 + 0 + 2, 0, 4 * 4)
+    assert found.activation_sparsity == 7 / 8
+    assert found.activation_sparsity_by_layer == {"n2": 7 / 8}
+    # both in the first timestep; the second when it spikes and is reset; both at last
+    assert found.membrane_updates == 2 + 1 + 0 + 2
+    assert found.effective_neuron_ops == 4 * 5
+    assert found.neuron_dense_ops == 4 * 8
+    assert found.connection_sparsity == 0.25
+    assert found.parameter_count == 4
+    # four weights, beta and threshold in float32; a factor of 4 bytes and a kind of 8
+    assert found.footprint == 4 * 4 + 2 * 4 + 4 + 8
+
+
+def test_inputs_that_are_no_spikes_make_their_timestep_one_of_macs():
+    weight = np.ones((2, 3), np.int16)
+    neurons = neurons_of(weight, threshold=1000)
+    spikes = {"input": np.array([[[1, 0], [2, 1]]]), "n2": np.zeros((1, 2, 3), np.uint8)}
+    file = chain(nir.Linear(weight.T), width=2, act=3)
+    found = neurobench(file, neurons, spikes)
+    assert (found.effective_acs, found.effective_macs) == (3, 6)
+    assert found.membrane_updates is None
+    assert found.as_json()["NeuronOperations"]["Effective Neuron Ops"] is None
+
+
+def test_a_network_of_bytes_is_a_quarter_of_one_of_floats():
+    weight = np.array([[1, 0, -3], [0, 5, 6]], np.int8)
+    floats = chain(nir.Linear(weight.astype(np.float32)), lif(2), width=3, act=2)
+    whole = chain(nir.Linear(weight), lif(2), width=3, act=2)
+    assert footprint(floats) - footprint(whole) == 6 * 3
+    assert parameter_count(floats) == parameter_count(whole) == 6
+    assert connection_sparsity(floats) == connection_sparsity(whole) == round(2 / 6, 4)
+
+
+def test_a_network_without_weights_has_none_that_are_zero():
+    graph = chain(lif(3), width=3, act=3)
+    assert (connection_sparsity(graph), parameter_count(graph), dense(graph)) == (0.0, 0, 0)
+
+
+def test_packed_weights_take_the_bits_of_the_chip():
+    weight = np.ones((10, 4), np.int16)
+    assert packed_bytes(neurons_of(weight, threshold=9)) == 40
+    assert packed_bytes(neurons_of(weight, threshold=9, weight_bits=4)) == 20
+    assert packed_bytes(compile_program(network(biased=False), IDEAL)) == 4 * (20 * 16 + 16 * 12)
+
+
+def test_a_loop_hears_its_spikes_a_timestep_later():
+    weight, loop = np.eye(2), np.array([[0.0, 1.0], [1.0, 1.0]])
+    neurons = lif(2, tau=DT, r=1.0, threshold=0.5)
+    neurons.v_reset = np.zeros(2)
+    named = {"w": nir.Linear(weight), "n": neurons, "rec": nir.Linear(loop)}
+    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    edges = [("input", "w"), ("w", "n"), ("n", "rec"), ("rec", "n"), ("n", "output")]
+    file = Artifact(nir.NIRGraph({**ends, **named}, edges), None, Convention(DT))
+    found = measured(
+        compile_program(file, IDEAL), file.graph, np.array([[[1, 0], [0, 0]]], np.uint8)
+    )
+    # the input's spike reaches 1 neuron; that neuron's spike 1 more; its spike comes too late
+    assert found.effective_acs == 1 + 1
+
+
+def test_dense_counts_zero_weights_too():
+    assert dense(network().graph) == 20 * 16 + 16 * 12 + 12 * 3
+
+
+def test_a_convolution_has_no_operations_with_its_padding():
+    # four places of three taps, less one at each end
+    assert dense(nir.NIRGraph.from_list(convolutions()[0])) == 4 * 3 - 2
+
+
+@pytest.mark.parametrize("name", ["ideal", "loihi1"])
+def test_the_ledger_of_the_same_run_agrees(name):
+    file = popsan()
+    program = compile_program(file, chip(name))
+    machine = Machine(program, 4, trace=True)
+    spikes = raster(width=30)
+    machine.infer(spikes)
+    found, ledger = measured(program, file.graph, spikes), machine.ledger
+    readout = machine.recordings[program.output].spikes.sum() / 4  # each hears one number
+    assert found.effective_acs == ledger.per_inference("sop") + readout
+    assert found.activation_sparsity == ledger.sparsity
+    # what changed had something to add up
+    assert 0 < found.membrane_updates <= ledger.per_inference("neuron_update") + sum(ledger.neurons)

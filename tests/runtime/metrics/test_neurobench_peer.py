@@ -1,0 +1,228 @@
+"""NeuroBench's numbers against NeuroBench, where the extra `neurobench` is installed."""
+
+import importlib.metadata
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.metrics.neurobench import dense
+from tests.measuring import (
+    DT,
+    IDEAL,
+    convolutions,
+    measured,
+    network,
+    neurons_of,
+    pruned,
+    raster,
+)
+from tests.networks import chain, lif
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(scope="module")
+def tool():
+    return pytest.importorskip(
+        "neurobench.benchmarks", reason="the extra `neurobench` is not installed"
+    )
+
+
+def torch_twin(artifact, whole=False):
+    """The network in snnTorch; with `whole` its weights are bytes, which can only be counted."""
+    import torch
+    from neurobench.models import SNNTorchModel
+
+    class Twin(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            nodes = [node for name, node in artifact.graph.nodes.items() if name[0] == "n"]
+            for index, node in enumerate(nodes, start=1):
+                self.add_module(f"n{index}", torch_layer(node, artifact.convention, whole))
+
+        def forward(self, x):
+            for module in self.children():
+                x = module(x)
+            return x, None
+
+        def reset(self):
+            for module in self.children():
+                if hasattr(module, "reset_mem"):
+                    module.reset_mem()
+
+    return SNNTorchModel(Twin())
+
+
+def torch_layer(node, convention, whole):
+    import snntorch
+    import torch
+
+    options = {
+        "reset_mechanism": convention.reset,
+        "reset_delay": False,
+        "init_hidden": True,
+    }
+    if isinstance(node, (nir.LIF, nir.IF)):
+        beta = float(1 - convention.dt / node.tau[0]) if isinstance(node, nir.LIF) else 1.0
+        return snntorch.Leaky(beta=beta, threshold=float(node.v_threshold[0]), **options)
+    if isinstance(node, nir.CubaLIF):
+        decays = [float(1 - convention.dt / tau[0]) for tau in (node.tau_syn, node.tau_mem)]
+        return snntorch.Synaptic(*decays, threshold=float(node.v_threshold[0]), **options)
+    biased = isinstance(node, nir.Affine)
+    linear = torch.nn.Linear(*node.weight.T.shape, bias=biased)
+    dtype = torch.int8 if whole else torch.float32
+    held = torch.as_tensor(np.ascontiguousarray(node.weight)).to(dtype)
+    linear.weight = torch.nn.Parameter(held, requires_grad=False)
+    if biased:
+        linear.bias = torch.nn.Parameter(torch.as_tensor(node.bias), requires_grad=False)
+    return linear
+
+
+def theirs(tool, model, spikes):
+    """Everything that NeuroBench 2.3.0 can say of it, one batch at a time."""
+    import torch
+    from neurobench.metrics.static import ConnectionSparsity, Footprint, ParameterCount
+    from neurobench.metrics.workload import (
+        ActivationSparsity,
+        ActivationSparsityByLayer,
+        MembraneUpdates,
+        NeuronOperations,
+        SynapticOperations,
+    )
+    from torch.utils.data import DataLoader, TensorDataset
+
+    data = TensorDataset(torch.as_tensor(spikes, dtype=torch.float32), torch.zeros(len(spikes)))
+    still = [ParameterCount, Footprint, ConnectionSparsity]
+    moving = [
+        ActivationSparsity,
+        ActivationSparsityByLayer,
+        MembraneUpdates,
+        NeuronOperations,
+        SynapticOperations,
+    ]
+    loader = DataLoader(data, batch_size=len(spikes))
+    return tool.Benchmark(model, loader, [], [], [still, moving]).run(quiet=True)
+
+
+def test_the_extra_installs_the_release_that_is_named(tool):
+    assert importlib.metadata.version("neurobench").startswith("2.3.")
+
+
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+@pytest.mark.parametrize("biased", [True, False])
+def test_every_number_of_neurobench_is_reproduced_exactly(tool, reset, biased):
+    artifact = network(reset, biased)
+    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster()).as_json()
+    assert found.pop("Footprint_packed") > 0
+    wanted = theirs(tool, torch_twin(artifact), raster())
+    assert found == wanted
+    # and there is something to count
+    assert 0.3 < wanted["ActivationSparsity"] < 0.98
+    assert wanted["SynapticOperations"]["Effective_ACs"] > 500
+    assert wanted["ConnectionSparsity"] > 0.2
+
+
+@pytest.mark.parametrize("timesteps", [1, 5, 40])
+def test_every_number_is_reproduced_for_any_number_of_timesteps(tool, timesteps):
+    artifact = network(seed=timesteps)
+    spikes = raster(3, timesteps)
+    found = measured(compile_program(artifact, IDEAL), artifact.graph, spikes).as_json()
+    del found["Footprint_packed"]
+    assert found == theirs(tool, torch_twin(artifact), spikes)
+
+
+def whole_network():
+    """Whole weights of which some are 0, neurons that forget nothing: exact in floats and ints."""
+    rng = np.random.default_rng(3)
+    weight = rng.integers(-40, 90, (12, 20)) * (rng.random((12, 20)) < 0.7)
+    neurons = nir.IF(np.full(12, 1 / DT), np.full(12, 150.0))
+    return weight.astype(np.int8), neurons
+
+
+def test_the_numbers_of_bytes_on_a_chip_are_those_of_neurobench(tool):
+    weight, neurons = whole_network()
+    graph = chain(nir.Linear(weight), neurons, width=20, act=12)
+    file = Artifact(graph, None, Convention(DT))
+    program = neurons_of(weight.T.astype(np.int16), threshold=150)
+    found = measured(program, graph, raster()).as_json()
+    assert found["Footprint_packed"] == 20 * 12
+    # bytes cannot be multiplied by torch: they are counted as bytes, and run as floats
+    counted = theirs(tool, torch_twin(file), raster())
+    still = static(torch_twin(file, whole=True))
+    assert {**found, **still} == found
+    assert {name: found[name] for name in counted if name not in still} == {
+        name: value for name, value in counted.items() if name not in still
+    }
+    assert counted["Footprint"] - still["Footprint"] == 3 * 20 * 12
+
+
+def static(model):
+    from neurobench.metrics.static import ConnectionSparsity, Footprint, ParameterCount
+
+    return {
+        kind.__name__: kind()(model) for kind in (ConnectionSparsity, Footprint, ParameterCount)
+    }
+
+
+def test_a_loop_is_counted_as_neurobench_counts_it(tool):
+    """With reset by subtraction: snnTorch computes the other one twice, and counts it twice."""
+    import snntorch
+    import torch
+    from neurobench.models import SNNTorchModel
+
+    rng = np.random.default_rng(0)
+    weight, loop = 0.6 * np.abs(pruned(rng, 12, 20)), 0.2 * pruned(rng, 12, 12)
+    neurons = lif(12, tau=DT / 0.1, r=10.0, threshold=2.5)
+    neurons.v_reset = np.zeros(12)
+    named = {"n1": nir.Linear(weight), "n2": neurons, "rec": nir.Linear(loop)}
+    ends = {"input": nir.Input(np.array([20])), "output": nir.Output(np.array([12]))}
+    edges = [("input", "n1"), ("n1", "n2"), ("n2", "rec"), ("rec", "n2"), ("n2", "output")]
+    convention = Convention(DT, reset="subtract")
+    artifact = Artifact(nir.NIRGraph({**ends, **named}, edges), None, convention)
+
+    class Twin(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            options = {"reset_mechanism": "subtract", "reset_delay": False, "init_hidden": True}
+            self.n1 = torch_layer(named["n1"], convention, whole=False)
+            self.n2 = snntorch.RLeaky(beta=0.9, threshold=2.5, linear_features=12, **options)
+            self.n2.recurrent = torch_layer(named["rec"], convention, whole=False)
+
+        def forward(self, x):
+            return self.n2(self.n1(x)), None
+
+        def reset(self):
+            self.n2.reset_mem()
+
+    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster()).as_json()
+    wanted = theirs(tool, SNNTorchModel(Twin()), raster())
+    # it has no operations for a neuron with a loop
+    assert wanted.pop("NeuronOperations") == 0
+    assert {name: found[name] for name in wanted} == wanted
+    assert wanted["SynapticOperations"]["Effective_ACs"] > 1000
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_the_operations_of_convolutions_are_neurobenchs(tool, index):
+    import torch
+    from neurobench.metrics.utils.layers import single_layer_MACs
+
+    node = convolutions()[index]
+    flat = isinstance(node, nir.Conv1d)
+    channels = node.weight.shape[1] * node.groups
+    layer = (torch.nn.Conv1d if flat else torch.nn.Conv2d)(
+        channels,
+        len(node.weight),
+        node.weight.shape[2:],
+        stride=node.stride,
+        padding=node.padding,
+        dilation=node.dilation,
+        groups=node.groups,
+    )
+    shape = (channels, *np.atleast_1d(node.input_shape).tolist())
+    wanted, _ = single_layer_MACs(torch.ones(1, *shape), layer, total=True)
+    assert dense(nir.NIRGraph.from_list(node)) == wanted

@@ -1,0 +1,297 @@
+"""The command line: what people see, what machines read, and how it fails."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from spikedeploy import cli, zoo
+from spikedeploy.failures import one_line
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.emulator.interpreter import trace
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from tests import strolling
+from tests.networks import popsan
+from tests.paths import GOLDEN
+
+VERBS = [verb for verbs in cli.COMMANDS.values() for verb in verbs]
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_command_explains_itself(verb, command):
+    code, out, _ = command(verb, "--help")
+    assert code == 0
+    assert "--json" in out
+
+
+def test_no_arguments_print_the_help(command):
+    _, out, err = command()
+    assert all(verb in out + err for verb in VERBS)
+
+
+def test_the_module_runs_as_a_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "spikedeploy", "chips", "--json"], capture_output=True, check=True
+    )
+    assert "loihi1" in [chip["name"] for chip in json.loads(done.stdout)]
+
+
+@pytest.mark.parametrize(
+    ("verb", "field", "name"),
+    [
+        ("envs", "name", "hexapod"),
+        ("chips", "name", "ideal"),
+        ("recipes", "name", "hexapod-popsan"),
+        ("policies", "name", "gait"),
+        ("policies", "name", "stroll/popsan"),
+    ],
+)
+def test_what_exists_is_listed_for_people_and_for_machines(verb, field, name, command, stroll):
+    assert name in command(verb)[1]
+    _, out, err = command(verb, "--json")
+    assert name in [row[field] for row in json.loads(out)]
+    assert err == ""
+
+
+def test_run_prints_rows_and_nothing_else(command, stroll):
+    code, out, _ = command("run", "stroll/popsan", "--episodes", 2, "--json")
+    (row,) = json.loads(out)["rows"]
+    assert code == 0
+    assert (row["policy"], row["kind"], row["chip"]) == ("popsan", "snn", "loihi1")
+    assert len(row["returns"]) == row["episodes"] == 2
+    assert row["energy_per_inference_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
+
+
+def test_run_takes_float_networks_alike(command, stroll):
+    _, out, _ = command("run", "stroll/sac", "--env", "stroll", "--json")
+    (row,) = json.loads(out)["rows"]
+    assert (row["kind"], row["chip"], row["sparsity"]) == ("ann", None, None)
+
+
+FIELDS = {
+    "policy", "kind", "chip", "episodes", "return_mean", "return_iqm", "return_ci95",
+    "success_rate", "ratio_to_float_ann", "action_rmse", "sparsity", "spikes_per_inference",
+    "sops_per_inference", "macs_dense", "energy_per_inference_j", "saturations", "speed", "cot",
+    "heading_error", "first_divergence", "difference_mean", "difference_ci95", "effective_acs",
+    "effective_macs",
+}  # fmt: skip
+
+
+def test_compare_prints_every_promised_field_and_writes_its_report(command, stroll):
+    words = ("compare", "stroll", "--episodes", 2, "--workers", 1)
+    code, out, _ = command(*words, "--json", "-o", "out")
+    document = json.loads(out)
+    assert code == 0
+    for row in document["rows"]:
+        assert row.keys() >= FIELDS
+    names = {path.name for path in (stroll / "out").iterdir()}
+    assert names == {"report.json", "report.html", "report.md", "returns.png", "energy.png"}
+    assert json.loads((stroll / "out/report.json").read_text())["rows"] == document["rows"]
+
+
+def test_compare_shows_people_tables_and_a_sentence(command, stroll):
+    _, out, _ = command("compare", "stroll", "--episodes", 2, "--workers", 1)
+    for text in ("Does the robot still walk?", "popsan · loihi1", "sanafe", "The gait alone earns"):
+        assert text in out
+
+
+def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
+    artifact = popsan()
+    save(artifact, tmp_path / "p.nir")
+    raster = (np.random.default_rng(0).random((5, 30)) < 0.3).astype(np.uint8)
+    np.save(tmp_path / "raster.npy", raster)
+    words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "raster.npy", "--chip", "loihi1")
+    code, out, _ = command(*words, "-o", tmp_path / "out.npz", "--json")
+    found = json.loads(out)
+    expected = trace(compiled(artifact, chip("loihi1")), raster[None])
+    with np.load(tmp_path / "out.npz") as arrays:
+        assert set(arrays) == {*expected, "output"}
+        assert arrays["output"].shape == (5, 2)
+        for name, layer in expected.items():
+            assert arrays[name].dtype == np.uint8
+            np.testing.assert_array_equal(arrays[name], layer.spikes[0])
+    assert code == 0
+    assert found["spikes"] == sum(int(layer.spikes.sum()) for layer in expected.values()) > 0
+    assert found["sops"] > 0
+    assert found["neuron_updates"] > 0
+    assert found["convention"]["reset"] == "zero"
+    assert found["energy_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
+
+
+def test_emulate_in_float_equals_the_ideal_chip(command, tmp_path):
+    save(popsan(), tmp_path / "p.nir")
+    np.save(tmp_path / "raster.npy", np.random.default_rng(1).random((5, 30)) < 0.3)
+    found = {}
+    for name in ("float", "ideal"):
+        file = tmp_path / f"{name}.npz"
+        words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "raster.npy", "-o", file)
+        found[name] = json.loads(command(*words, "--chip", name, "--json")[1])
+        found[name].pop("chip")
+    with np.load(tmp_path / "float.npz") as left, np.load(tmp_path / "ideal.npz") as right:
+        assert set(left) == set(right)
+        for name in left:
+            np.testing.assert_allclose(left[name], right[name], atol=1e-9)
+    assert found["float"]["sops"] == found["ideal"]["sops"]
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((2, 3, 4)), r"shape \(1, 2, 3, 4\); node 'input' takes \(B, T, 30\)"),
+        (np.full((5, 30), 2), "0 or 1"),
+        (np.array([{}], dtype=object), "not a .npy or .npz file with plain arrays"),
+    ],
+)
+def test_emulate_refuses_what_is_no_raster(array, message, command, tmp_path):
+    save(popsan(), tmp_path / "p.nir")
+    np.save(tmp_path / "bad.npy", array, allow_pickle=True)
+    words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "bad.npy", "--chip", "loihi1")
+    code, _, err = command(*words, "-o", tmp_path / "out.npz")
+    assert code == 1
+    assert re.search(message, err)
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_export_compares_the_file_with_the_policy(command, stroll):
+    run = strolling.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    code, out, _ = command("export", run, "--to", "nir", "--observations", 30)
+    assert code == 0
+    assert out.count("✓") >= 4
+    assert (run / "policy.nir").is_file()
+
+
+def test_export_writes_whether_membranes_are_kept(command, stroll):
+    run = strolling.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    words = ("export", run, "--observations", 30, "--state", "kept", "--to")
+    assert command(*words, "nir")[0] == 0
+    assert load(run / "policy.nir").convention.state == "kept"
+    code, _, err = command(*words, "onnx")
+    assert code == 1
+    assert "only a .nir file has membranes to keep" in err
+
+
+def test_export_fails_with_exit_code_1_when_a_check_does(command, stroll, monkeypatch):
+    from spikedeploy.exporters.check import ParityCheck
+
+    run = strolling.run_folder(stroll / "runs", MlpConfig(hidden=(6,)))
+    monkeypatch.setattr(
+        "spikedeploy.export.check", lambda *_: [ParityCheck("actions", False, "0.5 off")]
+    )
+    code, out, _ = command("export", run, "--to", "onnx")
+    assert code == 1
+    assert "✗ actions: 0.5 off" in out
+
+
+def test_visualize_draws_the_curves_of_runs(command, stroll):
+    run = strolling.run_folder(stroll / "runs", MlpConfig(hidden=(4,)))
+    _, out, _ = command("visualize", run, "-o", "curves.png", "--json")
+    (curve,) = json.loads(out)["curves"]
+    assert curve["name"] == run.name
+    assert (curve["unit"], curve["signal"]) == ("environment steps", "validation")
+    assert (curve["steps"], curve["returns"]) == ([5.0], [3.0])
+    assert (stroll / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_train_writes_a_run_folder_and_prints_it(command, tmp_path):
+    words = ("train", "smoke", "--set", "steps=120", "--set", "validation.every=120")
+    code, out, _ = command(*words, "--seed", 2, "--runs", tmp_path / "runs", "--json")
+    assert code == 0
+    assert "smoke-s2-" in json.loads(out)["run"]
+
+
+def test_a_resumed_run_keeps_its_seed(command):
+    code, _, err = command("train", "smoke", "--resume", "last", "--seed", 3)
+    assert code == 2
+    assert "leave --seed out" in err
+
+
+def test_demo_says_in_a_line_that_nothing_is_shipped(command, monkeypatch, tmp_path):
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code, out, err = command("demo")
+    assert code == 0
+    assert "hexapod: no policies are shipped yet" in err
+    assert out == ""
+
+
+def test_doctor_finds_versions_threads_and_policies(command, stroll):
+    code, out, _ = command("doctor", "--json")
+    findings = {finding["name"]: finding for finding in json.loads(out)}
+    assert findings["numpy"]["detail"] == np.__version__
+    assert findings["stroll/popsan"]["ok"]
+    assert "cores" in findings["threads"]["detail"]
+    assert code == (0 if findings["rendering"]["ok"] else 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run", "nowhere.nir"), "no policy at 'nowhere.nir'"),
+        (("run", "gait", "--env", "hexapd"), "did you mean 'hexapod'?"),
+        (("run", "stroll/popsan", "--chip", "loihi9"), "did you mean 'loihi2' or 'loihi1'?"),
+        (("compare", "stroll", "--seed", "0"), "evaluation starts at 10000"),
+        (("train", "hexapod-sax"), "hexapod-sac"),
+        (("visualize", "."), "metrics.csv"),
+        (("export", "nowhere", "--to", "nir"), "nowhere"),
+    ],
+)
+def test_an_error_that_users_can_act_on_is_one_line_and_exit_code_1(
+    words, message, command, stroll
+):
+    code, out, err = command(*words)
+    assert code == 1
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("error: ")
+    assert message in err
+
+
+@pytest.mark.parametrize(
+    "words", [("walk",), ("run",), ("compare", "hexapod", "--episodes", "0"), ("envs", "--xml")]
+)
+def test_wrong_usage_is_exit_code_2(words, command):
+    assert command(*words)[0] == 2
+
+
+def test_a_bug_keeps_its_traceback():
+    assert one_line(KeyError("x")) is None
+    assert one_line(ModuleNotFoundError("No module named 'spikedeploy.x'", name="x")) is None
+
+
+TRACE = GOLDEN / "lava_A_popsan_decays.json"
+
+
+def test_verify_says_equal_and_exits_with_0(command):
+    code, out, _ = command("verify", TRACE, GOLDEN / "nengoloihi_A_popsan_decays.json")
+    assert code == 0
+    assert "equal on loihi1: 600 numbers" in out
+    assert "equal on loihi1-nengo" in out
+
+
+def test_verify_tells_the_first_difference_and_goes_on(command, tmp_path):
+    record = json.loads(TRACE.read_text())
+    record["v"][17][2] += 64
+    other, broken = tmp_path / "other.json", tmp_path / "broken.json"
+    other.write_text(json.dumps(record))
+    broken.write_text("{")
+    code, out, _ = command("verify", other, broken, tmp_path / "missing.json", TRACE, "--json")
+    assert code == 1
+    differs, torn, missing, equal = json.loads(out)
+    difference = differs["difference"]
+    assert [difference[key] for key in ("step", "neuron", "quantity")] == [17, 2, "membrane"]
+    assert difference["expected"] == difference["found"] + 64
+    assert "not JSON" in torn["error"]
+    assert "No such file" in missing["error"]
+    assert [each["equal"] for each in (differs, torn, missing, equal)] == [False] * 3 + [True]

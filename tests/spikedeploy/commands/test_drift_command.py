@@ -1,0 +1,168 @@
+"""`spikedeploy drift`: what it says of files and shipped policies, and how it refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spikedeploy.inputs import at_random, observed
+from spikedeploy.policies.policies import find
+from spikedeploy.runtime.analysis.drift import drift
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.quantisation import Quantisation
+from tests import strolling
+from tests.networks import popsan
+from tests.runtime.families.test_headroom import crowd
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def raster(tmp_path):
+    spikes = (np.random.default_rng(0).random((200, 30)) < 0.3).astype(np.uint8)
+    np.save(tmp_path / "raster.npy", spikes)
+    save(popsan(), tmp_path / "p.nir")
+    return spikes
+
+
+def test_a_shipped_policy_is_compared_on_what_its_float_twin_observes(command, stroll):
+    code, out, err = command("drift", "stroll/popsan", "--steps", 7, "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "")
+    assert found["inputs"] == (
+        "7 of 20 control steps of the float twin in test/Stroll-v0, seed 10000"
+    )
+    assert (found["chip"], found["inferences"], found["timesteps"]) == ("loihi1", 7, 5)
+    assert found["output"]["kind"] == "action"
+    assert [rung["name"] for rung in found["rungs"]] == [
+        "weights", "thresholds", "decays", "states"
+    ]  # fmt: skip
+
+
+def test_what_is_observed_is_what_the_float_twin_would_hear(stroll):
+    candidate = find("stroll/popsan")
+    artifact = load(candidate.path)
+    inputs = observed(artifact, candidate, None, range(10_000, 10_002), 1000)
+    assert inputs.raster.shape == (40, 5, 30)
+    assert inputs.source.endswith("seeds 10000 to 10001")
+    few = observed(artifact, candidate, None, range(10_000, 10_002), 2)
+    np.testing.assert_array_equal(few.raster, inputs.raster[[0, 39]])
+
+
+def test_a_raster_is_compared_in_any_file(command, raster):
+    words = ("drift", "p.nir", "--input", "raster.npy", "--rounding", "truncate")
+    code, out, _ = command(*words, "--quantise", "channel", "--chip", "loihi1", "--json")
+    found = json.loads(out)
+    wanted = drift(popsan(), chip("loihi1"), raster[None], Quantisation("channel", "truncate"))
+    assert code == 0
+    assert found["first"] == json.loads(json.dumps(wanted.as_json()["first"]))
+    assert "a scale for each channel, rounding 'truncate'" in found["quantisation"]
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_tables_are_printed_for_people_and_as_markdown(command, raster):
+    _, out, _ = command("drift", "p.nir", "--input", "raster.npy")
+    assert "Which rounding costs what" in out
+    assert "Dead and saturated" not in out
+    _, out, _ = command("drift", "p.nir", "--input", "raster.npy", "--markdown")
+    assert "| layer | neurons | rate, float |" in out
+    assert "| n2 | 16 |" in out
+
+
+def test_a_dead_layer_is_named_and_calibration_wakes_it(command, tmp_path):
+    save(crowd(), tmp_path / "crowd.nir")
+    np.save(tmp_path / "all.npy", np.ones((6, 600), np.uint8))
+    words = ("drift", "crowd.nir", "--input", "all.npy", "--json")
+    (finding,) = json.loads(command(*words)[1])["findings"]
+    assert (finding["layer"], finding["health"], finding["cause"]) == ("n2", "dead", "states")
+    found = json.loads(command(*words, "--calibrate")[1])
+    assert (found["layers"][0]["saturations"], found["first"]) == (0, None)
+    assert found["calibrated"] == "all.npy"
+    found = json.loads(command(*words, "--headroom", "proven")[1])
+    assert (found["layers"][0]["saturations"], found["first"]) == (0, None)
+
+
+def test_calibration_and_measurement_are_on_different_inferences(command, stroll):
+    words = ("drift", "stroll/popsan", "--steps", 9, "--tune", "--json")
+    found = json.loads(command(*words)[1])
+    assert found["calibrated"].endswith("seed 10000, 5 of them")
+    assert found["inputs"].endswith("seed 10000, 4 of them")
+    assert found["inferences"] == 4
+
+
+def test_spikes_can_be_drawn_for_a_file_without_a_codec(command, tmp_path):
+    save(crowd(), tmp_path / "crowd.nir")
+    words = ("drift", "crowd.nir", "--random", 0.1, "--steps", 30, "--json")
+    found = json.loads(command(*words)[1])
+    assert found["timesteps"] == 30
+    assert found["inputs"] == "spikes drawn at a rate of 0.1, seed 10000"
+    inputs = at_random(crowd(), 0.1, 30, 1)
+    assert 0.08 < inputs.raster.mean() < 0.12
+
+
+def test_without_codec_and_raster_it_says_what_to_give(command, tmp_path):
+    save(crowd(), tmp_path / "crowd.nir")
+    code, _, err = command("drift", "crowd.nir")
+    assert code == 1
+    assert "crowd.nir has no codec" in err
+    assert "--input" in err
+
+
+def test_a_file_that_is_not_there_is_one_line(command):
+    code, _, err = command("drift", "nowhere.nir")
+    assert (code, err) == (1, "error: nowhere.nir: there is no such file. Check the path.\n")
+
+
+def test_emulate_takes_the_same_quantisation(command, raster):
+    outputs = {}
+    for options in ((), ("--quantise", "channel"), ("--rounding", "truncate")):
+        words = ("emulate", "p.nir", "--input", "raster.npy", "--chip", "loihi1", "-o", "o.npz")
+        assert command(*words, *options)[0] == 0
+        with np.load(Path("o.npz")) as found:
+            outputs[options] = found["n2"]
+    assert (outputs["--quantise", "channel"] != outputs[()]).any()
+    assert (outputs["--rounding", "truncate"] != outputs[()]).any()
+
+
+def test_kept_states_are_heard_from_the_first_step_on(stroll):
+    candidate = find("stroll/popsan")
+    artifact = load(candidate.path, state="kept")
+    all_of_them = observed(load(candidate.path), candidate, None, [10_000], 1000)
+    first = observed(artifact, candidate, None, [10_000], 3)
+    np.testing.assert_array_equal(first.raster, all_of_them.raster[:3])
+
+
+def test_run_and_compare_take_the_same_quantisation_and_report_it(command, stroll):
+    words = ("run", "stroll/popsan", "--json")
+    plain, channel = (json.loads(command(*words, *o)[1]) for o in ((), ("--quantise", "channel")))
+    assert plain["rows"][0]["returns"] != channel["rows"][0]["returns"]
+    assert "on chips" not in plain["conventions"]["popsan"]
+    said = channel["conventions"]["popsan"]
+    assert said.endswith(
+        "; on chips a scale for each channel, the chip's own rounding, headroom 'none'"
+    )
+    words = ("compare", "stroll", "stroll/popsan", "--episodes", 1, "--workers", 1, "--json")
+    found = json.loads(command(*words, "--quantise", "channel")[1])
+    (on_chip,) = [row for row in found["rows"] if row["chip"] == "loihi1"]
+    assert on_chip["returns"] == channel["rows"][0]["returns"]
+    assert found["conventions"]["popsan"] == said
+
+
+def test_few_thresholds_are_asked_for_with_scales_of_neurons(command, raster):
+    words = ("drift", "p.nir", "--input", "raster.npy", "--thresholds", 4, "--json")
+    found = json.loads(command(*words, "--quantise", "channel")[1])
+    assert "a scale for each channel with at most 4 thresholds" in found["quantisation"]
+    code, _, err = command(*words)
+    assert code == 1
+    assert "needs a scale for each 'channel'" in err

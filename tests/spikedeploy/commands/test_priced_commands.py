@@ -1,0 +1,84 @@
+"""What the commands measure and price: NeuroBench's numbers, memory, energies by chosen tables."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import save
+from tests import strolling
+from tests.networks import popsan
+from tests.paths import ROOT
+
+
+@pytest.fixture
+def emulate(tmp_path):
+    """The words that play a raster into a small network on Loihi."""
+    save(popsan(), tmp_path / "p.nir")
+    raster = (np.random.default_rng(0).random((5, 30)) < 0.3).astype(np.uint8)
+    np.save(tmp_path / "raster.npy", raster)
+    words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "raster.npy", "--chip", "loihi1")
+    return (*words, "-o", tmp_path / "out.npz")
+
+
+def test_emulate_measures_what_neurobench_does_and_counts_by_layer(command, emulate):
+    found = json.loads(command(*emulate, "--json")[1])
+    measures = found["neurobench"]
+    assert measures["SynapticOperations"]["Effective_MACs"] == 0
+    assert measures["SynapticOperations"]["Effective_ACs"] >= found["sops"]
+    assert found["memory"]["n2"]["weight_reads"] > 0
+    assert sum(layer["sop"] for layer in found["events"].values()) == found["sops"]
+    assert found["latency_s"].keys() == {"davies2018", "sanafe"}
+    assert found["static_energy_j"]["sanafe"] == pytest.approx(0.104 * found["latency_s"]["sanafe"])
+    out = command(*emulate)[1]
+    for name in ("Effective_ACs", "ConnectionSparsity", "MembraneUpdates", "Footprint_packed"):
+        assert name in out
+
+
+def test_emulate_prices_by_the_tables_that_are_named(command, emulate):
+    words = (*emulate, "--energy", "odin", "--energy", "spinnaker2")
+    found = json.loads(command(*words, "--json")[1])
+    assert found["energy_j"].keys() == {"odin", "spinnaker2"}
+    low, high = found["energy_interval_j"]["odin"]
+    assert (low, high) == pytest.approx([found["energy_j"]["odin"] * x / 12.7 for x in (8.43, 54)])
+    assert "J to " in command(*words)[1]
+    code, _, err = command(*words, "--energy", "odinn")
+    assert code == 1
+    assert "did you mean 'odin'" in err
+
+
+def test_the_energy_tables_are_listed_with_their_sources(command):
+    found = json.loads(command("energy", "--json")[1])
+    by_name = {table["name"]: table for table in found["tables"]}
+    assert "pre-silicon" in by_name["davies2018"]["provenance"]
+    assert by_name["sanafe"]["uncertainty"]["is"] == "± 11.7 %"
+    assert [power["watts"] for power in found["static"]] == [0.104]
+    out = command("energy")[1]
+    assert "truenorth" in out
+    assert "450 to 1500" in out
+
+
+def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    (row,) = json.loads(command("run", "stroll/popsan", "--energy", "reckon", "--json")[1])["rows"]
+    # 5.3 pJ a synaptic operation, those of the biases included
+    sops = row["sops_per_inference"] + row["bias_sops_per_inference"]
+    assert row["energy_per_inference_j"] == {"reckon": pytest.approx(sops * 5.3e-12)}
+
+
+def test_compare_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    words = ("compare", "stroll", "--episodes", 2, "--workers", 1, "--energy", "spinnaker2")
+    rows = json.loads(command(*words, "--json")[1])["rows"]
+    spiking = [row for row in rows if row["chip"] == "loihi1"]
+    assert all(row["energy_per_inference_j"].keys() == {"spinnaker2"} for row in spiking)
+    assert all(row["energy_per_inference_j"] == {} for row in rows if row["kind"] == "ann")
+    low, high = spiking[0]["energy_interval_j"]["spinnaker2"]
+    assert low < high < 4 * low
+
+
+def test_the_page_about_energy_shows_what_the_command_prints(command):
+    page = (ROOT / "docs/energy.md").read_text(encoding="utf-8")
+    assert command("energy", "--markdown")[1].strip() in page

@@ -1,0 +1,110 @@
+"""Xylo from the command line: the same commands as for any chip."""
+
+import html
+import json
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import save
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.emulator.machine import Machine
+from tests import strolling
+from tests.networks import popsan
+from tests.xylo_networks import network
+
+CHIPS = ["xylo-a2", "xylo-a3", "xylo-imu"]
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A network that says nothing of its convention, and spikes for it."""
+    artifact = network(np.random.default_rng(1), [16, 20, 8], ["cuba"] * 2, loops={1})
+    nir.write(tmp_path / "net.nir", artifact.graph)
+    raster = (np.random.default_rng(0).random((60, 16)) < 0.2).astype(np.uint8)
+    np.save(tmp_path / "spikes.npy", raster)
+    return tmp_path / "net.nir", tmp_path / "spikes.npy", artifact, raster
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_emulate_plays_a_foreign_network(name, files, command, tmp_path):
+    net, spikes, artifact, raster = files
+    words = ("emulate", net, "--chip", name, "--reset", "subtract", "--input", spikes)
+    code, out, err = command(*words, "-o", tmp_path / "out.npz", "--json")
+    assert code == 0, err
+    machine = Machine(compile_program(artifact, chip(name)), trace=True)
+    expected = machine.infer(raster[None])[0]
+    with np.load(tmp_path / "out.npz") as found:
+        np.testing.assert_array_equal(found["output"], expected)
+        np.testing.assert_array_equal(found["l1"], machine.recordings["l1"].spikes[0])
+    document = json.loads(out)
+    assert document["sops"] == machine.ledger.total("sop")
+    assert any("up to 31 times in a timestep" in remark for remark in document["remarks"])
+
+
+def test_emulate_prints_what_the_chip_does_otherwise(files, command, tmp_path):
+    net, spikes, *_ = files
+    words = ("emulate", net, "--chip", "xylo-a2", "--reset", "subtract", "--input", spikes)
+    _, out, _ = command(*words, "-o", tmp_path / "out.npz")
+    assert "a power of two" in out
+
+
+def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
+    net, spikes, *_ = files
+    words = ("emulate", net, "--chip", "xylo-a2", "--input", spikes, "-o", tmp_path / "out.npz")
+    code, _, err = command(*words)
+    assert code == 1
+    assert "reset 'zero': a spike on xylo-a2 can only do 'subtract'" in err
+
+
+def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path):
+    strolling.install(monkeypatch)
+    policy = popsan()
+    convention = replace(policy.convention, reset="subtract")
+    save(replace(policy, convention=convention, origin=strolling.ORIGIN), tmp_path / "policy.nir")
+    words = (tmp_path / "policy.nir", "--chip", "xylo-a2", "--env", "stroll", "--json")
+    code, _, err = command("run", *words)
+    assert code == 1
+    assert "rule inputs: the network has 30 inputs; xylo-a2 has at most 16" in err
+    code, out, err = command("run", *words, "--limits", "off")
+    assert code == 0, err
+    (row,) = json.loads(out)["rows"]
+    assert row["chip"] == "xylo-a2"
+    assert row["sops_per_inference"] > 0
+    assert row["sparsity"] is None  # neurons of Xylo spike several times in a timestep
+
+
+def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch, tmp_path):
+    shipped = strolling.ship(monkeypatch, tmp_path / "zoo")
+    policy = popsan(obs=3, act=2, hidden=(16, 12))
+    convention = replace(policy.convention, reset="subtract")
+    file = shipped / "popsan.nir"
+    save(replace(policy, convention=convention, origin=strolling.ORIGIN), file)
+    asked = ("stroll", file, "--chips", "xylo-a2,ideal", "--episodes", "1", "--seed", "10000")
+    asked += ("--workers", "1", "--limits", "off")
+    code, out, err = command("compare", *asked, "-o", tmp_path / "out")
+    assert code == 0, err
+    document = json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
+    ((label, remarks),) = document["remarks"].items()
+    assert label == "popsan · xylo-a2, limits off"
+    assert any("up to 31 times in a timestep" in remark for remark in remarks)
+    texts = [(tmp_path / "out" / f"report.{kind}").read_text("utf-8") for kind in ("md", "html")]
+    for text in (" ".join(out.split()), *map(html.unescape, texts)):
+        assert all(label in text and remark in text for remark in remarks)
+
+
+def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):
+    net, spikes, artifact, raster = files
+    words = ("emulate", net, "--reset", "subtract", "--input", spikes, "-o", tmp_path / "out.npz")
+    code, _, err = command(*words, "--chip", "xylo-a2", "--weight-shift", "4")
+    assert code == 0, err
+    program = compile_program(artifact, chip("xylo-a2"), Quantisation(weight_shift=4))
+    with np.load(tmp_path / "out.npz") as found:
+        np.testing.assert_array_equal(found["output"], Machine(program).infer(raster[None])[0])
+    code, _, err = command(*words, "--chip", "int", "--weight-shift", "4")
+    assert code == 1
+    assert "weight_shift is 4: int has no shift" in err

@@ -1,0 +1,170 @@
+"""Comparisons of karts: finishes, laps, crashes, choices that are equal or not."""
+
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.comparison.agreement import (
+    Agreement,
+    agreement,
+    first_divergence,
+    pooled_equality,
+    pooled_rmse,
+)
+from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.lineup import Entry, line_up
+from spikedeploy.comparison.metrics import measure
+from spikedeploy.comparison.summary import meaning
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.make_env import made, parsed
+from spikedeploy.policies.policies import find, open_policy
+from spikedeploy.reports import report
+from spikedeploy.reports.columns import tables
+from spikedeploy.run import run
+from spikedeploy.runtime.errors import ConfigError
+from tests import racing
+
+SEEDS = range(10_000, 10_004)
+
+
+@pytest.fixture(autouse=True)
+def _race(monkeypatch):
+    racing.install(monkeypatch)
+
+
+class Quadrants:
+    """Chooses right, save every so many steps."""
+
+    def __init__(self, wrong_every):
+        self.wrong_every = wrong_every
+
+    def reset(self, seed):
+        self.step = 0
+
+    def act(self, observation):
+        return self.replay(observation[None])[0]
+
+    def replay(self, observations):
+        steps = 1 + np.arange(len(observations))
+        right = (observations[:, 0] > 0) + 2 * (observations[:, 1] > 0)
+        return np.where(steps % self.wrong_every == 0, (right + 1) % 4, right)
+
+
+def played(actions, seed=0, observations=None):
+    count = len(actions)
+    seen = np.zeros((count + 1, 2)) if observations is None else observations
+    return Rollout("x", seed, seen, np.array(actions), np.zeros(count), True, False, {})
+
+
+def row(policy, kind, chip=None, rate=1.0, **changes):
+    plain = {
+        "policy": policy, "kind": kind, "chip": chip, "success_rate": rate, "gates": 8.0,
+        "reference": "x", "success_difference_mean": -0.01,
+        "success_difference_ci95": (-0.03, 0.0), "episodes": 100,
+    }  # fmt: skip
+    return {**plain, **changes}
+
+
+def test_random_players_draw_by_the_seed_of_the_episode():
+    world = envs.make("race")
+    player = open_policy(find("random"), None, world)
+    found = []
+    for seed in (1, 1, 2):
+        player.reset(seed)
+        found.append([int(player.act(np.zeros(2))) for _ in range(200)])
+    assert found[0] == found[1] != found[2]
+    assert set(found[0]) == {0, 1, 2, 3}
+
+
+def test_the_gait_is_for_robots_whose_actions_are_numbers():
+    with pytest.raises(ConfigError, match="the gait is for robots"):
+        open_policy(find("gait"), None, envs.make("race"))
+
+
+def test_a_line_up_shows_the_players_that_the_environment_names(monkeypatch):
+    monkeypatch.setattr("spikedeploy.zoo.policies", lambda env=None: [])
+    assert [entry.label for entry in line_up("race", ["random"], ())] == ["random"]
+
+
+def test_rows_of_karts_tell_of_finishes_laps_and_crashes():
+    rows = compare("race", [Entry(find("random"))], SEEDS, processes=1).as_json()
+    assert rows[0]["success_rate"] + rows[0]["crashes"] == 1
+    assert rows[0]["speed"] == 400
+    assert "heading_error" not in rows[0]
+    assert "lap_time" not in rows[0]  # by luck alone, none of four finishes
+    titles = list(tables(rows))
+    assert titles[0] == "Does the kart still finish?"
+    heads = [column.title for column in tables(rows)[titles[0]]]
+    assert heads[:3] == ["policy", "finished", "crashes"]
+    assert "CoT" not in heads
+
+
+def test_a_lap_is_timed_only_where_it_is_finished():
+    infos = {
+        "gates": np.array([0.0, 1.0]), "lap_time": np.array([0.1, 0.2]),
+        "crash": np.array([0.0, 0.0]), "stalled": np.zeros(2), "speed": np.array([1.0, 3.0]),
+    }  # fmt: skip
+    assert "lap_time" not in measure({**infos, "finish": np.zeros(2)})
+    found = measure({**infos, "finish": np.array([0.0, 1.0])})
+    assert found == {"lap_time": 0.2, "crashes": 0, "stalls": 0, "gates": 1, "speed": 2.0}
+
+
+def test_options_of_the_environment_reach_every_episode():
+    entry = Entry(find("random"))
+    lucky = compare("race", [entry], SEEDS, 1, {"luck": 9}).as_json()
+    assert lucky[0]["success_rate"] == 1
+    assert lucky[0]["lap_time"] == pytest.approx(10 / 60)
+    assert run("random", "race", None, SEEDS, options={"luck": 9}).as_json()[0]["crashes"] == 0
+
+
+def test_an_option_that_an_environment_does_not_have_is_one_clear_line():
+    with pytest.raises(ConfigError, match=r"race has no option 'wings'; the docstring of"):
+        made("race", {"wings": 2})
+    with pytest.raises(ConfigError, match="--set takes option=value"):
+        parsed(["track"])
+    with pytest.raises(ConfigError, match="'lidar' was given as a whole already"):
+        parsed(["lidar=3", "lidar.noise=2"])
+    assert parsed(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
+        "track": "small_S", "lidar": {"noise": 2, "count": 9}, "on": True,
+    }  # fmt: skip
+
+
+def test_choices_agree_or_they_do_not():
+    seen = np.random.default_rng(0).uniform(-1, 1, (11, 2))
+    right, sloppy = Quadrants(99), Quadrants(5)
+    theirs, ours = right.replay(seen[:-1]), sloppy.replay(seen[:-1])
+    found = agreement(sloppy, played(ours), played(theirs, observations=seen))
+    assert (found.equal, found.actions, found.first_divergence) == (8, 10, 4)
+    assert pooled_equality([found, Agreement(0.0, 10, None, equal=10)]) == 0.9
+    assert pooled_rmse([found]) is None
+    assert pooled_equality([Agreement(0.0, 10, None)]) is None
+
+
+def test_choices_diverge_where_they_first_differ():
+    assert first_divergence(np.array([1, 2, 3]), np.array([1, 2, 0])) == 2
+    assert first_divergence(np.array([1, 2]), np.array([1, 2, 0])) == 2
+    assert first_divergence(np.array([1, 2]), np.array([1, 2])) is None
+
+
+def test_the_sentence_says_what_finishes_on_the_chip_and_without_a_network():
+    rows = [
+        row("ann", "ann", rate=0.99, reference=None),
+        row("snn", "snn", "float", 0.98),
+        row("snn", "snn", "loihi1", 0.97),
+        row("random", "random", rate=0.0),
+        row("gap", "control", rate=0.6),
+    ]
+    assert meaning(rows) == (
+        "snn on loihi1 finishes 97% of 100 episodes (-1.0 points to its float twin, 95% interval "
+        "-3.0 to +0.0). The float ANN finishes 99%, the controls random 0%, gap 60%: so the rest "
+        "is what the network is worth."
+    )
+    enough = meaning([rows[0], row("gap", "control", rate=0.95)])
+    assert enough.endswith("gap 95%: so on this track alone gap is enough.")
+
+
+def test_the_report_of_a_race_is_whole(tmp_path):
+    document = report.document(compare("race", [Entry(find("random"))], SEEDS, processes=1))
+    files = report.write(document, tmp_path)
+    assert all(file.is_file() for file in files)
+    assert "Does the kart still finish?" in files[2].read_text()

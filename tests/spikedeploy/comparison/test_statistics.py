@@ -1,0 +1,84 @@
+"""The statistics of a comparison, against values worked out by hand."""
+
+import numpy as np
+import pytest
+
+from spikedeploy.comparison.statistics import (
+    bootstrap,
+    iqm,
+    paired_difference,
+    ratio_of_medians,
+    share,
+)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+def test_iqm_drops_the_lowest_and_the_highest_quarter():
+    # eight values: two dropped at each end, mean of 3, 4, 5, 6
+    assert iqm([8, 1, 3, 4, 100, 6, 5, -50]) == pytest.approx((3 + 4 + 5 + 6) / 4)
+
+
+def test_iqm_of_fewer_than_four_values_is_their_mean():
+    assert iqm([1, 2, 6]) == 3
+
+
+def test_one_fall_moves_the_mean_but_not_the_iqm():
+    returns = [3400.0] * 19 + [100.0]
+    assert iqm(returns) == 3400
+    assert np.mean(returns) < 3400
+
+
+def test_the_interval_of_equal_values_is_a_point(rng):
+    estimate = bootstrap([5.0] * 6, rng)
+    assert estimate.mean == 5
+    assert estimate.ci95 == (5, 5)
+
+
+def test_the_interval_covers_the_true_mean_about_95_times_in_100(rng):
+    hits = 0
+    for _ in range(200):
+        low, high = bootstrap(rng.normal(3, 2, size=60), rng).ci95
+        hits += low <= 3 <= high
+    assert 176 <= hits <= 200  # 95 % of 200, four standard deviations either way
+
+
+def test_the_same_seed_gives_the_same_interval():
+    values = np.arange(10.0)
+    first, second = (bootstrap(values, np.random.default_rng(1)) for _ in range(2))
+    assert first == second
+
+
+def test_pairing_removes_what_the_seeds_share(rng):
+    luck = rng.normal(0, 100, size=50)
+    better = paired_difference(luck + 5, luck, rng)
+    assert better.mean == pytest.approx(5)
+    assert better.ci95 == pytest.approx((5, 5))
+
+
+def test_pairs_of_unequal_number_are_refused(rng):
+    with pytest.raises(ValueError, match=r"\(3,\) and \(2,\)"):
+        paired_difference([1, 2, 3], [1, 2], rng)
+
+
+def test_the_interval_of_a_share_is_wilsons():
+    # Wilson 1927 for 81 of 263, as Newcombe 1998, Table I has it
+    estimate = share([True] * 81 + [False] * 182)
+    assert estimate.mean == 81 / 263
+    assert estimate.ci95 == (pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4))
+
+
+def test_successes_alone_do_not_make_a_share_certain():
+    low, high = share([True] * 100).ci95
+    assert low == pytest.approx(0.963, abs=1e-3)
+    assert high == 1
+
+
+def test_a_ratio_of_medians_is_that_of_the_middle_values(rng):
+    estimate = ratio_of_medians([2, 100, 1], [4, 5, 3], rng)
+    assert estimate.mean == 2 / 4
+    assert estimate.ci95[0] == 1 / 5
+    assert estimate.ci95[1] == 100 / 3

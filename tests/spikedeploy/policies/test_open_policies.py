@@ -1,0 +1,149 @@
+"""The registry: one way to open files, run folders, shipped names and the gait."""
+
+from importlib import import_module
+
+import gymnasium
+import numpy as np
+import pytest
+
+from spikedeploy import envs, zoo
+from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.policies.policies import FORMATS, Candidate, find, open_policy
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from tests import strolling
+
+
+@pytest.fixture
+def world(monkeypatch):
+    strolling.install(monkeypatch)
+    return envs.make("stroll")
+
+
+def write(kind, folder):
+    makers = {
+        ".onnx": lambda: strolling.ann(folder / "sac.onnx"),
+        ".nir": lambda: strolling.snn(folder / "popsan.nir"),
+        "run": lambda: strolling.run_folder(folder, MlpConfig(hidden=(8,))),
+        "gait": lambda: "gait",
+        "random": lambda: "random",
+    }
+    return str(makers[kind]())
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind != "gap"])  # test_gap.py
+def test_every_format_opens_acts_replays_and_is_priced(kind, world, tmp_path):
+    candidate = find(write(kind, tmp_path))
+    chip = "loihi1" if candidate.kind == "snn" else None
+    player = open_policy(candidate, chip, world)
+    observations = np.random.default_rng(0).normal(size=(4, 3))
+    player.reset(10_000)
+    acted = np.stack([player.act(observation) for observation in observations])
+    assert acted.shape == (4, 2)
+    assert np.abs(acted).max() <= 1
+    player.reset(10_000)
+    np.testing.assert_allclose(player.replay(observations), acted, atol=1e-6)
+    assert set(dir(import_module(FORMATS[kind]))) >= {"describe", "controller", "costs"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "expected"),
+    [
+        (".onnx", "sac", "ann"),
+        (".nir", "popsan", "snn"),
+        ("gait", "gait", "gait"),
+        ("random", "random", "random"),
+    ],
+)
+def test_a_candidate_says_what_it_is(kind, name, expected, world, tmp_path):
+    candidate = find(write(kind, tmp_path))
+    assert (candidate.name, candidate.kind) == (name, expected)
+    if kind.startswith("."):
+        assert (candidate.env, candidate.observed, candidate.actions) == (strolling.ID, 3, 2)
+
+
+def test_run_folders_are_ann_or_snn_by_their_policy(world, tmp_path):
+    assert find(str(strolling.run_folder(tmp_path, MlpConfig(hidden=(4,))))).kind == "ann"
+    spiking = find(str(strolling.run_folder(tmp_path, PopsanConfig(hidden=(4,), populations=2))))
+    assert spiking.kind == "snn"
+    assert open_policy(spiking, "float", world).act(np.zeros(3)).shape == (2,)
+    with pytest.raises(ConfigError, match="export it first: spikedeploy export"):
+        open_policy(spiking, "loihi1", world)
+
+
+def test_shipped_policies_go_by_short_names(world, monkeypatch, tmp_path):
+    (tmp_path / "stroll").mkdir()
+    path = strolling.ann(tmp_path / "stroll/sac.onnx")
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
+    assert find("stroll/sac").path == find("stroll/sac.onnx").path == str(path)
+    with pytest.raises(ConfigError, match=r"'stroll/sax'.*did you mean 'stroll/sac'\?"):
+        find("stroll/sax")
+
+
+def test_a_policy_for_another_environment_is_one_clear_line(world, tmp_path):
+    candidate = find(str(strolling.snn(tmp_path / "p.nir", env="spikedeploy/Hexapod-v0")))
+    with pytest.raises(
+        ConfigError, match=r"p.nir was made for spikedeploy/Hexapod-v0, not for test"
+    ):
+        open_policy(candidate, "float", world)
+
+
+def test_a_policy_that_observes_another_number_is_one_clear_line(world):
+    odd = Candidate("x.onnx", "x", "ann", ".onnx", observed=5, actions=2)
+    with pytest.raises(ConfigError, match=r"x.onnx observes 5 numbers; test/Stroll-v0 has 3"):
+        open_policy(odd, None, world)
+
+
+def test_a_chip_is_for_what_spikes_and_what_spikes_needs_one(world, tmp_path):
+    with pytest.raises(ConfigError, match="does not spike"):
+        open_policy(find(write(".onnx", tmp_path)), "loihi1", world)
+    with pytest.raises(ConfigError, match="name a chip, or 'float'"):
+        open_policy(find(write(".nir", tmp_path)), None, world)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("kind", [".onnx", ".nir"])
+def test_an_observation_that_is_no_number_is_refused(bad, kind, world, tmp_path):
+    candidate = find(write(kind, tmp_path))
+    player = open_policy(candidate, "loihi1" if kind == ".nir" else None, world)
+    with pytest.raises(ObservationError, match="finite"):
+        player.act(np.array([0.0, bad, 0.0]))
+
+
+def test_an_observation_of_the_wrong_size_is_refused(tmp_path):
+    player = OnnxController(strolling.ann(tmp_path / "p.onnx"))
+    with pytest.raises(ObservationError, match="observes 3 numbers"):
+        player.act(np.zeros(4))
+
+
+def test_a_broken_onnx_file_is_refused(tmp_path):
+    path = tmp_path / "broken.onnx"
+    path.write_bytes(b"not a model")
+    with pytest.raises(ArtifactError, match=r"broken.onnx is not an ONNX file"):
+        find(str(path))
+
+
+def test_a_nir_file_without_codec_is_sent_to_emulate(tmp_path):
+    path = strolling.snn(tmp_path / "p.nir")
+    artifact = load(path)
+    bare = type(artifact)(artifact.graph, None, artifact.convention)
+    save(bare, tmp_path / "bare.nir")
+    with pytest.raises(ArtifactError, match=r"has no codec.*spikedeploy emulate"):
+        find(str(tmp_path / "bare.nir"))
+
+
+def test_an_unknown_suffix_is_refused(tmp_path):
+    (tmp_path / "policy.pt").write_bytes(b"")
+    with pytest.raises(ConfigError, match=r"neither .onnx, .nir nor a run folder"):
+        find(str(tmp_path / "policy.pt"))
+
+
+def test_onnx_runs_on_one_thread(tmp_path):
+    options = OnnxController(strolling.ann(tmp_path / "p.onnx"))._session.get_session_options()
+    assert options.intra_op_num_threads == 1
+
+
+def test_the_gait_fits_any_environment(world):
+    assert open_policy(find("gait"), None, world).act(np.zeros(3)).tolist() == [0, 0]
+    assert isinstance(world, gymnasium.Env)

@@ -1,0 +1,42 @@
+"""The table of chips in the documentation is what the command prints."""
+
+from pathlib import Path
+
+import pytest
+
+from spikedeploy.reports.datasheets import COLUMNS, markdown, rows
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from tests.paths import ROOT
+
+PAGE = ROOT / "docs" / "chips.md"
+
+
+def test_the_documentation_has_the_table_that_the_command_prints(command):
+    code, out, err = command("chips", "--markdown")
+    assert (code, err) == (0, "")
+    assert out == markdown([chip(name) for name in CHIPS])
+    assert f"\n\n{out}\n" in PAGE.read_text("utf-8")
+
+
+@pytest.mark.parametrize("name", sorted(CHIPS))
+def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
+    row = dict(zip(COLUMNS, rows([chip(name)])[0], strict=True))
+    assert row["compared with"] == chip(name).evidence
+    assert all(row.values())
+    assert name in command("chips")[1]
+
+
+@pytest.mark.parametrize(
+    ("used", "weights", "membrane"),
+    [
+        (chip("loihi1"), "8 bits and sign", "24 bits, clips"),
+        (chip("loihi1:weight_bits=4,sign_mode=mixed"), "4 bits with the sign", "24 bits, clips"),
+        (chip("int:membrane=12-wrap"), "8 bits with the sign, free", "12 bits, wraps, free"),
+        (chip("odin"), "3 bits and the axon's sign", "8 bits unsigned, saturates"),
+        (chip("truenorth"), "9 bits with the sign, 4 a neuron", "20 bits, saturates"),
+        (chip("spinnaker2"), "8 bits with the sign", "float32"),
+    ],
+)
+def test_a_row_says_what_the_datasheet_says(used, weights, membrane):
+    row = dict(zip(COLUMNS, rows([used])[0], strict=True))
+    assert (row["weights"], row["membrane"]) == (weights, membrane)

@@ -1,0 +1,159 @@
+"""The report: data and a page that say the same, and a sentence that is true."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.summary import meaning
+from spikedeploy.reports import report
+from spikedeploy.reports.columns import ABSENT, price, scaled, tables
+from spikedeploy.reports.terminal import print_comparison
+from tests import strolling
+
+
+@pytest.fixture
+def document(monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    entries = line_up("stroll", (), ("loihi1",))
+    return report.document(compare("stroll", entries, range(10_000, 10_003), processes=1))
+
+
+class Links(HTMLParser):
+    """Every src and href of a page."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.found = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for key, value in attrs if key in ("src", "href")]
+
+
+def row(policy, kind, chip=None, ratio=1.0, **changes):
+    """A row as `meaning` reads it."""
+    plain = {
+        "policy": policy, "kind": kind, "chip": chip, "return_mean": 3000 * ratio,
+        "ratio_to_float_ann": ratio, "ratio_to_reference": 0.99, "reference": "x",
+        "difference_mean": -20.4, "difference_ci95": (-40.0, 1.0), "success_rate": 1.0,
+        "episodes": 4,
+    }  # fmt: skip
+    return {**plain, **changes}
+
+
+def test_the_report_is_whole_and_stands_alone(document, tmp_path):
+    (tmp_path / "film.mp4").write_bytes(b"film")
+    files = report.write(document, tmp_path / "out", tmp_path / "film.mp4")
+    page = files[0].read_text(encoding="utf-8")
+    assert all(file.is_file() for file in files)
+    assert len(Links(page).found) == 3  # two plots and the film
+    assert all(link.startswith("data:") for link in Links(page).found)
+    assert json.loads((tmp_path / "out/report.json").read_text())["rows"][0]["policy"] == "sac"
+
+
+def test_every_report_says_how_each_network_is_stepped(document, tmp_path, capsys):
+    report.write(document, tmp_path)
+    print_comparison(document)
+    printed = capsys.readouterr().out
+    assert document["conventions"]
+    for name, convention in document["conventions"].items():
+        assert convention.startswith("dt=0.001 s, reset=zero")
+        for file in ("report.html", "report.md", "report.json"):
+            assert convention in (tmp_path / file).read_text(encoding="utf-8")
+        assert f"{name} is stepped with {convention}" in " ".join(printed.split())
+
+
+def test_the_page_holds_every_cell_of_every_table(document, tmp_path):
+    page = report.write(document, tmp_path)[0].read_text(encoding="utf-8")
+    rows = document["rows"]
+    for columns in tables(rows).values():
+        for column in columns:
+            for each in rows:
+                assert f">{column.cell(each)}<" in page
+
+
+def test_the_page_escapes_what_files_are_called(document, tmp_path):
+    document["rows"][0]["policy"] = "<script>alert(1)</script>"
+    page = report.write(document, tmp_path)[0].read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_the_report_names_conventions_and_sources(document):
+    assert document["conventions"]["popsan"].startswith("dt=0.001 s, reset=zero")
+    assert "pre-silicon" in document["energy_tables"]["davies2018"]
+    used = {name for r in document["rows"] for name in r["energy_per_inference_j"]}
+    assert set(document["energy_tables"]) == used
+
+
+def test_numbers_that_json_lacks_become_null(document, tmp_path):
+    document["rows"][0]["return_mean"] = float("nan")
+    report.write({**document, "extra": float("inf")}, tmp_path)
+    text = (tmp_path / "report.json").read_text()
+    assert not re.search(r"NaN|Infinity", text)
+    assert json.loads(text)["extra"] is None
+
+
+def test_the_sentence_says_what_the_chip_keeps():
+    found = meaning([row("sac", "ann"), row("popsan", "snn", "loihi1", 0.985)])
+    assert found.startswith(
+        "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's "
+        "(-20 to the twin, 95% interval -40 to +1) and succeeds in all of 4 episodes."
+    )
+
+
+@pytest.mark.parametrize(
+    ("control", "verdict"),
+    [(0.97, "not shown to be needed"), (0.6, "the rest is what the network is worth")],
+)
+def test_the_sentence_doubts_a_network_that_a_control_equals(control, verdict):
+    found = meaning([row("gait", "gait", ratio=0.5), row("linear", "control", ratio=control)])
+    assert found.startswith("The gait alone earns 50.0% of the float ANN's return")
+    assert f"the best control (linear) {control:.1%}" in found
+    assert verdict in found
+
+
+def test_a_policy_alone_needs_no_sentence():
+    alone = row("popsan", "snn", "loihi1", reference=None, ratio_to_float_ann=None)
+    assert meaning([alone]) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.3e-5, "13.00 µ"),
+        (2e-7, "0.20 µ"),
+        (1.7e-8, "17.00 n"),
+        (0.0019, "1.90 m"),
+        (0.0, "0.00 n"),
+    ],
+)
+def test_prices_are_readable_at_any_size(value, text):
+    assert scaled(value) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (2e-6, None, "≥ 2.00 µJ"),
+        (2e-6, float("inf"), "≥ 2.00 µJ"),
+        (0.0, None, "2.00 µJ"),
+        (2e-6, 2e-6, "2.00 µJ"),
+        (1.8e-6, 2.2e-6, "2.00 µJ ± 10 %"),
+        (0.0, 2.5e-6, "≤ 2.50 µJ"),
+        (1e-6, 8e-6, "1.00 µJ to 8.00 µJ"),
+    ],
+)
+def test_a_price_is_printed_with_what_is_known_of_it(low, high, text):
+    row = {"j": {"table": 2e-6}, "interval": {"table": [low, high]}}
+    assert price("j", "table", "J", "interval")(row) == text
+
+
+def test_a_price_of_a_report_from_before_is_printed_as_it_is():
+    row = {"j": {"table": 2e-6}}
+    assert price("j", "table", "J", "interval")(row) == "2.00 µJ"
+    assert price("j", "other", "J", "interval")(row) == ABSENT

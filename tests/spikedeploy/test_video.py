@@ -1,0 +1,103 @@
+"""Films: complete or not there, and one pair of frames for each moment."""
+
+import av
+import numpy as np
+import pytest
+
+from spikedeploy import demo
+from spikedeploy.comparison.lineup import line_up
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.run import run
+from spikedeploy.video import Pace, captioned, mp4, side_by_side
+from tests import strolling
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    strolling.ship(monkeypatch, tmp_path / "zoo")
+    return tmp_path
+
+
+def frames(path):
+    with av.open(str(path)) as file:
+        return [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+
+
+def test_a_film_has_every_frame_at_an_even_size(tmp_path):
+    with mp4(tmp_path / "new/film.mp4", fps=25) as write:
+        for level in range(0, 250, 10):
+            write(np.full((49, 65, 3), level, np.uint8))
+    found = frames(tmp_path / "new/film.mp4")
+    assert len(found) == 25
+    assert found[0].shape == (48, 64, 3)
+    means = [frame.mean() for frame in found]
+    assert means == sorted(means)
+
+
+def test_a_film_that_breaks_off_leaves_no_file(tmp_path):
+    def break_off():
+        with mp4(tmp_path / "film.mp4", fps=25) as write:
+            write(np.zeros((48, 64, 3), np.uint8))
+            raise EnvError("the light went out")
+
+    with pytest.raises(EnvError, match="light"):
+        break_off()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_caption_covers_the_lower_edge_only():
+    frame = np.full((200, 300, 3), 255, np.uint8)
+    found = captioned(frame, "popsan · loihi1")
+    assert found.shape == frame.shape
+    assert (found[:180] == 255).all()
+    assert found[185:].min() < 50
+
+
+def test_frames_stand_side_by_side():
+    left, right = np.zeros((4, 5, 3), np.uint8), np.ones((4, 6, 3), np.uint8)
+    found = side_by_side(left, right)
+    assert found.shape == (4, 5 + 2 + 6, 3)
+    assert (found[:, :5] == 0).all()
+    assert (found[:, 7:] == 1).all()
+
+
+def test_run_films_the_first_episode_only(stroll):
+    run("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
+    assert len(frames(stroll / "film.mp4")) == 1 + 10  # the start, and every second of its 20 steps
+
+
+def test_the_demo_films_the_ann_beside_the_chip(stroll):
+    entries = line_up("stroll", (), ("loihi1",))
+    path = demo._film("stroll", entries, stroll / "film.mp4", seconds=5.0)
+    found = frames(path)
+    assert len(found) == 10  # 20 steps at 50 Hz, filmed at 25 Hz
+    assert found[0].shape == (48, 64 + 2 + 64, 3)
+
+
+def test_a_film_is_as_long_as_asked_for(stroll):
+    entries = line_up("stroll", (), ("loihi1",))
+    assert len(frames(demo._film("stroll", entries, stroll / "film.mp4", seconds=0.2))) == 5
+
+
+def test_who_ends_first_waits_on_its_last_frame():
+    left, right = ([np.full((2, 2, 3), k, np.uint8) for k in range(n)] for n in (2, 4))
+    found = [(a[0, 0, 0], b[0, 0, 0]) for a, b in demo._together(iter(left), iter(right))]
+    assert found == [(0, 0), (1, 1), (1, 2), (1, 3)]
+
+
+@pytest.mark.parametrize(("dt", "every", "fps"), [(0.02, 2, 25), (1 / 60, 2, 30), (0.1, 1, 10)])
+def test_a_film_runs_as_fast_as_its_world(dt, every, fps):
+    pace = Pace.of(dt)
+    assert (pace.every, pace.fps) == (every, pytest.approx(fps))
+
+
+def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys):
+    def dark(self):
+        raise EnvError("no OpenGL to draw with")
+
+    monkeypatch.setattr(strolling.Stroll, "render", dark)
+    assert (
+        demo._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4", 5.0) is None
+    )
+    assert "no film: no OpenGL to draw with\n" in capsys.readouterr().err
+    assert not (stroll / "film.mp4").exists()

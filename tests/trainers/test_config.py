@@ -1,0 +1,101 @@
+import pytest
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers import ALGORITHMS, RECIPES
+from spikedeploy.trainers.config import Ramp, SacConfig, differences, parse_override, resolve
+from spikedeploy.trainers.train import algorithm
+
+
+def test_the_defaults_are_the_table_of_the_seed():
+    config = resolve(SacConfig, "hexapod-sac")
+    assert (config.learning_rate, config.gamma, config.tau) == (3e-4, 0.99, 0.005)
+    assert (config.batch, config.buffer, config.warm_up) == (128, 1_000_000, 10_000)
+    assert (config.epsilon, config.temperature.start, config.steps) == (1e-6, 0.05, 500_000)
+    assert config.policy.hidden == config.critic_hidden == (512, 512)
+    assert config.support_force.at(150_000) == 0.0
+
+
+def test_popsan_defaults_are_the_table_of_the_seed():
+    policy = resolve(SacConfig, "hexapod-popsan").policy
+    assert (policy.populations, policy.timesteps) == (10, 5)
+    assert (policy.alpha, policy.beta, policy.threshold) == (0.9, 0.8, 0.5)
+    assert policy.surrogate == "atan"
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_every_recipe_resolves_and_survives_json(recipe):
+    model = algorithm(RECIPES[recipe].algorithm).Config
+    config = resolve(model, recipe, seed=3)
+    assert model.model_validate_json(config.model_dump_json()) == config
+    assert (config.recipe, config.seed) == (recipe, 3)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithm_names_its_metrics_and_its_configuration(name):
+    kind = algorithm(name)
+    recipe = next(recipe for recipe, entry in RECIPES.items() if entry.algorithm == name)
+    columns = kind.columns(resolve(kind.Config, recipe))
+    assert len(columns) == len(set(columns)) > 2
+
+
+def test_overrides_win_over_the_file_which_wins_over_the_recipe(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text("batch = 32\n[policy]\nhidden = [64]\n[env.options]\npushes = 0.5\n")
+    config = resolve(SacConfig, "hexapod-sac", file=file, overrides=["batch=16", "tau=0.01"])
+    assert (config.batch, config.tau, config.policy.hidden) == (16, 0.01, (64,))
+    assert config.env.options == {"pushes": 0.5}
+
+
+def test_part_of_a_ramp_can_be_set():
+    config = resolve(SacConfig, "hexapod-sac", overrides=["temperature.end=0.03"])
+    assert config.temperature == Ramp(start=0.05, end=0.03, begin=50_000, finish=180_000)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("policy.hiden=[64]", "unknown setting .*policy.* 'hiden': did you mean hidden"),
+        ("bach=3", "'bach': did you mean batch"),
+        ("batch=0", "batch: .*greater than 0.* got 0"),
+        ("batch", "--set takes key=value"),
+        ("policy.surrogate=sigmoid", "surrogate"),
+        ("validation.first_seed=10000", "validation.first_seed"),
+    ],
+)
+def test_a_wrong_override_is_refused_by_name(override, message):
+    with pytest.raises(ConfigError, match=message):
+        resolve(SacConfig, "hexapod-popsan", overrides=[override])
+
+
+def test_an_unknown_recipe_is_refused_with_the_nearest():
+    with pytest.raises(ConfigError, match="unknown recipe 'hexapod-sca': did you mean hexapod-sac"):
+        resolve(SacConfig, "hexapod-sca")
+
+
+@pytest.mark.parametrize("text", [None, "batch = \n"])
+def test_a_missing_or_broken_file_is_refused_by_name(tmp_path, text):
+    file = tmp_path / "broken.toml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ConfigError, match=r"broken\.toml"):
+        resolve(SacConfig, "smoke", file=file)
+
+
+def test_override_values_are_toml_and_else_text():
+    assert parse_override("a.b=[1, 2]") == {"a": {"b": [1, 2]}}
+    assert parse_override("a=5e4") == {"a": 50_000.0}
+    assert parse_override("a=hexapod-command") == {"a": "hexapod-command"}
+
+
+def test_a_ramp_is_flat_outside_and_linear_inside():
+    ramp = Ramp(start=1.0, end=0.0, begin=100, finish=200)
+    assert [ramp.at(step) for step in (0, 100, 150, 200, 900)] == [1.0, 1.0, 0.5, 0.0, 0.0]
+
+
+def test_what_was_set_beside_a_recipe_makes_the_same_configuration_again():
+    chosen = ["policy.hidden=[8]", "steps=300", "env.name=elsewhere", "support_force.finish=7"]
+    config = resolve(SacConfig, "smoke", overrides=chosen, seed=3)
+    found = differences(config)
+    assert sorted(found) == sorted([*chosen[:2], 'env.name="elsewhere"', chosen[3]])
+    assert resolve(SacConfig, "smoke", overrides=found, seed=3) == config
+    assert differences(resolve(SacConfig, "smoke")) == []

@@ -1,0 +1,165 @@
+import json
+import signal
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import SacConfig, resolve
+from spikedeploy.trainers.metrics import Metrics, read
+from spikedeploy.trainers.policies import MlpPolicy
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.train import train
+from tests.pointing import Pointing
+
+TINY = [
+    "steps=400", "warm_up=40", "batch=8", "policy.hidden=[8]", "critic_hidden=[8]",
+    "log_every=40", "checkpoint_every=100", "validation.every=80", "validation.limit=5",
+]  # fmt: skip
+
+
+@pytest.fixture
+def world(monkeypatch):
+    """A tiny environment that can send Ctrl-C at a step of its choice."""
+
+    class Interrupting(Pointing):
+        count = 0
+        interrupt_at = -1
+
+        def step(self, action):
+            Interrupting.count += 1
+            if Interrupting.count == Interrupting.interrupt_at:
+                signal.raise_signal(signal.SIGINT)
+            return super().step(action)
+
+    monkeypatch.setattr(envs, "make", lambda name, **options: Interrupting())
+    return Interrupting
+
+
+def last(run):
+    return json.loads((run / "checkpoints" / "last.json").read_text())
+
+
+def test_a_run_leaves_what_it_promises(tmp_path, world):
+    run = train("smoke", overrides=TINY, runs=tmp_path, seed=7, quiet=True)
+    assert run.name.startswith("smoke-s7-")
+    found = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
+    expected = {"config.json", "versions.json", "metrics.csv", "curve.png"}
+    expected |= {f"checkpoints/{name}" for name in (
+        "last.json", "last.safetensors", "best.json", "best.safetensors")}  # fmt: skip
+    assert expected <= found
+    assert not [name for name in found if name.endswith(".part") or "replay" in name]
+    assert json.loads((run / "config.json").read_text())["seed"] == 7
+    assert json.loads((run / "versions.json").read_text())["torch"] == torch.__version__
+
+
+def test_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path, world):
+    world.interrupt_at = 170
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    state = last(run)
+    assert 100 < state["env_steps"] < 400
+    assert not state["finished"]
+    assert (run / "replay.safetensors").is_file()
+
+    assert train("smoke", resume="last", runs=tmp_path, quiet=True) == run
+    done = last(run)
+    assert done["finished"]
+    assert (done["env_steps"], done["updates"]) == (400, 90)
+    steps = [row["env_steps"] for row in read(run / "metrics.csv")]
+    assert steps == sorted(set(steps))
+    assert steps[-1] == 400
+
+
+def test_a_resumed_run_goes_on_from_the_weights_and_moments_it_had(tmp_path, world):
+    world.interrupt_at = 170
+    run = RunFolder(train("smoke", overrides=TINY, runs=tmp_path, quiet=True))
+    before = run.load("last")[1]
+    state = last(run.path)
+    # nothing is left to do, so that what is written again is what was read
+    again = [f"steps={state['env_steps'] + 2}", "update_every=1000000"]
+    train("smoke", resume=run.path, overrides=again, runs=tmp_path, quiet=True)
+    after = run.load("last")[1]
+    assert last(run.path)["updates"] == state["updates"]
+    for name in before:
+        if "adam" in name or name.startswith(("critic", "target", "policy.layers")):
+            assert torch.equal(before[name], after[name]), name
+    assert any(name.startswith("critic_adam.0.exp_avg") for name in before)
+
+
+def test_a_finished_run_is_left_as_it_is(tmp_path, world):
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    before = (run / "checkpoints" / "last.safetensors").read_bytes()
+    train("smoke", resume=run, runs=tmp_path, quiet=True)
+    assert (run / "checkpoints" / "last.safetensors").read_bytes() == before
+    with pytest.raises(ConfigError, match=r"replay.*missing"):
+        train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
+
+
+def test_a_run_of_another_recipe_is_not_resumed(tmp_path, world):
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    with pytest.raises(ConfigError, match="is a run of 'smoke', not of 'smoke-popsan'"):
+        train("smoke-popsan", resume=run, runs=tmp_path, quiet=True)
+
+
+def test_best_is_the_best_of_the_validations(tmp_path, world):
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    returns = [row["eval_return"] for row in read(run / "metrics.csv") if "eval_return" in row]
+    best = json.loads((run / "checkpoints" / "best.json").read_text())
+    assert best["eval_return"] == pytest.approx(max(returns))
+    assert best["policy"]["kind"] == "mlp"
+
+
+def test_equal_seeds_give_equal_weights(tmp_path, world):
+    first, second, other = (
+        load_file(train("smoke", overrides=TINY, seed=seed, runs=tmp_path, quiet=True)
+                  / "checkpoints" / "last.safetensors")
+        for seed in (1, 1, 2)
+    )  # fmt: skip
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert not torch.equal(first["policy.layers.0.weight"], other["policy.layers.0.weight"])
+
+
+def test_load_policy_takes_best_and_else_last(tmp_path):
+    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
+    last_policy, best_policy = MlpPolicy(2, 1, (3,)), MlpPolicy(2, 1, (3,))
+    observation = torch.randn(4, 2)
+    run.save("last", last_policy, {})
+    assert torch.equal(load_policy(run.path)(observation), last_policy(observation))
+    run.save("best", best_policy, {})
+    assert torch.equal(load_policy(run.path)(observation), best_policy(observation))
+    assert torch.equal(load_policy(run.path, "last")(observation), last_policy(observation))
+
+
+def test_what_is_no_run_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"no config\.json"):
+        RunFolder.find("nothing", tmp_path)
+    with pytest.raises(ConfigError, match="no run of recipe smoke"):
+        RunFolder.find("last", tmp_path, "smoke")
+    with pytest.raises(ConfigError, match="no checkpoint 'best'"):
+        RunFolder.create(tmp_path, resolve(SacConfig, "smoke")).policy()
+
+
+def test_a_broken_checkpoint_is_named(tmp_path):
+    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
+    run.save("last", MlpPolicy(2, 1, (3,)), {})
+    path = run.checkpoint("last")
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(
+        ConfigError, match=r"last\.safetensors is not a checkpoint of ours, or broken"
+    ):
+        run.load("last")
+
+
+def test_two_runs_of_the_same_second_do_not_meet(tmp_path):
+    config = resolve(SacConfig, "smoke")
+    assert len({RunFolder.create(tmp_path, config).path for _ in range(3)}) == 3
+
+
+def test_metrics_after_the_checkpoint_are_forgotten(tmp_path):
+    metrics = Metrics(tmp_path / "metrics.csv", ("step", "loss"))
+    for step in (1, 2, 3):
+        metrics.add({"step": step} | ({"loss": 0.5} if step == 2 else {}))
+    metrics.rewind(2)
+    assert read(metrics.path) == [{"step": 1.0}, {"step": 2.0, "loss": 0.5}]
