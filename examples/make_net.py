@@ -32,7 +32,7 @@ def neurons(size: int) -> nir.CubaLIF:
 
 
 def network() -> nir.NIRGraph:
-    """input -> hidden, which feeds back to itself one timestep later -> last -> output."""
+    """Two layers in a row, the first with feedback of one timestep."""
     nodes = {
         "input": nir.Input(np.array([16])),
         "in": nir.Affine(rng.normal(size=(40, 16)) / 4, np.zeros(40)),
