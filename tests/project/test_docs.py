@@ -152,6 +152,11 @@ def test_the_classes_of_the_architecture_stand_where_it_says():
         assert name in {node.name for node in tree.body if isinstance(node, ast.ClassDef)}, file
 
 
+def test_the_architecture_describes_every_folder_of_runtime():
+    folders = re.findall(r"^\| `(\w+)/` \|", ARCHITECTURE.read_text("utf-8"), re.M)
+    assert sorted(folders) == sorted(RUNTIME)
+
+
 def listed(names):
     """Names in a cell."""
     return ", ".join(f"`{name}`" for name in sorted(names)) or "nothing"
