@@ -50,7 +50,7 @@ def draw_thoughts(
     write(surface, name, inner.topleft, 17, TEXT, "bold")
     note = f"left: this inference · right: the last {WINDOW} control steps"
     write(surface, note, (inner.left, inner.top + 24), 12, DIM)
-    below = inner.bottom - 34 - 24 * len(actions)
+    below = inner.bottom - 34 - _pitch(actions) * len(actions)
     y = inner.top + 56
     rasters = list(thoughts.rasters.items())
     height = (below - y - 34 * len(rasters)) // len(rasters)
@@ -101,6 +101,11 @@ def _image(
     surface.blit(scale(small, place.size), place)
 
 
+def _pitch(actions: Sequence[str]) -> int:
+    """Height of an action's row [px]: many actions leave the spikes their room."""
+    return min(24, 216 // len(actions))
+
+
 def _scores(
     surface: pygame.Surface,
     place: pygame.Rect,
@@ -109,20 +114,22 @@ def _scores(
     actions: Sequence[str],
     taken: int | None,
 ) -> None:
-    """A bar for each action: what the readout says, what was chosen, what the ghost did."""
+    """A bar for each action: what the readout says; of choices also the best, and the ghost's."""
     scores = thoughts.scores[step]
-    chosen = int(scores.argmax())
+    chosen = None if taken is None else int(scores.argmax())
     heading(surface, "action scores", place.topleft)
-    write(surface, "● the ghost's", (place.right, place.top - 2), 12, DIM, anchor="topright")
+    if taken is not None:
+        write(surface, "● the ghost's", (place.right, place.top - 2), 12, DIM, anchor="topright")
     largest = max(float(np.abs(thoughts.scores).max()), 1e-9)
+    pitch = _pitch(actions)
+    size = min(13, pitch - 1)
     for index, name in enumerate(actions):
-        y = place.top + 24 + 24 * index
+        y = place.top + 24 + pitch * index
         colour = AMBER if index == chosen else DIM
-        write(surface, name, (place.left, y), 13, colour, "bold" if index == chosen else "plain")
-        bar = pygame.Rect(place.left + 100, y + 5, place.width - 100 - 84, 7)
+        write(surface, name, (place.left, y), size, colour, "bold" if index == chosen else "plain")
+        bar = pygame.Rect(place.left + 100, y + size // 2 - 1, place.width - 100 - 84, 7)
         signed_bar(surface, bar, float(scores[index]) / largest)
-        write(
-            surface, f"{scores[index]:+.2f}", (place.right - 18, y), 13, colour, "mono", "topright"
-        )
+        value = f"{scores[index]:+.2f}"
+        write(surface, value, (place.right - 18, y), size, colour, "mono", "topright")
         if index == taken:
             pygame.draw.aacircle(surface, TEXT, (place.right - 5, y + 9), 4)

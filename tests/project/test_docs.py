@@ -1,0 +1,185 @@
+"""What the pages say works: their commands and their Python run, their paths and tables are true.
+
+`python -m tests.project.test_docs` writes the tables of docs/architecture.md anew.
+"""
+
+import ast
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from tests.paths import ROOT
+from tests.project.test_import_rules import LIBRARIES, PACKAGES, RUNTIME
+
+PAGES = [
+    ROOT / "README.md",  # whose Python test_readme.py runs
+    ROOT / "CONTRIBUTING.md",
+    *sorted(ROOT.glob("docs/*.md")),
+    ROOT / "results/README.md",
+]
+ARCHITECTURE = ROOT / "docs/architecture.md"
+START, END = "<!-- dependencies -->\n", "<!-- end of dependencies -->\n"
+
+# commands that are not run here, only checked for options that do not exist; and why
+NOT_RUN = {
+    r"test\b": "this suite itself",
+    r"demo\b": "a minute of episodes and films",
+    r"(train|experiment)\b": "trains for minutes or hours",
+    r"export last\b": "needs a training",
+    r"(play|draw)\b": "opens a window",
+    r"replay\b": "opens a window, or films what a training left",
+    r"compare hexapod": "minutes of episodes",
+    r".* --episodes 100\b": "minutes of episodes",
+    r"run (policy|kept)\.nir": "needs a policy of the reader's own",
+}
+
+
+def blocks(page, language):
+    """Code blocks of a language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+
+
+def lines(page):
+    """Command lines of this tool in the shell blocks of a page, as words without its name."""
+    for block in blocks(page, "sh"):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            if words and words[0] in ("spikedeploy", "./spike"):
+                yield words[1:]
+
+
+def name(page):
+    """A page from the top of the repository."""
+    return str(page.relative_to(ROOT))
+
+
+ALL = [(name(page), words) for page in PAGES for words in lines(page)]
+
+
+def reason(words):
+    """Why a command is not run, or None."""
+    text = " ".join(words)
+    return next((why for pattern, why in NOT_RUN.items() if re.match(pattern, text)), None)
+
+
+def unique(wanted):
+    """Commands (page, words), each once: several pages show the same."""
+    found = {tuple(words): page for page, words in ALL if wanted(words)}
+    return [
+        pytest.param(list(words), id=f"{page}: {' '.join(words)}") for words, page in found.items()
+    ]
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """A folder with what the commands of the pages read, and room for what they write."""
+    for name in ("examples", "spikedeploy", "tests"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for name in ("net.nir", "raster.npy"):
+        (tmp_path / name).symlink_to(ROOT / "examples" / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def expanded(words):
+    """Words with their patterns of files replaced, as a shell does."""
+    for word in words:
+        yield from sorted(map(str, Path().glob(word))) if "*" in word else [word]
+
+
+@pytest.mark.parametrize("words", unique(lambda words: not reason(words)))
+def test_a_command_of_the_pages_runs(words, checkout, command):
+    code, _, err = command(*expanded(words))
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("words", unique(lambda words: reason(words) and words[0] != "test"))
+def test_a_command_that_is_not_run_has_options_that_exist(words):
+    from spikedeploy.cli import app
+
+    verb = typer.main.get_command(app).commands[words[0]]
+    with verb.make_context(words[0], [], resilient_parsing=True) as context:
+        verb.make_parser(context).parse_args(words[1:])  # raises for an option that is unknown
+
+
+@pytest.mark.parametrize("pattern", NOT_RUN)
+def test_every_exception_is_needed(pattern):
+    assert any(re.match(pattern, " ".join(words)) for _, words in ALL)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES[1:] if blocks(p, "python")], ids=name)
+def test_the_python_of_a_page_runs(page, checkout):
+    for block in blocks(page, "python"):
+        exec(compile(block, page.name, "exec"), {})
+
+
+FOLDERS = "runtime|envs|trainers|exporters|spikedeploy|benchmarks|tests|examples"
+PATH = rf"(?<![\w/.])((?:{FOLDERS})/[\w./-]*\w/?)(?![\w*<])"
+ENVIRONMENT = r"spikedeploy/\w+-v\d"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_the_paths_that_a_page_names_exist(page):
+    named = set(re.findall(PATH, re.sub(ENVIRONMENT, "", page.read_text("utf-8"))))
+    assert sorted(path for path in named if not (ROOT / path).exists()) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_the_modules_that_a_page_names_exist(page):
+    named = re.findall(r"spikedeploy(?:\.[a-z_0-9]+)+", page.read_text("utf-8"))
+    assert [name for name in named if not known(name)] == []
+
+
+def known(name):
+    """Whether a dotted name is a module of ours, or something defined in one."""
+    where = ROOT.joinpath(*name.split("."))
+    module = where.parent.with_suffix(".py")
+    package = where.parent / "__init__.py"
+    if where.with_suffix(".py").exists() or where.is_dir():
+        return True
+    text = "".join(file.read_text("utf-8") for file in (module, package) if file.exists())
+    return bool(re.search(rf"\b{where.name}\b", text))
+
+
+def test_the_classes_of_the_architecture_stand_where_it_says():
+    table = re.findall(r"^\| `(\w+)` \| `([\w/]+\.py)` \|", ARCHITECTURE.read_text("utf-8"), re.M)
+    assert len(table) > 20
+    for name, file in table:
+        tree = ast.parse((ROOT / file).read_text("utf-8"))
+        assert name in {node.name for node in tree.body if isinstance(node, ast.ClassDef)}, file
+
+
+def test_the_architecture_describes_every_folder_of_runtime():
+    folders = re.findall(r"^\| `(\w+)/` \|", ARCHITECTURE.read_text("utf-8"), re.M)
+    assert sorted(folders) == sorted(RUNTIME)
+
+
+def listed(names):
+    """Names in a cell."""
+    return ", ".join(f"`{name}`" for name in sorted(names)) or "nothing"
+
+
+def dependencies():
+    """The tables of the import test, as Markdown."""
+    rows = ["| package | may import of ours | libraries |", "|---|---|---|"]
+    rows += [
+        f"| `{p}` | {listed(near)} | {', '.join(sorted(LIBRARIES[p]))} |"
+        for p, near in PACKAGES.items()
+    ]
+    rows += ["", "| folder of `runtime` | may import |", "|---|---|"]
+    rows += [f"| `{folder}` | {listed(near)} |" for folder, near in RUNTIME.items()]
+    return "\n".join(rows) + "\n"
+
+
+def test_the_dependencies_of_the_architecture_are_those_that_are_enforced():
+    """Write the page anew with `python -m tests.project.test_docs`."""
+    page = ARCHITECTURE.read_text("utf-8")
+    assert page.partition(START)[2].partition(END)[0] == dependencies()
+
+
+if __name__ == "__main__":
+    before, _, rest = ARCHITECTURE.read_text("utf-8").partition(START)
+    ARCHITECTURE.write_text(before + START + dependencies() + END + rest.partition(END)[2], "utf-8")
