@@ -33,13 +33,13 @@ class Artifact:
     graph: standard NIR nodes, which any NIR tool can open; graphs inside it are taken apart.
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is stepped; inferred or given for files of other tools.
-    origin: who made it; None in files of other tools.
+    provenance: where the policy comes from; None in files of other tools.
     """
 
     graph: nir.NIRGraph
     codec: Codec | None
     convention: Convention
-    origin: Provenance | None = None
+    provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
         # frozen for others; what is inside an inner graph must be seen by everyone
@@ -136,8 +136,8 @@ def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
 def _stamped(artifact: Artifact) -> nir.NIRGraph:
     """The graph in a fixed order, with the metadata that makes it an artifact."""
     record = _record(artifact)
-    if artifact.origin is not None:
-        record["origin"] = replace(artifact.origin, sha256=digest(artifact)).to_record()
+    if artifact.provenance is not None:
+        record["origin"] = replace(artifact.provenance, sha256=digest(artifact)).to_record()
     return nir.NIRGraph(
         nodes=dict(sorted(artifact.graph.nodes.items())),
         edges=sorted(artifact.graph.edges),
@@ -170,17 +170,18 @@ def _read(path: Path) -> nir.NIRGraph:
 
 def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     """The artifact of a graph with our metadata."""
-    record = Record(graph.metadata, "file").record(KEY)
+    record = Record(graph.metadata, "file").group(KEY)
     _check_schema(record)
-    convention = _stated_convention(record.record("convention"))
+    convention = _stated_convention(record.group("convention"))
     _check_timestep(graph, convention)
-    codec = Codec.from_record(record.record("codec")) if "codec" in record else None
-    origin = Provenance.from_record(record.record("origin")) if "origin" in record else None
+    codec = Codec.from_record(record.group("codec")) if "codec" in record else None
+    # the key of the file format is the older word
+    found = Provenance.from_record(record.group("origin")) if "origin" in record else None
     del graph.metadata[KEY]
-    stated = Artifact(graph, codec, convention, origin)
-    if origin is not None:
-        _check_digest(stated, origin)
-    return replace(stated, convention=convention.given(given))
+    stated = Artifact(graph, codec, convention, found)
+    if found is not None:
+        _check_digest(stated, found)
+    return replace(stated, convention=convention.with_options(given))
 
 
 def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
@@ -199,7 +200,7 @@ def _stated_convention(record: Record) -> Convention:
 
 def _check_schema(record: Record) -> None:
     record.only("schema", "convention", "codec", "origin")
-    if (schema := record.whole("schema")) != SCHEMA:
+    if (schema := record.integer("schema")) != SCHEMA:
         raise ArtifactError(
             f"metadata {record.where}.schema is {schema}; this version reads {SCHEMA}. "
             "Update spikedeploy, or export the policy again."

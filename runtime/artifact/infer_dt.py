@@ -70,7 +70,7 @@ def _doubt(node: nir.NIRNode, dt: float, tolerance: float) -> str:
 def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Convention:
     """NIR's usual discretisation, with the dt of the gains unless it is given."""
     if "dt" in given:
-        return Convention(given["dt"], source=USUAL).given(given)
+        return Convention(given["dt"], source=USUAL).with_options(given)
     evidence = timestep(graph)
     if evidence.dt is None:
         raise ArtifactError(
@@ -78,7 +78,7 @@ def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conven
             "Give dt in seconds, as the tool that wrote the file used it, or name the tool whose "
             "reading is wanted."
         )
-    return Convention(evidence.dt, source=f"{evidence.reason}; {USUAL}").given(given)
+    return Convention(evidence.dt, source=f"{evidence.reason}; {USUAL}").with_options(given)
 
 
 def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:

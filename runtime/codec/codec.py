@@ -195,9 +195,9 @@ class Codec:
         """The codec that a file holds."""
         record.only("normaliser", "encoder", "timesteps", "squash")
         return cls(
-            normaliser=Normaliser.from_record(record.record("normaliser")),
-            encoder=_encoder(record.record("encoder")),
-            timesteps=record.whole("timesteps"),
+            normaliser=Normaliser.from_record(record.group("normaliser")),
+            encoder=_encoder(record.group("encoder")),
+            timesteps=record.integer("timesteps"),
             squash=cast("Squash", record.text("squash")),
         )
 

@@ -81,7 +81,7 @@ def read_like(
         )
     nodes = dict(graph.nodes)
     _check_kinds(tool, nodes)
-    convention = tool.convention(nodes, options.pop("dt", None)).given(options)
+    convention = tool.convention(nodes, options.pop("dt", None)).with_options(options)
     edges = set(graph.edges)
     tool.reading(nodes, edges, convention)
     changed = nir.NIRGraph(nodes, sorted(edges), metadata=graph.metadata, type_check=False)

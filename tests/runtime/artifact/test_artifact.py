@@ -47,7 +47,7 @@ def test_everything_comes_back(artifact, path):
     obs = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_array_equal(back.codec.encode(obs), artifact.codec.encode(obs))
     assert (back.convention, back.convention.source) == (Convention(1e-3), "stated")
-    assert back.origin == Provenance(
+    assert back.provenance == Provenance(
         "spikedeploy/Hexapod-v0",
         "smoke",
         seed=3,
@@ -69,7 +69,7 @@ def test_the_same_artifact_gives_the_same_bytes_in_any_node_order(artifact, path
     network = artifact.graph
     turned = nir.NIRGraph(dict(reversed(network.nodes.items())), network.edges[::-1])
     save(artifact, path)
-    save(Artifact(turned, artifact.codec, artifact.convention, artifact.origin), tmp_path / "b")
+    save(Artifact(turned, artifact.codec, artifact.convention, artifact.provenance), tmp_path / "b")
     assert path.read_bytes() == (tmp_path / "b").read_bytes()
 
 
@@ -92,7 +92,7 @@ def test_metadata_of_other_tools_are_kept(artifact, path):
 
 def test_an_artifact_without_codec_and_origin_is_one(artifact, path):
     save(Artifact(artifact.graph, None, Convention(1e-3)), path)
-    assert (load(path).codec, load(path).origin) == (None, None)
+    assert (load(path).codec, load(path).provenance) == (None, None)
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(artifact, path):
@@ -125,7 +125,7 @@ def test_the_timestep_of_a_foreign_file_is_inferred_with_its_reason(artifact, pa
     back = load(foreign(path, artifact.graph))
     assert back.convention == Convention(1e-3)
     assert "dt = tau/r in n2, n4, n6" in back.convention.describe()
-    assert (back.codec, back.origin) == (None, None)
+    assert (back.codec, back.provenance) == (None, None)
 
 
 def test_float32_gains_give_a_clean_timestep_and_a_gain_of_one(path):

@@ -172,7 +172,7 @@ def test_our_file_read_like_a_tool_keeps_its_codec_and_loses_its_origin(tmp_path
     save(artifact, tmp_path / "a.nir")
     back = load(tmp_path / "a.nir", like="norse", dt=1e-3, reset="subtract")
     assert back.convention == Convention(1e-3, reset="subtract")
-    assert (back.codec.timesteps, back.origin) == (artifact.codec.timesteps, None)
+    assert (back.codec.timesteps, back.provenance) == (artifact.codec.timesteps, None)
 
 
 def test_a_convention_of_many_spikes_survives_its_file(tmp_path):
