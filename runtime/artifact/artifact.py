@@ -19,7 +19,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.nesting import flattened
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise
 from spikedeploy.runtime.graph.order import delay_timesteps
-from spikedeploy.runtime.graph.validate import DERIVED, check_graph
+from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 
 SCHEMA = 1
@@ -116,7 +116,7 @@ def digest(artifact: Artifact) -> str:
 
 
 def _parameters(node: nir.NIRNode) -> dict[str, object]:
-    values = {field: value for field, value in vars(node).items() if field not in DERIVED}
+    values = {field: value for field, value in vars(node).items() if field not in DERIVED_FIELDS}
     return {**values, "type": type(node).__name__}
 
 

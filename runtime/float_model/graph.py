@@ -15,7 +15,7 @@ from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, build
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
-from spikedeploy.runtime.graph.ports import named, ports
+from spikedeploy.runtime.graph.ports import by_port, ports
 
 # bytes of everything that one run computes
 LARGEST = 1 << 32
@@ -108,9 +108,9 @@ class FloatGraph:
 
     def _checked(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
         if isinstance(raster, Mapping):
-            given = named(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
+            given = by_port(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
         else:
-            given = named(self.inputs, np.asarray(raster, self.dtype))
+            given = by_port(self.inputs, np.asarray(raster, self.dtype))
         if not all(np.isfinite(rows).all() for rows in given.values()):
             raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
         return given

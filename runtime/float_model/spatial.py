@@ -60,7 +60,7 @@ def _by_rows(window: ConvWindow, compute: Rows) -> Rows:
     def over_time(x: Array) -> Array:
         # (R, C, *X)
         rows = x.reshape(-1, *x.shape[2:])
-        numbers = x.shape[2] * math.prod(window.places(x.shape[3:])) * math.prod(window.kernel)
+        numbers = x.shape[2] * math.prod(window.positions(x.shape[3:])) * math.prod(window.kernel)
         some = max(1, ENOUGH // numbers)
         parts = [compute(window.view(rows[i : i + some])) for i in range(0, len(rows), some)]
         y = np.concatenate(parts)

@@ -421,9 +421,12 @@ def test_several_inputs_and_outputs_go_by_their_names():
 @pytest.mark.parametrize(
     ("raster", "message"),
     [
-        (np.zeros((1, 2, 2)), "inputs a, b, but there is one raster without a name"),
-        ({"a": np.zeros((1, 2, 2))}, r"rasters for a\. Give one for each; b has no pair"),
-        ({"a": np.zeros((1, 2, 2)), "b": np.zeros((1, 3, 2))}, "Make all rasters equally long"),
+        (np.zeros((1, 2, 2)), "inputs a, b, found one raster without a name"),
+        (
+            {"a": np.zeros((1, 2, 2))},
+            r"rasters for a\. Give one raster for each input; b has no match",
+        ),
+        ({"a": np.zeros((1, 2, 2)), "b": np.zeros((1, 3, 2))}, "Give all rasters the same batch"),
     ],
 )
 def test_rasters_that_are_not_those_of_the_inputs_are_refused(raster, message):

@@ -19,7 +19,7 @@ from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
-from spikedeploy.runtime.graph.ports import joined, parted
+from spikedeploy.runtime.graph.ports import concatenate, split
 from spikedeploy.runtime.graph.shapes import infer_shapes
 from tests.networks import chain, graph, lif
 
@@ -136,14 +136,14 @@ def test_a_generated_network_on_the_ideal_chip_equals_the_float_graph(network, s
     rng = np.random.default_rng(seed)
     for inference in range(2):
         raster = (rng.random((2, TIMESTEPS, program.width)) < 0.4).astype(np.uint8)
-        expected = twin.run(parted(program.inputs, raster))
+        expected = twin.run(split(program.inputs, raster))
         output = machine.infer(raster)
         for name, found in machine.recordings.items():
             flat = expected[name].reshape(found.spikes.shape)
             np.testing.assert_array_equal(found.spikes, flat)
             if inference == 0:
                 np.testing.assert_array_equal(trace(program, raster)[name].spikes, flat)
-        for name, found in parted(program.outputs, output).items():
+        for name, found in split(program.outputs, output).items():
             wanted = expected["output" if len(program.outputs) == 1 else name]
             np.testing.assert_array_equal(found, wanted)
 
@@ -252,7 +252,7 @@ def test_inputs_lie_side_by_side_in_the_order_of_their_names():
     assert program.input == "a, b"
     assert program.layers[0].synapses[0].weight.ravel().tolist() == [1, 2, 3, 4]
     rasters = {"b": np.array([[[[0, 1]]]]), "a": np.array([[[1, 0]]])}
-    assert joined(program.inputs, rasters).tolist() == [[[1, 0, 0, 1]]]
+    assert concatenate(program.inputs, rasters).tolist() == [[[1, 0, 0, 1]]]
 
 
 def test_an_output_may_hear_several_layers():
