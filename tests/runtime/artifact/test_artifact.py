@@ -90,7 +90,7 @@ def test_metadata_of_other_tools_are_kept(artifact, path):
     assert load(path).graph.metadata == {"lab": {"note": "third try", "rate": 0.5}}
 
 
-def test_an_artifact_without_codec_and_origin_is_one(artifact, path):
+def test_an_artifact_without_codec_and_provenance_is_one(artifact, path):
     save(Artifact(artifact.graph, None, Convention(1e-3)), path)
     assert (load(path).codec, load(path).provenance) == (None, None)
 
@@ -164,7 +164,7 @@ def test_what_is_given_goes_before_what_our_file_states(artifact, path):
 )
 def test_a_timestep_that_cannot_be_inferred_must_be_given(path, nodes, reason):
     foreign(path, chain(*nodes, width=2, act=2))
-    with pytest.raises(ArtifactError, match=f"cannot be inferred: {reason}.* Give dt"):
+    with pytest.raises(ArtifactError, match=f"cannot be inferred: {reason}.* Give the dt"):
         load(path)
     assert load(path, dt=1e-4).convention.dt == 1e-4
 
@@ -301,7 +301,7 @@ def test_a_name_that_hdf5_cannot_hold_is_refused_before_it_is_written(name):
 
 def test_a_timestep_that_the_gains_contradict_is_refused(artifact, path):
     save(artifact, path)
-    with pytest.raises(ArtifactError, match=r"say dt = 0\.002 s, the nodes 0\.001 s"):
+    with pytest.raises(ArtifactError, match=r"state dt = 0\.002 s, the nodes 0\.001 s"):
         load(edited(path, "node/metadata/spikedeploy/convention/dt", 2e-3))
 
 
