@@ -114,7 +114,7 @@ def test_many_rows_at_once_equal_each_alone(monkeypatch):
     node = nir.Conv2d((9, 7), np.ones((2, 1, 3, 3)), 1, 1, 1, 1, np.zeros(2))
     x = np.random.default_rng(0).normal(size=(4, 5, 1, 9, 7))
     whole = ran(node, x)
-    monkeypatch.setattr("spikedeploy.runtime.float_model.spatial.ENOUGH", 1000)
+    monkeypatch.setattr("spikedeploy.runtime.float_model.nodes.MAX_WINDOW_VALUES", 1000)
     np.testing.assert_allclose(ran(node, x), whole, rtol=0, atol=1e-12)
 
 

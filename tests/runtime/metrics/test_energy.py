@@ -118,8 +118,8 @@ def test_every_table_says_where_it_comes_from_and_prices_known_events(name):
     assert table.source
     assert table.provenance
     assert set(table.joules) | set(table.seconds) <= {*EVENTS, "mac", "hop_x", "hop_y"}
-    assert table.most.keys() <= table.joules.keys()
-    assert all(table.most[event] > table.joules[event] for event in table.most)
+    assert table.upper_joules.keys() <= table.joules.keys()
+    assert all(table.upper_joules[event] > table.joules[event] for event in table.upper_joules)
     for uncertainty in (table.uncertainty, table.time_uncertainty):
         assert uncertainty.why
         assert uncertainty.low <= 1 <= uncertainty.high

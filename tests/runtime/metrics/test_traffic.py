@@ -6,7 +6,7 @@ import pytest
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.program import Program, Synapses
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.metrics.traffic import Layout, Traffic, joined, one_core_each, traffic
+from spikedeploy.runtime.metrics.traffic import Layout, Traffic, one_core_each, total, traffic
 from tests.programs import layer
 
 CHIP = chip("loihi1")
@@ -56,4 +56,4 @@ def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
 
 
 def test_the_traffic_of_several_inferences_is_their_sum():
-    assert joined([Traffic(1, 2, 3), Traffic(10, 20, 30)]) == Traffic(11, 22, 33)
+    assert total([Traffic(1, 2, 3), Traffic(10, 20, 30)]) == Traffic(11, 22, 33)
