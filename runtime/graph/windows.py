@@ -88,7 +88,7 @@ def pool_window(name: str, node: nir.NIRNode) -> ConvWindow:
 
 
 def checked_positions(name: str, window: ConvWindow, extents: Shape) -> Shape:
-    """P of each axis; ArtifactError where the kernel does not fit or input or output is too large."""
+    """P of each axis; ArtifactError where the kernel does not fit, or values are too many."""
     positions = window.positions(extents)
     if min(positions) < 1:
         raise ArtifactError(
