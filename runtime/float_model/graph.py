@@ -89,12 +89,14 @@ class FloatGraph:
         values: dict[str, Array] = dict(x)
         timesteps = next(iter(x.values())).shape[1]
         for name in self.timing.names:
-            if arriving := [self._along((s, name), values, timesteps) for s in self.sources[name]]:
+            if arriving := [
+                self._delivered((s, name), values, timesteps) for s in self.sources[name]
+            ]:
                 values[name] = self.nodes[name](sum(arriving[1:], arriving[0]))
         self.before = {name: value[:, -1:] for name, value in values.items()}
         return values
 
-    def _along(self, edge: Edge, values: dict[str, Array], timesteps: int) -> Array:
+    def _delivered(self, edge: Edge, values: dict[str, Array], timesteps: int) -> Array:
         """What arrives over an edge: the output of its source, a timestep later over late edges."""
         source = edge[0]
         if edge not in self.timing.late:
@@ -113,7 +115,9 @@ class FloatGraph:
         else:
             given = by_port(self.inputs, np.asarray(raster, self.dtype))
         if not all(np.isfinite(rows).all() for rows in given.values()):
-            raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
+            raise ObservationError(
+                "the raster holds NaN or infinity; every value must be finite. Correct the raster."
+            )
         return given
 
     def _check_finite(self) -> None:

@@ -30,7 +30,7 @@ Array: TypeAlias = NDArray[np.floating[Any]]
 Node: TypeAlias = Callable[[Array], Array]
 
 # values that the windows of a convolution or pool may hold at once: bounds the memory of a call
-MAX_WINDOW_VALUES = 1 << 22
+CHUNK_VALUES = 1 << 22
 
 
 def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
@@ -239,23 +239,23 @@ def pool(name: str, node: nir.NIRNode) -> Node:
 def _product(windows: Array, weight: Array, window: ConvWindow) -> Array:
     """Windows (R, C, *P, *K) times weights (G, C/G K, N/G), as (R, N, *P)."""
     groups, axes = len(weight), len(window.kernel)
-    rows, channels, *places = windows.shape[: 2 + axes]
+    rows, channels, *positions = windows.shape[: 2 + axes]
     # (R, G, C/G, *P, *K), still a view
     split = windows.reshape(rows, groups, channels // groups, *windows.shape[2:])
     before, after = range(3, 3 + axes), range(3 + axes, 3 + 2 * axes)
     columns = split.transpose(0, 1, *before, 2, *after)
-    columns = columns.reshape(rows, groups, math.prod(places), -1)
-    return np.asarray((columns @ weight).swapaxes(2, 3).reshape(rows, -1, *places))
+    columns = columns.reshape(rows, groups, math.prod(positions), -1)
+    return np.asarray((columns @ weight).swapaxes(2, 3).reshape(rows, -1, *positions))
 
 
 def _in_chunks(window: ConvWindow, compute: Node) -> Node:
-    """The computation over chunks of rows whose windows hold at most MAX_WINDOW_VALUES values."""
+    """The computation over chunks of rows whose windows hold at most CHUNK_VALUES values."""
 
     def chunked(x: Array) -> Array:
         # (R, C, *X)
         rows = x.reshape(-1, *x.shape[2:])
         values = x.shape[2] * math.prod(window.positions(x.shape[3:])) * math.prod(window.kernel)
-        size = max(1, MAX_WINDOW_VALUES // values)
+        size = max(1, CHUNK_VALUES // values)
         parts = [compute(window.view(rows[i : i + size])) for i in range(0, len(rows), size)]
         y = np.concatenate(parts)
         return np.asarray(y.reshape(*x.shape[:2], *y.shape[1:]), dtype=x.dtype)

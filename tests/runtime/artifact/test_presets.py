@@ -115,7 +115,7 @@ def test_nengo_holds_membranes_at_0_and_sends_spikes_as_high_as_1_over_dt():
     assert (found, output) == ([0, 0, 1], [0, 0, 1000])
 
 
-def test_nengo_hears_through_a_synapse_one_timestep_later():
+def test_a_synapse_of_nengo_delivers_one_timestep_later():
     # I: 0, 1.2, 0.6 | V: 0, 1.2 -> spike, 0.6
     node = nir.CubaLIF(*full(2e-3, 1e-3 * HALF, 2, 0, 1), w_in=np.array([2.0]))
     assert spikes("nengo", node, 1.2, 0, 0) == [0, 1, 0]

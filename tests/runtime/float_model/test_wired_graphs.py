@@ -1,4 +1,4 @@
-"""Graphs that nobody drew, on the ideal chip: windows, sums, delays, skips, loops, many inputs.
+"""Generated graphs on the ideal chip: windows, sums, delays, skips, loops, many inputs.
 
 Weights and decays are small fractions of powers of 2, so that every sum is exact in any order.
 """
@@ -129,7 +129,7 @@ def test_a_generated_network_on_the_ideal_chip_equals_the_float_graph(network, s
     try:
         program = compile_program(artifact, chip("ideal"))
     except RuleError as error:
-        # a bias before a delay, and what nobody remembers
+        # a bias before a delay, and a readout of several layers with state
         assert "begin late" in str(error) or "it hears several layers" in str(error)  # noqa: PT017
         return
     twin, machine = FloatGraph(artifact), Machine(program, 2, trace=True)
@@ -186,7 +186,7 @@ def artifact(network):
 
 
 def test_a_convolution_and_a_pool_become_one_matrix():
-    # x convolved with (1, 10), then sums of pairs: each hears three numbers by (1, 11, 10)
+    # x convolved with (1, 10), then sums of pairs: each sums three inputs by (1, 11, 10)
     conv = nir.Conv2d(None, np.array([[[[1.0, 10.0]]]]), 1, 0, 1, 1, np.array([0.5]))
     pool = nir.SumPool2d(np.array([1, 2]), np.array([1, 2]), np.array([0, 0]))
     flat = nir.Flatten({"input": np.array([1, 1, 2])}, 0, -1)
@@ -255,7 +255,7 @@ def test_inputs_lie_side_by_side_in_the_order_of_their_names():
     assert concatenate(program.inputs, rasters).tolist() == [[[1, 0, 0, 1]]]
 
 
-def test_an_output_may_hear_several_layers():
+def test_an_output_may_read_several_layers():
     edges = "input->a, a->b, a->twice, twice->output, b->output"
     nodes = {
         "a": lif(1, 4e-3, 4.0, 0.5),

@@ -126,7 +126,7 @@ def test_every_table_says_where_it_comes_from_and_prices_known_events(name):
     assert all(price > 0 for price in [*table.joules.values(), *table.seconds.values()])
 
 
-def test_an_energy_says_between_what_it_lies():
+def test_an_energy_states_its_interval():
     fitted = energy_estimate(ledger(sop=1000), TABLES["sanafe"])
     assert fitted.value == pytest.approx(35.5e-9)
     # 11.7 % each way

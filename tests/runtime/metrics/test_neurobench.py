@@ -78,7 +78,7 @@ def test_packed_weights_take_the_bits_of_the_chip():
     assert packed_bytes(compile_program(network(biased=False), IDEAL)) == 4 * (20 * 16 + 16 * 12)
 
 
-def test_a_loop_hears_its_spikes_a_timestep_later():
+def test_spikes_of_a_loop_arrive_a_timestep_later():
     weight, loop = np.eye(2), np.array([[0.0, 1.0], [1.0, 1.0]])
     neurons = lif(2, tau=DT, r=1.0, threshold=0.5)
     neurons.v_reset = np.zeros(2)
@@ -110,7 +110,7 @@ def test_the_ledger_of_the_same_run_agrees(name):
     spikes = raster(width=30)
     machine.infer(spikes)
     found, ledger = measured(program, file.graph, spikes), machine.ledger
-    readout = machine.recordings[program.output].spikes.sum() / 4  # each hears one number
+    readout = machine.recordings[program.output].spikes.sum() / 4  # each has one presynaptic neuron
     assert found.effective_acs == ledger.per_inference("sop") + readout
     assert found.activation_sparsity == ledger.sparsity
     # what changed had something to add up

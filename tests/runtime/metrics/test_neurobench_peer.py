@@ -83,7 +83,7 @@ def torch_layer(node, convention, whole):
 
 
 def theirs(tool, model, spikes):
-    """Everything that NeuroBench 2.3.0 can say of it, one batch at a time."""
+    """Every metric of NeuroBench 2.3.0, one batch at a time."""
     import torch
     from neurobench.metrics.static import ConnectionSparsity, Footprint, ParameterCount
     from neurobench.metrics.workload import (

@@ -14,7 +14,7 @@ CHIP = chip("loihi1")
 
 @pytest.fixture
 def network():
-    """Two inputs; a layer of two and one of one, which both hear them; the second hears itself."""
+    """Two inputs; layers of two and of one, which both receive them; the second is recurrent."""
     first = [[5, 5], [0, 7]]
     second, loop = [[0], [3]], [[1]]
     layers = (
@@ -47,10 +47,10 @@ def test_layers_that_share_a_core_share_a_message(network):
 
 
 def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
-    apart = {"input": np.array([0, 0]), "a": np.array([1, 2]), "b": np.array([0])}
+    spread = {"input": np.array([0, 0]), "a": np.array([1, 2]), "b": np.array([0])}
     # the second core is two tiles along the row, the third one tile along the column
     tiles = np.array([[0, 0], [2, 0], [0, 1]])
-    found = traffic(network, SPIKES, Layout(apart, tiles))
+    found = traffic(network, SPIKES, Layout(spread, tiles))
     # axon 0 to cores 1 and 2; axon 1 to core 2 and its own
     assert found == Traffic(message=10 * 2 + 1 * 2 + 2, hop_x=10 * 2, hop_y=10 + 1)
 

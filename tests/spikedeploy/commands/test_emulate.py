@@ -166,7 +166,7 @@ def test_several_inputs_and_outputs_go_by_their_names(chip, emulate):
 def test_a_raster_without_a_name_does_not_fit_several_inputs(emulate):
     code, _, _, err = emulate(two_ways(), np.ones((3, 1)), "--chip", "float")
     assert code == 1
-    assert "inputs a, b, but there is one raster without a name" in err
+    assert "inputs a, b, found one raster without a name" in err
 
 
 def single(threshold=1.0):
