@@ -129,7 +129,7 @@ def test_a_generated_network_on_the_ideal_chip_equals_the_float_graph(network, s
     try:
         program = compile_program(artifact, chip("ideal"))
     except RuleError as error:
-        # a bias before a delay, and a readout of several layers with state
+        # a bias before a delay, and several layers read late while states are kept
         assert "begin late" in str(error) or "it hears several layers" in str(error)  # noqa: PT017
         return
     twin, machine = FloatGraph(artifact), Machine(program, 2, trace=True)
