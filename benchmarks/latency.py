@@ -83,7 +83,7 @@ def main() -> None:
     arguments = parsed()
     torch.set_num_threads(1)
     artifact = load(arguments.file)
-    if artifact.codec is None or artifact.origin is None:
+    if artifact.codec is None or artifact.provenance is None:
         raise ArtifactError(
             f"{arguments.file} was not exported by spikedeploy: no codec, no origin"
         )
@@ -94,7 +94,7 @@ def main() -> None:
         "ours_counting": SpikingController(artifact, emulated, ledger="total").act_batch,
         "snntorch": peer,
     }
-    observations = walk(artifact, artifact.origin.env)
+    observations = walk(artifact, artifact.provenance.env)
     times = interleaved(actors, observations, arguments.rounds)
     median = {name: 1e6 * float(np.median(taken)) for name, taken in times.items()}
     result = {

@@ -45,9 +45,9 @@ def main() -> int:
 def walked(file: Path, count: int) -> NDArray[np.float64]:
     """Return observations (count, obs) that the policy makes in its own environment."""
     artifact = load(file)
-    if artifact.origin is None:
+    if artifact.provenance is None:
         raise ArtifactError(f"{file} was not exported by spikedeploy: it does not name its world")
-    env, controller = envs.make(artifact.origin.env), SpikingController(artifact)
+    env, controller = envs.make(artifact.provenance.env), SpikingController(artifact)
     walks: list[NDArray[np.float64]] = []
     while sum(map(len, walks)) < count:
         walks.append(rollout(env, controller, SEED + len(walks)).observation)

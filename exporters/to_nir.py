@@ -62,7 +62,7 @@ def artifact(
     precise = deepcopy(spiking(policy)).double()
     convention = Convention(dt=dt, source="as trained")
     if state != convention.state:
-        convention = convention.given({"state": state})
+        convention = convention.with_options({"state": state})
     return Artifact(_graph(precise, dt), _codec(precise), convention, origin)
 
 

@@ -1,7 +1,23 @@
-"""The chips: what a `.nir` file holds, what a chip does with it, and what that costs.
+"""Neuromorphic chips in software: read a `.nir` file, compile it, emulate it, count what it costs.
 
-Runs on numpy, nir and h5py alone. This table is the public interface; a name is imported when it
-is first used, so `import runtime` is instant.
+Needs numpy, nir and h5py alone; numba is optional. EXPORTS is the public interface; a name is
+imported when it is first used, so that importing this package loads nothing heavy.
+
+errors           errors that a user can act on
+metadata         metadata of a `.nir` file, and the provenance of a policy
+convention       dt, reset, integrator, delay: what NIR leaves open
+graph/           the NIR graph: neurons, order, shapes, validation
+codec/           observations to spikes, network output to actions
+artifact/        the `.nir` file: reading, writing, other tools' readings of it
+float_model/     the graph in floating point: the reference
+chips/           datasheets
+design_rules/    what a chip can hold, and where the network stands against it
+compiler/        graph and chip to an integer program
+emulator/        programs run on observations; the ledger of events
+families/        one folder for each arithmetic: datasheets, quantiser, neuron update
+metrics/         energy, time, memory, messages, NeuroBench
+analysis/        activity, calibration, drift from float, diagnosis
+traces/          recorded traces of chips and simulators, compared with the emulation
 """
 
 from importlib import import_module
@@ -13,9 +29,9 @@ EXPORTS = {
     "Convention": "spikedeploy.runtime.convention:Convention",
     "FloatGraph": "spikedeploy.runtime.float_model.graph:FloatGraph",
     "Normaliser": "spikedeploy.runtime.codec.codec:Normaliser",
-    "Origin": "spikedeploy.runtime.metadata:Provenance",
     "PRESETS": "spikedeploy.runtime.artifact.presets.preset:PRESETS",
     "PopulationEncoder": "spikedeploy.runtime.codec.population:PopulationEncoder",
+    "Provenance": "spikedeploy.runtime.metadata:Provenance",
     "RateEncoder": "spikedeploy.runtime.codec.rate:RateEncoder",
     "load": "spikedeploy.runtime.artifact.artifact:load",
     "save": "spikedeploy.runtime.artifact.artifact:save",

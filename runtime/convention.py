@@ -1,4 +1,4 @@
-"""The convention: what NIR leaves open, and what makes spikes differ between tools."""
+"""The convention: the choices of discretisation that NIR leaves open and on which spikes depend."""
 
 import math
 from collections.abc import Mapping
@@ -17,21 +17,21 @@ Floor = Literal["none", "zero", "threshold"]
 
 @dataclass(frozen=True)
 class Convention:
-    """How a NIR graph, which is continuous in time, is stepped.
+    """How a NIR graph, which is defined in continuous time, is simulated in timesteps.
 
     dt: [s] duration of one timestep.
-    reset: after a spike the membrane goes to v_reset ("zero"; exporters write 0 there), or the
-        distance from v_reset to the threshold is taken off it ("subtract").
-    integrator: decays are 1 - dt/tau ("euler") or exp(-dt/tau) ("exponential").
-    delay: [timesteps] from a spike, or a row of the input, through an Affine, Linear or
-        convolution to what follows: y[t] = W x[t - delay] + b. Recurrent connections take one
-        timestep in any case.
-    state: currents and membranes start from 0 at each inference ("reset") or go on ("kept").
-    source: who says so; no part of equality.
-    spikes: in one timestep, one where the membrane is above its threshold ("above"), one where it
-        is at it too ("reached"), or as many as the threshold goes into the membrane, all of which
-        are subtracted ("many").
-    floor: below which no membrane of a spiking neuron stays: none, 0, or minus the threshold.
+    reset: after a spike the membrane is set to v_reset ("zero"; exporters write v_reset = 0), or
+        threshold - v_reset is subtracted from it ("subtract").
+    integrator: decay factors are 1 - dt/tau ("euler") or exp(-dt/tau) ("exponential").
+    delay: [timesteps] of an Affine, Linear or convolution: y[t] = W x[t - delay] + b. Recurrent
+        connections take one timestep in any case.
+    state: currents and membranes start from 0 in each inference ("reset"), or are kept ("kept").
+    source: where the convention comes from; no part of equality.
+    spikes: of a neuron in one timestep: one if membrane > threshold ("above"), one if membrane >=
+        threshold ("reached"), or floor((membrane - v_reset) / (threshold - v_reset)) of them, all
+        subtracted ("many").
+    floor: lower bound of a spiking neuron's membrane: "none", 0 ("zero"), or minus its threshold
+        ("threshold").
     """
 
     dt: float
@@ -57,27 +57,27 @@ class Convention:
         _one_of("floor", self.floor, get_args(Floor))
         if self.spikes == "many" and self.reset != "subtract":
             raise ConventionError(
-                f"reset {self.reset!r} and spikes 'many' contradict each other: only what is "
-                "subtracted can be so several times. Choose reset 'subtract', or spikes 'above'."
+                f"reset {self.reset!r} and spikes 'many' contradict each other: several spikes of "
+                "a timestep must be subtracted. Choose reset 'subtract', or spikes 'above'."
             )
 
     def describe(self) -> str:
-        """One line that belongs in every report."""
-        rare = "".join(f", {name}={value}" for name, value in self._rare().items())
+        """One line for reports: every choice, and where it comes from."""
+        optional = "".join(f", {name}={value}" for name, value in self._optional().items())
         return (
             f"dt={self.dt:g} s, reset={self.reset}, integrator={self.integrator}, "
-            f"delay={self.delay}, state={self.state}{rare} ({self.source})"
+            f"delay={self.delay}, state={self.state}{optional} ({self.source})"
         )
 
-    def given(self, options: Mapping[str, Any]) -> "Convention":
-        """The same convention except for the given options."""
+    def with_options(self, options: Mapping[str, Any]) -> "Convention":
+        """The same convention except for these options; `source` names them."""
         if not options:
             return self
         names = ", ".join(sorted(options))
         return replace(self, **options, source=f"{names} given, otherwise {self.source}")
 
     def to_record(self) -> Tree:
-        """What the file stores."""
+        """The fields as the file stores them."""
         return {
             "dt": self.dt,
             "reset": self.reset,
@@ -85,27 +85,27 @@ class Convention:
             "delay": self.delay,
             "state": self.state,
             "source": self.source,
-            **self._rare(),
+            **self._optional(),
         }
 
-    def _rare(self) -> Tree:
-        """What few conventions have; files from before say nothing of it."""
-        rare: Tree = {}
+    def _optional(self) -> Tree:
+        """Fields that are stored only where they differ from the default: older files lack them."""
+        fields: Tree = {}
         if self.spikes != "above":
-            rare["spikes"] = self.spikes
+            fields["spikes"] = self.spikes
         if self.floor != "none":
-            rare["floor"] = self.floor
-        return rare
+            fields["floor"] = self.floor
+        return fields
 
     @classmethod
     def from_record(cls, record: Record) -> "Convention":
-        """The convention that a file states; checked like any other."""
+        """The convention stored in a file; impossible ones raise ConventionError."""
         record.only("dt", "reset", "integrator", "delay", "state", "source", "spikes", "floor")
         return cls(
             dt=record.number("dt"),
             reset=cast("Reset", record.text("reset")),
             integrator=cast("Integrator", record.text("integrator")),
-            delay=record.whole("delay"),
+            delay=record.integer("delay"),
             state=cast("State", record.text("state")),
             source=record.text("source"),
             spikes=cast("Spikes", record.text("spikes") if "spikes" in record else "above"),

@@ -1,6 +1,6 @@
-"""The errors raised on purpose: each names the thing, what was found and what to do.
+"""Errors that a user can act on; each message names what, what was found, the limit, the remedy.
 
-The command line prints them without a traceback. Anything else that is raised is a bug.
+The command line prints them without a traceback and exits with 1. Any other exception is a bug.
 """
 
 
@@ -9,11 +9,11 @@ class SpikedeployError(Exception):
 
 
 class ArtifactError(SpikedeployError):
-    """A `.nir` file that is broken, contradicts itself, or holds what is not supported."""
+    """A `.nir` file or graph that is damaged, inconsistent or not supported."""
 
 
 class ConventionError(SpikedeployError):
-    """A dt, reset, integrator, delay or state that is unknown or impossible."""
+    """A convention (dt, reset, integrator, ...) that is unknown, or impossible for the graph."""
 
 
 class ChipError(SpikedeployError):
@@ -25,12 +25,12 @@ class RuleError(SpikedeployError):
 
 
 class ObservationError(SpikedeployError):
-    """An observation or raster with the wrong shape, or with NaN or infinity in it."""
+    """An observation or raster of the wrong shape, or with NaN or infinity in it."""
 
 
 class ConfigError(SpikedeployError):
-    """A configuration, option or name that the product does not know."""
+    """A configuration, option or name that does not exist."""
 
 
 class TraceError(SpikedeployError):
-    """A trace file that is broken, contradicts itself, or is of a chip that is not known."""
+    """A trace file that is damaged, inconsistent, or of an unknown chip."""

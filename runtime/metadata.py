@@ -1,7 +1,4 @@
-"""Typed reading of the metadata that a `.nir` file carries: HDF5 types in, Python types out.
-
-The origin: where a policy came from, so that a file found in a year explains itself.
-"""
+"""Metadata of a `.nir` file: typed reading of its fields, and the provenance of a policy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,12 +9,18 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
 
-# What NIR metadata can hold: nir writes these, and refuses None and loses the type of lists.
+# what NIR metadata can hold: nir refuses None and loses the type of lists
 Tree: TypeAlias = dict[str, "str | int | float | NDArray[np.float64] | Tree"]
 
 
 class Record:
-    """One group of metadata fields, read by name and type; `where` is its path for messages."""
+    """A group of metadata fields, read by name and type: HDF5 types in, Python types out.
+
+    fields: by name.
+    where: path of the group, for messages.
+
+    Every reader raises ArtifactError where the field is missing or of another type.
+    """
 
     def __init__(self, fields: Mapping[str, object], where: str) -> None:
         self.fields = fields
@@ -26,8 +29,8 @@ class Record:
     def __contains__(self, name: str) -> bool:
         return name in self.fields
 
-    def record(self, name: str) -> "Record":
-        """The group of fields called `name`."""
+    def group(self, name: str) -> "Record":
+        """The nested group called `name`."""
         value = self._field(name)
         if not isinstance(value, Mapping):
             raise self._wrong(name, value, "a group of fields")
@@ -40,7 +43,7 @@ class Record:
             raise self._wrong(name, value, "text")
         return value
 
-    def whole(self, name: str) -> int:
+    def integer(self, name: str) -> int:
         """The integer called `name`."""
         value = self._field(name)
         if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
@@ -60,16 +63,16 @@ class Record:
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
             raise self._wrong(name, value, "an array of numbers")
         if not np.isfinite(value).all():
-            raise self._wrong(name, "NaN or infinity in it", "an array of finite numbers")
+            raise self._wrong(name, "NaN or infinity", "an array of finite numbers")
         return value.astype(np.float64)
 
     def only(self, *names: str) -> None:
-        """Refuse fields that this version does not know, rather than to ignore what they mean."""
+        """Refuse any other field: ignoring one could change what the file means."""
         unknown = sorted(set(self.fields) - set(names))
         if unknown:
             raise ArtifactError(
                 f"metadata {self.where} has the unknown field {unknown[0]!r}; known are "
-                f"{', '.join(names)}. Was the file written by a newer spikedeploy? Update, or "
+                f"{', '.join(names)}. If a newer spikedeploy wrote the file, update; otherwise "
                 "export the policy again."
             )
 
@@ -90,14 +93,14 @@ class Record:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Who made an artifact, and how to make it again.
+    """Where a policy comes from: what is needed to train it again.
 
-    env: id of the environment it was trained in.
+    env: id of the training environment.
     recipe: name of the training recipe.
-    seed: of the training.
-    steps: environment steps that it was trained for.
+    seed: of the training run.
+    steps: environment steps of the training run.
     created: UTC time of the export, ISO 8601.
-    version: of spikedeploy that wrote the file.
+    version: of the spikedeploy that wrote the file.
     sha256: of network, codec and convention; `save` writes it and `load` checks it.
     """
 
@@ -110,7 +113,7 @@ class Provenance:
     sha256: str = ""
 
     def to_record(self) -> Tree:
-        """What the file stores."""
+        """The fields as the file stores them."""
         return {
             "env": self.env,
             "recipe": self.recipe,
@@ -123,13 +126,13 @@ class Provenance:
 
     @classmethod
     def from_record(cls, record: Record) -> "Provenance":
-        """The origin that a file states."""
+        """The provenance stored in a file; unknown fields raise ArtifactError."""
         record.only("env", "recipe", "seed", "steps", "created", "version", "sha256")
         return cls(
             env=record.text("env"),
             recipe=record.text("recipe"),
-            seed=record.whole("seed"),
-            steps=record.whole("steps"),
+            seed=record.integer("seed"),
+            steps=record.integer("steps"),
             created=record.text("created"),
             version=record.text("version"),
             sha256=record.text("sha256"),

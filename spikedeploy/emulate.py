@@ -23,7 +23,7 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
-from spikedeploy.runtime.graph.ports import Port, named, parted, ports
+from spikedeploy.runtime.graph.ports import Port, by_port, ports, split
 from spikedeploy.runtime.metrics.energy import EnergyEstimate, energy_estimate, energy_table
 
 # bytes that a neuron takes in a timestep: current, membrane and spike, while running and recorded
@@ -147,7 +147,7 @@ def played(
     quantisation: Quantisation = PLAIN,
 ) -> Emulation:
     """The same with a network that is loaded already."""
-    rows = named(ports(artifact.graph.inputs), in_batch(rasters))
+    rows = by_port(ports(artifact.graph.inputs), in_batch(rasters))
     if chip != FLOAT:
         found = datasheet(chip)
         program = compiled(artifact, found, quantisation, limits=limits)
@@ -217,5 +217,5 @@ def _check_room(program: Program, rows: Mapping[str, Raster]) -> None:
 
 def _outputs(all_: tuple[Port, ...], rows: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """What each Output node put out (T, *act), of (1, T, act) side by side."""
-    found = parted(all_, rows)
+    found = split(all_, rows)
     return {"output" if len(found) == 1 else name: each[0] for name, each in found.items()}

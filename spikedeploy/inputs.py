@@ -17,7 +17,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.graph.ports import named, ports
+from spikedeploy.runtime.graph.ports import by_port, ports
 
 Raster = NDArray[np.uint8]
 
@@ -76,7 +76,7 @@ def chosen(
 
 def from_file(artifact: Artifact, path: Path) -> Inputs:
     """The raster (T, *shape) of a file, as one inference."""
-    (rows,) = named(ports(artifact.graph.inputs), in_batch(read_rasters(path))).values()
+    (rows,) = by_port(ports(artifact.graph.inputs), in_batch(read_rasters(path))).values()
     return Inputs(rows.reshape(*rows.shape[:2], -1), str(path))
 
 

@@ -66,7 +66,7 @@ def ship(monkeypatch, folder):
 def snn(path, env=ID, seed=0):
     """Write a spiking policy with random weights."""
     artifact = popsan(obs=3, act=2, hidden=(16, 12), seed=seed)
-    save(replace(artifact, origin=replace(ORIGIN, env=env)), path)
+    save(replace(artifact, provenance=replace(ORIGIN, env=env)), path)
     return path
 
 

@@ -114,7 +114,7 @@ def _from_nir(path: str) -> Teacher:
         return codec.decode(output).astype(np.float64)
 
     actions = graph.outputs[0].size
-    env = artifact.origin.env if artifact.origin else ""
+    env = artifact.provenance.env if artifact.provenance else ""
     return Teacher(act_all, codec.encoder.observed, actions, env)
 
 

@@ -1,7 +1,10 @@
-"""The artifact: one `.nir` file, read and written, with what other tools make of it.
+"""The artifact: one `.nir` file with network, codec, convention and provenance.
 
-artifact         The artifact: one `.nir` file that is all a robot needs. The only reader and w
-hdf5             The HDF5 container of a NIR file: what must be true of its tree before anythin
-infer_dt         The timestep that a file was written with, where NIR leaves it out but the gai
-presets/         what other tools make of the same file; a tool, a file.
+The only place that reads or writes `.nir`; files of other tools are read too, with an inferred dt
+or as another tool reads them.
+
+artifact         the artifact, loading, saving, and its digest
+hdf5             the HDF5 container, checked before a graph is read from it
+infer_dt         the timestep that the gains of a file imply
+presets/         how other tools read the same file
 """

@@ -1,4 +1,4 @@
-"""The artifact: one `.nir` file that is all a robot needs. The only reader and writer of `.nir`."""
+"""The artifact: one `.nir` file that is all a robot needs; the only reader and writer of `.nir`."""
 
 import hashlib
 import os
@@ -11,7 +11,7 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.artifact.hdf5 import read_graph
-from spikedeploy.runtime.artifact.infer_dt import inferred_convention, timestep
+from spikedeploy.runtime.artifact.infer_dt import infer_convention, infer_timestep
 from spikedeploy.runtime.artifact.presets.preset import read_like
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
@@ -19,7 +19,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.nesting import flattened
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise
 from spikedeploy.runtime.graph.order import delay_timesteps
-from spikedeploy.runtime.graph.validate import DERIVED, check_graph
+from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 
 SCHEMA = 1
@@ -28,21 +28,21 @@ KEY = "spikedeploy"
 
 @dataclass(frozen=True, eq=False)
 class Artifact:
-    """A network with everything that NIR leaves open.
+    """A network and everything that NIR leaves open; ArtifactError where they are inconsistent.
 
-    graph: standard NIR nodes, which any NIR tool can open; graphs inside it are taken apart.
+    graph: standard NIR nodes, which any NIR tool can open; nested graphs are flattened.
     codec: observation to spikes and output to action; None in files of other tools.
-    convention: how the graph is stepped; inferred or given for files of other tools.
-    origin: who made it; None in files of other tools.
+    convention: how the graph is discretised; inferred or given for files of other tools.
+    provenance: where the policy comes from; None in files of other tools.
     """
 
     graph: nir.NIRGraph
     codec: Codec | None
     convention: Convention
-    origin: Provenance | None = None
+    provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
-        # frozen for others; what is inside an inner graph must be seen by everyone
+        # the one field that construction changes: every reader expects a flat graph
         object.__setattr__(self, "graph", flattened(self.graph))
         check_graph(self.graph)
         for name in sorted(self.graph.nodes):
@@ -55,7 +55,10 @@ class Artifact:
 
 
 def save(artifact: Artifact, path: str | Path) -> None:
-    """Write the artifact: same artifact, same bytes; interrupted, the old file stays as it was."""
+    """Write a file; equal artifacts give equal bytes, and an interruption leaves the old file.
+
+    Raises ArtifactError where it cannot be written.
+    """
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -80,9 +83,13 @@ def load(
     floor: Floor | None = None,
     like: str | None = None,
 ) -> Artifact:
-    """Read a `.nir` file, ours or another tool's; what is given goes before what the file says.
+    """The artifact in a `.nir` file, ours or another tool's.
 
-    like: name of one of runtime.presets.PRESETS, whose tool's reading of the file it shall be.
+    dt: [s]; like reset, integrator, delay, state, spikes and floor an option of Convention, which
+        replaces what the file states.
+    like: name of one of the PRESETS: read the file as that tool does.
+
+    Raises ArtifactError or ConventionError, with the path, where the file cannot be read or run.
     """
     options = {
         "dt": dt,
@@ -100,13 +107,13 @@ def load(
             return _like(graph, like, given)
         if KEY in graph.metadata:
             return _ours(graph, given)
-        return Artifact(graph, None, inferred_convention(graph, given))
+        return Artifact(graph, None, infer_convention(graph, given))
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
 
 
 def digest(artifact: Artifact) -> str:
-    """SHA-256 of all that decides what the policy does: network, codec and convention."""
+    """SHA-256 of everything that decides what the policy does: network, codec and convention."""
     nodes = {name: _parameters(node) for name, node in artifact.graph.nodes.items()}
     edges = repr(sorted(artifact.graph.edges))
     sha = hashlib.sha256()
@@ -116,12 +123,12 @@ def digest(artifact: Artifact) -> str:
 
 
 def _parameters(node: nir.NIRNode) -> dict[str, object]:
-    values = {field: value for field, value in vars(node).items() if field not in DERIVED}
+    values = {field: value for field, value in vars(node).items() if field not in DERIVED_FIELDS}
     return {**values, "type": type(node).__name__}
 
 
 def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
-    """Names and values in the order of the names; numbers as they lie in memory."""
+    """Names and values, sorted by name; arrays with dtype and shape, in C order."""
     for name, value in sorted(tree.items()):
         here = f"{path}/{name}"
         if isinstance(value, dict):
@@ -134,10 +141,10 @@ def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
 
 
 def _stamped(artifact: Artifact) -> nir.NIRGraph:
-    """The graph in a fixed order, with the metadata that makes it an artifact."""
+    """The graph, nodes and edges sorted, with the artifact's metadata."""
     record = _record(artifact)
-    if artifact.origin is not None:
-        record["origin"] = replace(artifact.origin, sha256=digest(artifact)).to_record()
+    if artifact.provenance is not None:
+        record["origin"] = replace(artifact.provenance, sha256=digest(artifact)).to_record()
     return nir.NIRGraph(
         nodes=dict(sorted(artifact.graph.nodes.items())),
         edges=sorted(artifact.graph.edges),
@@ -147,7 +154,7 @@ def _stamped(artifact: Artifact) -> nir.NIRGraph:
 
 
 def _record(artifact: Artifact) -> Tree:
-    """The metadata without the origin."""
+    """The metadata without the provenance."""
     record: Tree = {"schema": SCHEMA, "convention": artifact.convention.to_record()}
     if artifact.codec is not None:
         record["codec"] = artifact.codec.to_record()
@@ -155,13 +162,13 @@ def _record(artifact: Artifact) -> Tree:
 
 
 def _read(path: Path) -> nir.NIRGraph:
-    """The graph in the file, sound."""
+    """The graph in the file, flattened and checked."""
     if not path.is_file():
         raise ArtifactError("there is no such file. Check the path.")
     if not h5py.is_hdf5(path):
         raise ArtifactError(
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
-            "NIR tool wrote; if it is that one, its download or copy was cut short."
+            "NIR tool wrote; if it is that file, copy it again, it is truncated."
         )
     graph = flattened(read_graph(path))
     check_graph(graph)
@@ -170,21 +177,22 @@ def _read(path: Path) -> nir.NIRGraph:
 
 def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     """The artifact of a graph with our metadata."""
-    record = Record(graph.metadata, "file").record(KEY)
+    record = Record(graph.metadata, "file").group(KEY)
     _check_schema(record)
-    convention = _stated_convention(record.record("convention"))
+    convention = _stated_convention(record.group("convention"))
     _check_timestep(graph, convention)
-    codec = Codec.from_record(record.record("codec")) if "codec" in record else None
-    origin = Provenance.from_record(record.record("origin")) if "origin" in record else None
+    codec = Codec.from_record(record.group("codec")) if "codec" in record else None
+    # "origin" is the key of the file format
+    found = Provenance.from_record(record.group("origin")) if "origin" in record else None
     del graph.metadata[KEY]
-    stated = Artifact(graph, codec, convention, origin)
-    if origin is not None:
-        _check_digest(stated, origin)
-    return replace(stated, convention=convention.given(given))
+    stated = Artifact(graph, codec, convention, found)
+    if found is not None:
+        _check_digest(stated, found)
+    return replace(stated, convention=convention.with_options(given))
 
 
 def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
-    """The artifact that another tool makes of a graph; of ours it knows the nodes, not the rest."""
+    """The artifact as another tool reads the graph; it ignores our convention and provenance."""
     codec = _ours(graph, {}).codec if KEY in graph.metadata else None
     read, convention = read_like(graph, tool, given)
     return Artifact(read, codec, convention)
@@ -199,7 +207,7 @@ def _stated_convention(record: Record) -> Convention:
 
 def _check_schema(record: Record) -> None:
     record.only("schema", "convention", "codec", "origin")
-    if (schema := record.whole("schema")) != SCHEMA:
+    if (schema := record.integer("schema")) != SCHEMA:
         raise ArtifactError(
             f"metadata {record.where}.schema is {schema}; this version reads {SCHEMA}. "
             "Update spikedeploy, or export the policy again."
@@ -207,30 +215,30 @@ def _check_schema(record: Record) -> None:
 
 
 def _check_timestep(graph: nir.NIRGraph, convention: Convention) -> None:
-    """Refuse a dt that the gains of the same file contradict."""
-    evidence = timestep(graph)
+    """Raise ArtifactError where the gains of the same file contradict its dt."""
+    evidence = infer_timestep(graph)
     if evidence.dt is None or not evidence.confirmed:
         return
     if not np.isclose(evidence.dt, convention.dt, rtol=1e-3):
         raise ArtifactError(
-            f"the metadata say dt = {convention.dt:g} s, the nodes {evidence.dt:g} s "
+            f"the metadata state dt = {convention.dt:g} s, the nodes {evidence.dt:g} s "
             f"({evidence.reason}). Export the policy again."
         )
 
 
-def _check_digest(artifact: Artifact, origin: Provenance) -> None:
-    if (found := digest(artifact)) != origin.sha256:
+def _check_digest(artifact: Artifact, provenance: Provenance) -> None:
+    if (found := digest(artifact)) != provenance.sha256:
         raise ArtifactError(
-            f"the policy is not the one that was exported: its SHA-256 is {found[:12]}…, the "
-            f"origin says {origin.sha256[:12]}…. Export the policy again; if the change is "
-            f"meant, delete metadata/{KEY}/origin from the file."
+            f"the policy is not the one that was exported: its SHA-256 is {found[:12]}…, its "
+            f"provenance states {provenance.sha256[:12]}…. Export the policy again; if the change "
+            f"is intended, delete metadata/{KEY}/origin from the file."
         )
 
 
 def _check_width(graph: nir.NIRGraph, codec: Codec) -> None:
     if len(graph.inputs) != 1 or len(graph.outputs) != 1:
         raise ArtifactError(
-            f"the codec is for one raster and one output; the graph has the inputs "
+            f"a codec needs one Input and one Output node; the graph has the inputs "
             f"{', '.join(sorted(graph.inputs))} and the outputs "
             f"{', '.join(sorted(graph.outputs))}. Join them, or store the graph without a codec."
         )

@@ -1,19 +1,9 @@
-"""The HDF5 container of a NIR file: what must be true of its tree before anything in it is read.
+"""Reading the HDF5 container of a NIR file into a graph, without trusting it.
 
-HDF5 can link groups in circles, keep numbers in other files, and claim arrays that no memory holds.
-NIR needs none of that.
-
-The global heaps of a HDF5 file, where its texts lie; a damaged one can make HDF5 read for ever.
-
-A collection is "GCOL", a version, three bytes, and its size in 8 bytes; then objects, each an
-index, a reference count, four bytes and a size in 8 bytes, followed by that many bytes up to a
-multiple of 8. The object of index 0 is the free space behind the others, its header included
-(HDF5 File Format Specification 3.0, section III.E).
-
-Reading a NIR file node by node, so that what cannot be read has a name.
-
-`nir.read` checks the shapes of inner graphs even when it is told not to, and says of a node that
-cannot be made only that it cannot.
+HDF5 can link groups in circles, keep numbers in other files, claim arrays that no memory holds, and
+read for ever in a damaged heap of texts; `nir.read` also checks inner graphs when told not to, and
+does not say which node it cannot make. So the container is checked before anything in it is read,
+and the graph is read node by node.
 """
 
 from collections.abc import Iterator, Mapping
@@ -27,50 +17,71 @@ from nir.serialization import hdf2dict
 
 from spikedeploy.runtime.errors import ArtifactError
 
-# with the version and its three bytes, so that no weight looks like it
-SIGNATURE = b"GCOL\x01\x00\x00\x00"
-HEADER = 16
+# bytes of all parameters: a file with more is taken for a mistake that would exhaust the memory
+MAX_PARAMETER_BYTES = 1 << 31
+# bytes of an array for each that is stored (deflate packs 1032 zeros into one), and besides those
+MAX_EXPANSION = 1100
+FREE_BYTES = 1 << 20
+# nested groups (a graph inside a graph takes three), and links in all
+MAX_DEPTH = 64
+MAX_LINKS = 100_000
+# "GCOL" with version and padding, so that no weight is mistaken for it
+HEAP_SIGNATURE = b"GCOL\x01\x00\x00\x00"
+HEAP_HEADER = 16  # [bytes]
+REMEDY = "Export the network again, or correct the node."
+
+
+def read_graph(path: Path) -> nir.NIRGraph:
+    """The graph in a HDF5 file, as written; ArtifactError where the file holds none.
+
+    Whether the graph can be computed is for runtime.graph.validate to check.
+    """
+    check_heaps(path)
+    try:
+        with h5py.File(path, "r") as file:
+            check_container(file, path)
+            tree = hdf2dict(file["node"])
+        if tree["type"] != "NIRGraph":
+            raise ValueError(f"it holds a single {tree['type']} and no graph")
+        return _graph(tree, "")
+    except ArtifactError:
+        raise
+    # h5py and nir raise exceptions of many types for a damaged file
+    except Exception as error:
+        raise ArtifactError(
+            f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
+            "truncated, damaged or of another format; copy or export it again."
+        ) from error
 
 
 def check_heaps(path: Path) -> None:
-    """Refuse a file with a heap that does not end."""
+    """Raise ArtifactError where a global heap, in which texts lie, is damaged.
+
+    A heap collection is "GCOL", a version, three bytes, and its size in 8 bytes; then objects: an
+    index, a reference count, four bytes and a size in 8 bytes, followed by that many bytes up to a
+    multiple of 8. The object of index 0 is the free space after the others, its header included
+    (HDF5 File Format Specification 3.0, section III.E).
+    """
     content = path.read_bytes()
-    at = content.find(SIGNATURE)
+    at = content.find(HEAP_SIGNATURE)
     while at >= 0:
         if not _ends(content, at):
             raise ArtifactError(
                 f"cannot be read as a NIR graph: its texts, at byte {at}, are damaged. Copy the "
                 "file or export it again."
             )
-        at = content.find(SIGNATURE, at + 1)
-
-
-def check_texts(name: str, texts: h5py.Dataset, path: Path) -> None:
-    """Refuse texts that say they are longer than the file: HDF5 would reserve the memory first.
-
-    Each is kept as its length in 4 bytes, then 12 bytes that say where.
-    """
-    if (offset := texts.id.get_offset()) is None:
-        return
-    with path.open("rb") as file:
-        file.seek(offset)
-        lengths = np.frombuffer(file.read(16 * int(texts.size)).ljust(16, b"\0"), "<u4")
-    if lengths[::4].size and lengths[::4].max() > path.stat().st_size:
-        raise ArtifactError(
-            f"{name} holds a text of {lengths[::4].max()} bytes, more than the file. It is "
-            "damaged; copy or export it again."
-        )
+        at = content.find(HEAP_SIGNATURE, at + 1)
 
 
 def _ends(content: bytes, at: int) -> bool:
-    """Whether walking the collection at this place comes to its end."""
+    """Whether the heap collection at this byte has an end."""
     size = _number(content, at + 8, 8)
-    here, end = at + HEADER, at + size
-    while end - here >= HEADER:
+    here, end = at + HEAP_HEADER, at + size
+    while end - here >= HEAP_HEADER:
         index, length = _number(content, here, 2), _number(content, here + 8, 8)
-        # the header of free space is part of it
-        step = length if index == 0 else HEADER + (length + 7) // 8 * 8
-        if step < HEADER:
+        # the size of free space includes its header
+        step = length if index == 0 else HEAP_HEADER + (length + 7) // 8 * 8
+        if step < HEAP_HEADER:
             return False
         here += step
     return True
@@ -80,55 +91,46 @@ def _number(content: bytes, at: int, width: int) -> int:
     return int.from_bytes(content[at : at + width], "little")
 
 
-# bytes of parameters beyond which a file is a mistake, and would only exhaust the memory
-LARGEST = 1 << 31
-# and what a stored byte can become: deflate packs 1032 zeros into it
-PACKED = 1100
-FREE = 1 << 20
-# groups in groups, and things in all: a graph inside a graph is three groups deeper
-DEEPEST = 64
-MOST = 100_000
-
-
 def check_container(file: h5py.File, path: Path) -> None:
-    """Refuse links that lead out or round, arrays kept elsewhere, and sizes that cannot be."""
-    sizes = {"nothing": 0}
+    """Raise ArtifactError where links leave the file or form a circle, or sizes are impossible."""
+    sizes: dict[str, int] = {}
     for name, dataset in _datasets(file):
         _check_type(name, dataset)
         sizes[name] = _size(name, dataset)
         if dataset.dtype.kind == "O":
-            check_texts(name, dataset, path)
-    if sum(sizes.values()) > LARGEST:
+            _check_texts(name, dataset, path)
+    if sum(sizes.values()) > MAX_PARAMETER_BYTES:
         largest = max(sizes, key=lambda name: sizes[name])
         raise ArtifactError(
-            f"{largest} is {sizes[largest]} bytes; all parameters together may be {LARGEST}. The "
-            "file is damaged, or the network too large for one machine: divide it."
+            f"{largest} is {sizes[largest]} bytes; all parameters together may be "
+            f"{MAX_PARAMETER_BYTES}. The file is damaged, or the network too large for one "
+            "machine: divide it."
         )
 
 
 def _datasets(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Every array by its path, each group walked once."""
+    """Every array by its path; each group is visited once."""
     waiting, seen, count = [("", file["/"], 0)], {_address(file["/"])}, 0
     while waiting:
         path, group, depth = waiting.pop()
         for key in group:
             name, count = f"{path}{key}", count + 1
-            thing = _linked(group, key, name)
-            if isinstance(thing, h5py.Dataset):
-                yield name, thing
-            elif isinstance(thing, h5py.Group):
-                _check_group(name, depth, count, _address(thing) in seen)
-                seen.add(_address(thing))
-                waiting.append((f"{name}/", thing, depth + 1))
+            member = _linked(group, key, name)
+            if isinstance(member, h5py.Dataset):
+                yield name, member
+            elif isinstance(member, h5py.Group):
+                _check_group(name, depth, count, _address(member) in seen)
+                seen.add(_address(member))
+                waiting.append((f"{name}/", member, depth + 1))
 
 
 def _linked(group: h5py.Group, key: str, name: str) -> object:
-    """What a name in a group stands for, if it is in the group itself."""
+    """The member of a group by its name; ArtifactError where it is only a link to elsewhere."""
     kind = group.get(key, getclass=True, getlink=True)
     if kind is not h5py.HardLink:
         raise ArtifactError(
-            f"{name[:60]} is a {kind.__name__} to somewhere else; NIR keeps everything in its "
-            "place. Copy what it means to where it is."
+            f"{name[:60]} is a {kind.__name__} to somewhere else; a NIR file may hold only "
+            "hard links. Replace it by a copy of its target."
         )
     return group[key]
 
@@ -139,32 +141,32 @@ def _check_group(name: str, depth: int, count: int, known: bool) -> None:
             f"{name[:60]} is a group that is there under another name too, so that reading might "
             "never end. Export the network again."
         )
-    if depth >= DEEPEST or count > MOST:
+    if depth >= MAX_DEPTH or count > MAX_LINKS:
         raise ArtifactError(
-            f"{name[:60]}… is deeper than {DEEPEST} groups, or comes after {MOST} others. Flatten "
-            "the graph in the tool that wrote it, or divide it."
+            f"{name[:60]}… is deeper than {MAX_DEPTH} groups, or comes after {MAX_LINKS} other "
+            "links. Flatten the graph in the tool that wrote it, or divide it."
         )
 
 
 def _check_type(name: str, dataset: h5py.Dataset) -> None:
-    """Refuse what is neither numbers nor texts; a damaged type can crash HDF5 while it reads."""
+    """Refuse other types than numbers and texts; HDF5 can crash on reading a damaged type."""
     kind = dataset.dtype.kind
     if kind == "V" or (kind == "O" and h5py.check_string_dtype(dataset.dtype) is None):
         raise ArtifactError(
-            f"{name} holds neither numbers nor texts, which is all that NIR has. It is damaged; "
-            "copy or export it again."
+            f"{name} holds neither numbers nor texts; NIR has nothing else. The file is "
+            "damaged; copy or export it again."
         )
 
 
 def _size(name: str, dataset: h5py.Dataset) -> int:
-    """Bytes of an array, which are not many more than those that are stored."""
+    """Bytes of an array; ArtifactError where the file stores too few for it."""
     if dataset.external or dataset.is_virtual:
         raise ArtifactError(
-            f"{name} has its numbers in another file; a NIR file is all that there is. Write them "
-            "into it."
+            f"{name} has its numbers in another file; a NIR file must hold all of them. Write "
+            "them into it."
         )
     size = int(dataset.nbytes)
-    if size > FREE + PACKED * dataset.id.get_storage_size():
+    if size > FREE_BYTES + MAX_EXPANSION * dataset.id.get_storage_size():
         raise ArtifactError(
             f"{name} is {size} bytes, for which too few are in the file. It is damaged; copy or "
             "export it again."
@@ -177,27 +179,21 @@ def _address(group: h5py.Group) -> tuple[int, int]:
     return int(info.fileno), int(info.addr)
 
 
-REMEDY = "Export the network again, or correct the node."
+def _check_texts(name: str, texts: h5py.Dataset, path: Path) -> None:
+    """Refuse texts longer than the file: HDF5 would reserve the memory before it reads.
 
-
-def read_graph(path: Path) -> nir.NIRGraph:
-    """The graph in a HDF5 file, as it is written there; nothing is checked but that it is one."""
-    check_heaps(path)
-    try:
-        with h5py.File(path, "r") as file:
-            check_container(file, path)
-            tree = hdf2dict(file["node"])
-        if tree["type"] != "NIRGraph":
-            raise ValueError(f"it holds a single {tree['type']} and no graph")
-        return _graph(tree, "")
-    except ArtifactError:
-        raise
-    # h5py and nir raise nearly anything when a file is not what they expect
-    except Exception as error:
+    Each is stored as its length in 4 bytes, then 12 bytes of its place in a heap.
+    """
+    if (offset := texts.id.get_offset()) is None:
+        return
+    with path.open("rb") as file:
+        file.seek(offset)
+        lengths = np.frombuffer(file.read(16 * int(texts.size)).ljust(16, b"\0"), "<u4")
+    if lengths[::4].size and lengths[::4].max() > path.stat().st_size:
         raise ArtifactError(
-            f"cannot be read as a NIR graph: {type(error).__name__}: {error}. The file is "
-            "truncated, damaged or something else; copy or export it again."
-        ) from error
+            f"{name} holds a text of {lengths[::4].max()} bytes, more than the file. It is "
+            "damaged; copy or export it again."
+        )
 
 
 def _graph(tree: Mapping[str, Any], path: str) -> nir.NIRGraph:
@@ -217,7 +213,7 @@ def _node(tree: object, path: str) -> nir.NIRNode:
     if not isinstance(tree, Mapping) or not isinstance(tree.get("type"), str):
         inner = f"{path}/{next(iter(tree))}" if isinstance(tree, Mapping) and tree else path
         raise ArtifactError(
-            f"node {path!r} has no type. If it was called {inner!r}: HDF5 takes a '/' apart, so "
+            f"node {path!r} has no type. If it was called {inner!r}: HDF5 splits names at '/', so "
             "that such a name cannot be read back. Rename the node in the tool that wrote it."
         )
     kind = tree["type"]
@@ -225,12 +221,12 @@ def _node(tree: object, path: str) -> nir.NIRNode:
         return _graph(tree, f"{path}.")
     if not isinstance(getattr(nir, kind, None), type):
         raise ArtifactError(
-            f"node {path!r}: {kind[:40]!r} is no primitive of NIR. Write it with those, or update "
-            "`nir` if it is newer."
+            f"node {path!r}: {kind[:40]!r} is no primitive of NIR. Use one, or update `nir` if the "
+            "primitive is newer."
         )
     try:
         return nir.dict2NIRNode(dict(tree))
-    # each kind has errors of its own, and most do not say which node or which field
+    # each primitive has its own exceptions, and most name neither node nor field
     except Exception as error:
         raise ArtifactError(
             f"node {path!r}: no {kind} can be made of {_shapes(tree)}: {error or 'nir refuses'}. "

@@ -1,7 +1,7 @@
-"""The timestep that a file was written with, where NIR leaves it out but the gains betray it.
+"""The timestep of a file, which NIR does not store, inferred from the gains of its neurons.
 
-Tools that discretise by forward Euler write r = tau_mem/dt and w_in = tau_syn/dt, so that all gains
-are 1; then dt = tau_mem/r in every neuron, and w_in dt / tau_syn = 1 confirms it.
+Tools that discretise by forward Euler write r = tau_mem/dt and w_in = tau_syn/dt, for gains of 1.
+Then dt = tau_mem/r in every neuron, and w_in dt / tau_syn = 1 confirms it.
 """
 
 from collections.abc import Mapping
@@ -16,16 +16,16 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import CURRENT_BASED, INTEGRATORS, NEURONS, rounding
 
-USUAL = "the file does not say: NIR's usual"
+DEFAULT = "the file does not say: NIR's usual"
 
 
 @dataclass(frozen=True)
-class Timestep:
-    """What the gains of a graph say about dt.
+class InferredTimestep:
+    """The dt that the gains of a graph imply.
 
-    dt: [s], or None where they say nothing or contradict each other.
-    reason: a clause for people that says from what, or why not.
-    confirmed: whether a second equation, that of w_in, agrees.
+    dt: [s], or None where they imply none or contradict each other.
+    reason: from which equation and nodes, or why not; a clause for messages.
+    confirmed: whether the gains w_in of the synapses agree.
     """
 
     dt: float | None
@@ -33,31 +33,31 @@ class Timestep:
     confirmed: bool = False
 
 
-def timestep(graph: nir.NIRGraph) -> Timestep:
-    """The dt for which every gain of the graph is 1, if there is one."""
+def infer_timestep(graph: nir.NIRGraph) -> InferredTimestep:
+    """The dt for which every gain of the graph is 1, if one exists."""
     neurons = {n: node for n, node in sorted(graph.nodes.items()) if isinstance(node, NEURONS)}
     if not neurons:
-        return Timestep(None, "no node of the graph has a time constant")
+        return InferredTimestep(None, "no node of the graph has a time constant")
     if any((node.r <= 0).any() for node in neurons.values()):
-        return Timestep(None, "a gain r is not above 0")
-    every = np.concatenate([_candidates(node) for node in neurons.values()])
-    if not np.isfinite(every).all() or not every.min() > 0:
-        return Timestep(None, "tau/r is too large or too small for a number")
+        return InferredTimestep(None, "a gain r is not above 0")
+    candidates = np.concatenate([_candidates(node) for node in neurons.values()])
+    if not np.isfinite(candidates).all() or not candidates.min() > 0:
+        return InferredTimestep(None, "tau/r is too large or too small for float64")
     tolerance = max(rounding(node) for node in neurons.values())
-    dt = _rounded(float(np.median(every)), tolerance)
+    dt = _rounded(float(np.median(candidates)), tolerance)
     for name, node in neurons.items():
-        if doubt := _doubt(node, dt, tolerance):
-            return Timestep(None, f"in node {name!r} {doubt}")
+        if contradiction := _contradiction(node, dt, tolerance):
+            return InferredTimestep(None, f"in node {name!r} {contradiction}")
     confirmed = any(isinstance(node, CURRENT_BASED) for node in neurons.values())
-    return Timestep(dt, f"dt = tau/r in {', '.join(neurons)}", confirmed)
+    return InferredTimestep(dt, f"dt = tau/r in {', '.join(neurons)}", confirmed)
 
 
-def _doubt(node: nir.NIRNode, dt: float, tolerance: float) -> str:
-    """What speaks against this dt, or nothing."""
+def _contradiction(node: nir.NIRNode, dt: float, tolerance: float) -> str:
+    """Why a node contradicts this dt; empty where it does not."""
     found = _candidates(node)
     if np.abs(found / dt - 1).max() > tolerance:
         return f"tau/r is {found.min():g} s and not {dt:g} s"
-    # a leaky membrane has tau > dt; r = 1 is the gain of a tool that leaves dt out of r
+    # forward Euler needs tau > dt, so r > 1; tools that leave dt out of r write r = 1
     if not isinstance(node, INTEGRATORS) and (node.r <= 1).any():
         return f"r is {node.r.min():g}, a gain and not tau/dt"
     if isinstance(node, CURRENT_BASED):
@@ -67,22 +67,25 @@ def _doubt(node: nir.NIRNode, dt: float, tolerance: float) -> str:
     return ""
 
 
-def inferred_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Convention:
-    """NIR's usual discretisation, with the dt of the gains unless it is given."""
+def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Convention:
+    """NIR's usual discretisation, with the given options, and the inferred dt unless it is given.
+
+    Raises ArtifactError where dt is neither given nor implied by the gains.
+    """
     if "dt" in given:
-        return Convention(given["dt"], source=USUAL).given(given)
-    evidence = timestep(graph)
+        return Convention(given["dt"], source=DEFAULT).with_options(given)
+    evidence = infer_timestep(graph)
     if evidence.dt is None:
         raise ArtifactError(
             f"the file does not say its timestep and it cannot be inferred: {evidence.reason}. "
-            "Give dt in seconds, as the tool that wrote the file used it, or name the tool whose "
-            "reading is wanted."
+            "Give the dt in seconds of the tool that wrote the file, or name that tool with "
+            "--like."
         )
-    return Convention(evidence.dt, source=f"{evidence.reason}; {USUAL}").given(given)
+    return Convention(evidence.dt, source=f"{evidence.reason}; {DEFAULT}").with_options(given)
 
 
 def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
-    """The dt of each neuron for which the gain of its membrane is 1."""
+    """The dt of each neuron for which its membrane's gain is 1."""
     with np.errstate(over="ignore", under="ignore"):
         if isinstance(node, INTEGRATORS):
             return np.ravel(1 / node.r)
@@ -91,6 +94,6 @@ def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
 
 
 def _rounded(dt: float, tolerance: float) -> float:
-    """The dt that people meant, where only the rounding of the file's number type hides it."""
+    """The dt to four digits, where only the rounding of the file's dtype distinguishes them."""
     short = float(f"{dt:.4g}")
     return short if abs(short / dt - 1) <= tolerance else dt

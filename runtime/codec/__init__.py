@@ -1,7 +1,9 @@
-"""The codec: observations to spikes, and spikes to actions.
+"""The codec: observations to spikes, and network output to actions.
 
-codec            The codec: observations to spikes, output to actions; NumPy float64 is the ref
-population       Population coding: a number becomes the spikes of neurons with Gaussian recept
-rate             Rate coding: a number becomes the spikes of one neuron, the more the larger it
-xorshift         Random bytes as a chip makes them: one xorshift32 generator for each neuron of
+NumPy float64 is the definition; the torch layers of trainers are tested against it spike by spike.
+
+codec            normaliser, encoder and squashing; ENCODERS is where a new encoder is entered
+population       population coding with Gaussian receptive fields
+rate             rate coding, evenly spaced or random
+xorshift         the random numbers of stochastic encoders
 """

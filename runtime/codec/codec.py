@@ -1,4 +1,7 @@
-"""The codec: observations to spikes, output to actions; NumPy float64 is the reference."""
+"""The codec: observations to spikes, network output to actions; NumPy float64 is the reference.
+
+It holds the normaliser and the squashing too, so that a `.nir` file is all that a robot needs.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol, cast, get_args
@@ -18,13 +21,13 @@ Squash = Literal["tanh", "none", "argmax"]
 
 
 class Encoder(Protocol):
-    """What turns normalised observations into spikes."""
+    """Normalised observations to spikes."""
 
     kind: ClassVar[str]
 
     @property
     def observed(self) -> int:
-        """Numbers taken in: obs."""
+        """Numbers of an observation: obs."""
 
     @property
     def width(self) -> int:
@@ -32,25 +35,25 @@ class Encoder(Protocol):
 
     @property
     def random(self) -> bool:
-        """Whether the same observation may spike otherwise next time."""
+        """Whether the spikes depend on random numbers."""
 
     def encode(
         self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
     ) -> NDArray[np.uint8]:
         """Spikes (B, T, M) of the normalised observations x (B, obs).
 
-        What is random comes from the dice; without, from new ones of seed 0.
+        rng: random numbers of a stochastic encoder; None for a new generator of seed 0.
         """
 
     def astype(self, dtype: DTypeLike) -> "Encoder":
         """The same encoder computing in another float type."""
 
     def to_record(self) -> Tree:
-        """What the file stores, without the kind."""
+        """The fields as the file stores them, without the kind."""
 
     @classmethod
     def from_record(cls, record: Record) -> "Encoder":
-        """The encoder that a file holds."""
+        """The encoder stored in a file."""
 
 
 ENCODERS: dict[str, type[Encoder]] = {
@@ -61,11 +64,11 @@ ENCODERS: dict[str, type[Encoder]] = {
 
 @dataclass(frozen=True, eq=False)
 class Normaliser:
-    """Observation to zero mean and unit deviation, clipped.
+    """Observation to zero mean and unit standard deviation, clipped.
 
     mean: (obs,) in the observation's units.
     std: (obs,) likewise.
-    clip: largest magnitude let through, in standard deviations.
+    clip: largest magnitude of a normalised observation [standard deviations].
     """
 
     mean: NDArray[np.floating]
@@ -89,7 +92,7 @@ class Normaliser:
         # x = clip((obs - mean) / std, -clip, clip)
         x = obs - self.mean
         x /= self.std
-        # np.clip does the same in three times the time at batch 1
+        # np.clip takes three times as long at batch 1
         np.minimum(x, self.clip, out=x)
         np.maximum(x, -self.clip, out=x)
         return x
@@ -99,7 +102,7 @@ class Normaliser:
         return Normaliser(self.mean.astype(dtype), self.std.astype(dtype), self.clip)
 
     def to_record(self) -> Tree:
-        """What the file stores."""
+        """The fields as the file stores them."""
         return {
             "mean": self.mean.astype(np.float64),
             "std": self.std.astype(np.float64),
@@ -108,7 +111,7 @@ class Normaliser:
 
     @classmethod
     def from_record(cls, record: Record) -> "Normaliser":
-        """The normaliser that a file holds."""
+        """The normaliser stored in a file."""
         record.only("mean", "std", "clip")
         return cls(record.array("mean"), record.array("std"), record.number("clip"))
 
@@ -120,8 +123,8 @@ class Codec:
     normaliser: of the observation.
     encoder: of the normalised observation; one of ENCODERS.
     timesteps: T, network updates per inference.
-    squash: what the mean of the readout goes through to become an action; "argmax" chooses, and
-        the action is the index of the largest mean, the lowest of equals.
+    squash: from the mean of the readout over the timesteps to the action: "tanh", "none", or
+        "argmax", the index of the largest, the lowest of equals.
     """
 
     normaliser: Normaliser
@@ -148,24 +151,27 @@ class Codec:
 
     @property
     def chooses(self) -> bool:
-        """Whether an action is one of several, and not numbers."""
+        """Whether an action is one of several choices, not a vector of numbers."""
         return self.squash == "argmax"
 
     def encode(self, obs: ArrayLike, rng: Xorshift | None = None) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the observations (B, obs); a random code throws the dice."""
+        """Spikes (B, T, M) of the observations (B, obs), which must be finite.
+
+        rng: random numbers of a stochastic encoder; None for a new generator of seed 0.
+        """
         observed = np.asarray(obs, dtype=self.normaliser.mean.dtype)
         self._check_observation(observed)
         return self.encoder.encode(self.normaliser(observed), self.timesteps, rng)
 
     def decode(self, output: NDArray[np.floating]) -> NDArray[Any]:
-        """Actions (B, act), or (B,) where one is chosen, of the readout's output (B, T, act)."""
+        """Actions (B, act), or (B,) of "argmax", from the readout's output (B, T, act)."""
         scores = self.scores(output)
         if self.chooses:
             return np.asarray(scores.argmax(axis=1))
         return np.tanh(scores) if self.squash == "tanh" else scores
 
     def scores(self, output: NDArray[np.floating]) -> NDArray[np.floating]:
-        """What an action is made of: the mean (B, act) of the readout's output (B, T, act)."""
+        """Mean (B, act) over the timesteps of the readout's output (B, T, act)."""
         if output.ndim != 3 or output.shape[1] != self.timesteps:
             raise ObservationError(
                 f"decode: the output has shape {output.shape}; the codec needs "
@@ -182,7 +188,7 @@ class Codec:
         )
 
     def to_record(self) -> Tree:
-        """What the file stores."""
+        """The fields as the file stores them."""
         return {
             "normaliser": self.normaliser.to_record(),
             "encoder": {"kind": self.encoder.kind, **self.encoder.to_record()},
@@ -192,12 +198,12 @@ class Codec:
 
     @classmethod
     def from_record(cls, record: Record) -> "Codec":
-        """The codec that a file holds."""
+        """The codec stored in a file."""
         record.only("normaliser", "encoder", "timesteps", "squash")
         return cls(
-            normaliser=Normaliser.from_record(record.record("normaliser")),
-            encoder=_encoder(record.record("encoder")),
-            timesteps=record.whole("timesteps"),
+            normaliser=Normaliser.from_record(record.group("normaliser")),
+            encoder=_encoder(record.group("encoder")),
+            timesteps=record.integer("timesteps"),
             squash=cast("Squash", record.text("squash")),
         )
 
@@ -212,7 +218,7 @@ class Codec:
             row, column = np.argwhere(~np.isfinite(obs))[0]
             raise ObservationError(
                 f"the observation holds {obs[row, column]} at index {column} of row {row}; all "
-                "must be finite. Check the sensor or the simulation that made it."
+                "must be finite. Check the sensor or simulation that it comes from."
             )
 
 
@@ -221,6 +227,6 @@ def _encoder(record: Record) -> Encoder:
     if kind not in ENCODERS:
         raise ArtifactError(
             f"metadata {record.where}.kind is {kind!r}; known encoders are {', '.join(ENCODERS)}. "
-            "Was the file written by a newer spikedeploy? Update, or export the policy again."
+            "If a newer spikedeploy wrote the file, update; otherwise export the policy again."
         )
     return ENCODERS[kind].from_record(record)

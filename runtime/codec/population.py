@@ -1,10 +1,9 @@
 """Population coding: a number becomes the spikes of neurons with Gaussian receptive fields.
 
-Spike patterns: all that a neuron under a constant drive can do in T timesteps, as a table.
-
-The membrane never decreases when the drive increases, as long as the spikes before are the same; so
-each pattern belongs to one interval of drives, and there are few. Looking a drive up among the
-edges of the intervals gives the bits of going through the timesteps, in a third of the time.
+Each neuron integrates a constant drive, so its membrane never decreases when the drive increases as
+long as the spikes before are the same. Hence every spike pattern over T timesteps belongs to one
+interval of drives, and there are few patterns. Looking a drive up among the edges of the intervals
+gives the same bits as integrating timestep by timestep, in a third of the time.
 """
 
 from dataclasses import dataclass
@@ -20,66 +19,8 @@ from spikedeploy.runtime.metadata import Record, Tree
 
 Drives = NDArray[np.floating]
 
-# timesteps up to which tables are worth their memory: the number of patterns grows with T * T
-LONGEST = 64
-
-
-def spike_pattern(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uint8]:
-    """Spikes (T, ...) of the drives (...), at most one per timestep, each taking the threshold."""
-    if timesteps > LONGEST:
-        return integrated(drive, threshold, timesteps)
-    table = patterns(threshold, timesteps, drive.dtype.str)
-    return np.asarray(table.spikes.take(table.edges.searchsorted(drive), axis=1))
-
-
-def integrated(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uint8]:
-    """The same, timestep by timestep: the definition."""
-    spikes = np.empty((timesteps, *drive.shape), np.bool_)
-    membrane = drive.copy()
-    for t in range(timesteps):
-        if t:
-            # v = (v - threshold * s) + A
-            membrane -= threshold * spikes[t - 1]
-            membrane += drive
-        # s = v > threshold
-        np.greater(membrane, threshold, out=spikes[t])
-    return spikes.view(np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class Patterns:
-    """Every pattern of the drives from 0 to 1.
-
-    edges: (K - 1,) the largest drive of each pattern but the last, increasing.
-    spikes: (T, K).
-    """
-
-    edges: Drives
-    spikes: NDArray[np.uint8]
-
-
-@lru_cache(maxsize=16)
-def patterns(threshold: float, timesteps: int, dtype: str) -> Patterns:
-    """All patterns, their edges found by bisection down to neighbouring numbers."""
-    low, high = np.zeros(1, dtype), np.ones(1, dtype)
-    edges = [np.empty(0, dtype)]
-    while low.size:
-        differ = _differ(low, high, threshold, timesteps)
-        low, high = low[differ], high[differ]
-        neighbours = np.nextafter(low, high) == high
-        edges.append(low[neighbours])
-        low, high = low[~neighbours], high[~neighbours]
-        middle = low + (high - low) / 2
-        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-    found = np.sort(np.concatenate(edges))
-    one_of_each = np.append(found, np.ones(1, dtype))
-    return Patterns(found, integrated(one_of_each, threshold, timesteps))
-
-
-def _differ(low: Drives, high: Drives, threshold: float, timesteps: int) -> NDArray[np.bool_]:
-    """Whether the ends of each interval have different patterns."""
-    at_low, at_high = (integrated(ends, threshold, timesteps) for ends in (low, high))
-    return np.asarray((at_low != at_high).any(axis=0))
+# longest inference with a table: the number of patterns grows with T * T
+MAX_TABLE_TIMESTEPS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +28,10 @@ class PopulationEncoder:
     """P neurons for each observed number, spiking deterministically (Tang et al. 2020, PopSAN).
 
     mean: (obs, P) centre of each receptive field, in units of the normalised observation.
-    std: (obs, P) its width.
-    threshold: membrane above which a neuron spikes and loses that much (soft reset).
+    std: (obs, P) its width, likewise.
+    threshold: membrane above which a neuron spikes, and what a spike subtracts.
+
+    Raises ArtifactError where these are not finite, not above 0, or of other shapes.
     """
 
     kind: ClassVar[str] = "population"
@@ -112,7 +55,7 @@ class PopulationEncoder:
 
     @property
     def observed(self) -> int:
-        """Numbers taken in: obs."""
+        """Numbers of an observation: obs."""
         return int(self.mean.shape[0])
 
     @property
@@ -122,14 +65,14 @@ class PopulationEncoder:
 
     @property
     def random(self) -> bool:
-        """Whether the same observation may spike otherwise next time."""
+        """Whether the spikes depend on random numbers: never."""
         return False
 
     def encode(
         self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
     ) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the normalised observations x (B, obs); no dice are thrown."""
-        spikes = spike_pattern(self._drive(x), self.threshold, timesteps)
+        """Spikes (B, T, M) of the normalised observations x (B, obs); `rng` is not used."""
+        spikes = spike_patterns(self._drive(x), self.threshold, timesteps)
         return np.asarray(spikes.swapaxes(0, 1))
 
     def astype(self, dtype: DTypeLike) -> "PopulationEncoder":
@@ -137,7 +80,7 @@ class PopulationEncoder:
         return PopulationEncoder(self.mean.astype(dtype), self.std.astype(dtype), self.threshold)
 
     def to_record(self) -> Tree:
-        """What the file stores."""
+        """The fields as the file stores them."""
         return {
             "mean": self.mean.astype(np.float64),
             "std": self.std.astype(np.float64),
@@ -146,12 +89,12 @@ class PopulationEncoder:
 
     @classmethod
     def from_record(cls, record: Record) -> "PopulationEncoder":
-        """The encoder that a file holds."""
+        """The encoder stored in a file."""
         record.only("kind", "mean", "std", "threshold")
         return cls(record.array("mean"), record.array("std"), record.number("threshold"))
 
     def _drive(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Stimulation A (B, M), the same in every timestep."""
+        """Drive A (B, M), the same in every timestep."""
         # A = exp(-1/2 ((x - mean) / std)^2)
         drive = x[:, :, None] - self.mean
         drive /= self.std
@@ -159,3 +102,61 @@ class PopulationEncoder:
         drive *= -0.5
         np.exp(drive, out=drive)
         return drive.reshape(len(x), -1)
+
+
+def spike_patterns(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uint8]:
+    """Spikes (T, ...) of neurons under constant drives (...) from 0 to 1; see `integrate`."""
+    if timesteps > MAX_TABLE_TIMESTEPS:
+        return integrate(drive, threshold, timesteps)
+    table = pattern_table(threshold, timesteps, drive.dtype.str)
+    return np.asarray(table.spikes.take(table.edges.searchsorted(drive), axis=1))
+
+
+def integrate(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uint8]:
+    """Spikes (T, ...) of drives (...), timestep by timestep: the definition."""
+    spikes = np.empty((timesteps, *drive.shape), np.bool_)
+    membrane = drive.copy()
+    for t in range(timesteps):
+        if t:
+            # v = (v - threshold * s) + A
+            membrane -= threshold * spikes[t - 1]
+            membrane += drive
+        # s = v > threshold
+        np.greater(membrane, threshold, out=spikes[t])
+    return spikes.view(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class PatternTable:
+    """Every spike pattern of drives from 0 to 1; K patterns in the order of their drives.
+
+    edges: (K - 1,) largest drive of each pattern but the last, increasing.
+    spikes: (T, K).
+    """
+
+    edges: Drives
+    spikes: NDArray[np.uint8]
+
+
+@lru_cache(maxsize=16)
+def pattern_table(threshold: float, timesteps: int, dtype: str) -> PatternTable:
+    """The table of a threshold, its edges bisected down to neighbouring floating-point numbers."""
+    low, high = np.zeros(1, dtype), np.ones(1, dtype)
+    parts = [np.empty(0, dtype)]
+    while low.size:
+        differ = _differ(low, high, threshold, timesteps)
+        low, high = low[differ], high[differ]
+        neighbours = np.nextafter(low, high) == high
+        parts.append(low[neighbours])
+        low, high = low[~neighbours], high[~neighbours]
+        middle = low + (high - low) / 2
+        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+    edges = np.sort(np.concatenate(parts))
+    one_drive_each = np.append(edges, np.ones(1, dtype))
+    return PatternTable(edges, integrate(one_drive_each, threshold, timesteps))
+
+
+def _differ(low: Drives, high: Drives, threshold: float, timesteps: int) -> NDArray[np.bool_]:
+    """Whether the ends of each interval have different patterns."""
+    at_low, at_high = (integrate(ends, threshold, timesteps) for ends in (low, high))
+    return np.asarray((at_low != at_high).any(axis=0))

@@ -1,4 +1,4 @@
-"""Rate coding: a number becomes the spikes of one neuron, the more the larger it is."""
+"""Rate coding: a number becomes the spike rate of one neuron, in the arithmetic of 8 bits."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +12,7 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record, Tree
 
 Mode = Literal["regular", "bernoulli"]
-LEVELS = 256  # of a rate: an 8-bit register that also holds one
+LEVELS = 256  # steps of a rate from 0 to 1; a rate of 1 is level 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,11 +21,13 @@ class RateEncoder:
 
         n = round(256 clip((x - low) / (high - low), 0, 1))      halves to even
 
-    low: (obs,) normalised observations that never spike.
-    high: (obs,) those that spike in every timestep.
-    mode: "regular": n is added to an 8-bit accumulator that begins half full, and a carry is a
-        spike, so spikes are evenly spaced and short windows are not biased. "bernoulli": a spike
+    low: (obs,) normalised observation of rate 0.
+    high: (obs,) normalised observation of rate 1, a spike in every timestep.
+    mode: "regular": in each timestep n is added to an 8-bit accumulator that starts at 128, and a
+        carry is a spike; spikes are evenly spaced and short windows unbiased. "bernoulli": a spike
         where a random byte is below n.
+
+    Raises ArtifactError where low and high are not finite or high is not above low.
     """
 
     kind: ClassVar[str] = "rate"
@@ -58,7 +60,7 @@ class RateEncoder:
 
     @property
     def observed(self) -> int:
-        """Numbers taken in: obs."""
+        """Numbers of an observation: obs."""
         return int(self.low.size)
 
     @property
@@ -68,13 +70,16 @@ class RateEncoder:
 
     @property
     def random(self) -> bool:
-        """Whether the same observation may spike otherwise next time."""
+        """Whether the spikes depend on random numbers."""
         return self.mode == "bernoulli"
 
     def encode(
         self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
     ) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the normalised observations x (B, obs)."""
+        """Spikes (B, T, M) of the normalised observations x (B, obs).
+
+        rng: of mode "bernoulli"; None for a new generator of seed 0.
+        """
         levels = self.levels(x)
         if self.mode == "regular":
             return np.asarray(_carries(timesteps).take(levels, axis=1).swapaxes(0, 1))
@@ -83,10 +88,10 @@ class RateEncoder:
         return (drawn < levels[:, None]).view(np.uint8)
 
     def levels(self, x: NDArray[np.floating]) -> NDArray[np.int64]:
-        """Rates n (B, obs) of normalised observations (B, obs) [1/256 per timestep]."""
+        """Rates n (B, obs) of normalised observations (B, obs) [1/256 spikes per timestep]."""
         share = x - self.low
         share /= self.high - self.low
-        # np.clip does the same in three times the time at batch 1
+        # np.clip takes three times as long at batch 1
         np.maximum(share, 0, out=share)
         np.minimum(share, 1, out=share)
         share *= LEVELS
@@ -97,7 +102,7 @@ class RateEncoder:
         return RateEncoder(self.low.astype(dtype), self.high.astype(dtype), self.mode)
 
     def to_record(self) -> Tree:
-        """What the file stores."""
+        """The fields as the file stores them."""
         return {
             "low": self.low.astype(np.float64),
             "high": self.high.astype(np.float64),
@@ -106,15 +111,15 @@ class RateEncoder:
 
     @classmethod
     def from_record(cls, record: Record) -> "RateEncoder":
-        """The encoder that a file holds."""
+        """The encoder stored in a file."""
         record.only("kind", "low", "high", "mode")
         return cls(record.array("low"), record.array("high"), cast("Mode", record.text("mode")))
 
 
 @lru_cache(maxsize=16)
 def _carries(timesteps: int) -> NDArray[np.uint8]:
-    """Spikes (T, 257) of the accumulator for each rate."""
-    clock, levels = np.arange(timesteps + 1)[:, None], np.arange(LEVELS + 1)
+    """Spikes (T, 257) of the accumulator for each rate n."""
+    t, levels = np.arange(timesteps + 1)[:, None], np.arange(LEVELS + 1)
     # c[t] = floor((n t + 128) / 256) ; s[t] = c[t + 1] - c[t]
-    carried = (clock * levels + LEVELS // 2) // LEVELS
+    carried = (t * levels + LEVELS // 2) // LEVELS
     return np.diff(carried, axis=0).astype(np.uint8)

@@ -156,7 +156,7 @@ def _layer(
     artifact: Artifact, wires: LayerGraph, name: str, starts: dict[str, int], delay: int
 ) -> Layer:
     """A layer in floats; gains of the neuron are folded into the weights, which is exact."""
-    neuron = discretise(name, artifact.graph.nodes[name], artifact.convention).in_a_row()
+    neuron = discretise(name, artifact.graph.nodes[name], artifact.convention).flat()
     threshold = _threshold(name, neuron)
     keep = neuron.current_decay
     return Layer(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.float_model.nodes import build
+from spikedeploy.runtime.float_model.nodes import build_node
 from spikedeploy.runtime.graph.order import Timing, sources
 from spikedeploy.runtime.graph.shapes import multiplications
 from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS
@@ -60,7 +60,7 @@ class Linear:
         self._graph, self._timing = graph, timing
         self._inside = {n for n, node in graph.nodes.items() if isinstance(node, LINEAR)}
         self._nodes = {
-            name: build(name, _unbiased(graph.nodes[name]), convention, np.float64)
+            name: build_node(name, _unbiased(graph.nodes[name]), convention, np.float64)
             for name in self._inside
         }
         self._bytes = 0

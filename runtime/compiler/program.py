@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.graph.ports import Port, joined
+from spikedeploy.runtime.graph.ports import Port, concatenate
 
 Floats = NDArray[np.float64]
 
@@ -190,7 +190,7 @@ class Program:
 
     def joined(self, rasters: Mapping[str, Numbers]) -> Numbers:
         """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
-        return joined(self.inputs, rasters)
+        return concatenate(self.inputs, rasters)
 
     def layer(self, name: str) -> Layer:
         """The layer called `name`."""

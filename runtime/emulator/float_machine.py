@@ -14,7 +14,7 @@ from spikedeploy.runtime.emulator.ledger import Ledger, count
 from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder, Rows
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
-from spikedeploy.runtime.graph.ports import Port, named
+from spikedeploy.runtime.graph.ports import Port, by_port
 
 
 class FloatMachine:
@@ -47,7 +47,7 @@ class FloatMachine:
         spikes: of several Input nodes one raster (B, T, *shape) for each, by name; any numbers,
             but only spikes are counted. Several outputs come side by side.
         """
-        rows = named(self.graph.inputs, spikes)
+        rows = by_port(self.graph.inputs, spikes)
         trace = self.graph.run(rows)
         outputs = [trace.pop(self._key(port)) for port in self.graph.outputs]
         self.spikes = {name: np.asarray(rows) for name, rows in trace.items()}

@@ -1,6 +1,7 @@
-"""The float twin: a NIR graph computed in floating point.
+"""The float twin: a NIR graph computed in floating point, the reference of every compiled program.
 
-graph            The float twin: a NIR graph computed in floating point, as its convention says
-nodes            What each kind of NIR node does to its input, in floating point
-spatial          Convolutions and pools in floating point: windows of the input, all in one pro
+It computes all of NIR, also what no chip can hold, and spikes (B, T, *N) of every layer come out.
+
+graph            the network: order, delays, state, batches
+nodes            what each primitive of NIR computes
 """

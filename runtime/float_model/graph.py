@@ -1,7 +1,7 @@
-"""The float twin: a NIR graph computed in floating point, as its convention says.
+"""The float twin: a NIR graph computed in floating point under its convention.
 
-This is the reference that quantised programs are compared with. It knows nothing of policies: it
-walks the edges, sums what arrives at a node, and calls the node.
+The reference that quantised programs are compared with. It computes the nodes in order, each on the
+sum of what its edges deliver.
 """
 
 from collections.abc import Mapping
@@ -12,22 +12,22 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, build
+from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, build_node
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
-from spikedeploy.runtime.graph.ports import named, ports
+from spikedeploy.runtime.graph.ports import by_port, ports
 
-# bytes of everything that one run computes
-LARGEST = 1 << 32
+# bytes that one run may compute
+MAX_RUN_BYTES = 1 << 32
 
 Trace = dict[str, NDArray[np.generic]]
 
 
 class FloatGraph:
-    """A running network: `run` goes on from the state before where the convention keeps it.
+    """A network with its state, which `run` continues where the convention keeps it.
 
-    Without loops every node is computed for all timesteps at once; with loops all nodes are
-    computed for one timestep after the other.
+    Without loops each node is computed for all timesteps at once; with loops all nodes are computed
+    for one timestep after the other.
     """
 
     def __init__(self, artifact: Artifact, dtype: DTypeLike = np.float64) -> None:
@@ -39,17 +39,17 @@ class FloatGraph:
         self.timing = timing(self.graph, self.convention)
         self.sources = {name: sources(self.graph, name) for name in self.timing.names}
         self.nodes = {
-            name: build(name, self.graph.nodes[name], self.convention, self.dtype)
+            name: build_node(name, self.graph.nodes[name], self.convention, self.dtype)
             for name in self.timing.names
         }
         for name, timesteps in self.timing.delays.items():
-            # without the timestep that its late edges take
+            # the late edges of the node are one timestep of its delay
             self.nodes[name] = Delay(name, timesteps)
-        # what each node put out in the timestep before, (B, 1, *shape)
+        # output (B, 1, *shape) of each node in the timestep before
         self.before: dict[str, Array] = {}
 
     def reset(self) -> None:
-        """Begin again: currents and membranes are 0, and nothing is on its way."""
+        """Set currents, membranes and all delayed values to 0."""
         self.before = {}
         for node in self.nodes.values():
             if isinstance(node, (FloatNeurons, Delay)):
@@ -58,17 +58,18 @@ class FloatGraph:
     def run(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> Trace:
         """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, *act).
 
-        Where the convention lets a neuron send many in a timestep they are counted in int64.
+        Where the convention allows several spikes of a neuron in a timestep, counts in int64.
+        Several Output nodes are in the trace by their names, instead of "output". Raises
+        ObservationError where the raster does not fit the graph, or values overflow.
 
-        raster: (B, T, *shape); of several Input nodes one for each, by name. Several Output nodes
-            are in the trace by their names, and then there is no "output".
+        raster: (B, T, *shape); of several Input nodes one for each, by name.
         """
         x = self._checked(raster)
         if self.convention.state == "reset":
             self.reset()
         batch, timesteps = next(iter(x.values())).shape[:2]
         self._check_batch(batch)
-        self._check_room(batch, timesteps)
+        self._check_size(batch, timesteps)
         parts = [_row(x, t) for t in range(timesteps)] if self.timing.loops else [x]
         with np.errstate(over="ignore", invalid="ignore"):
             steps = [self._advance(part) for part in parts]
@@ -88,13 +89,15 @@ class FloatGraph:
         values: dict[str, Array] = dict(x)
         timesteps = next(iter(x.values())).shape[1]
         for name in self.timing.names:
-            if arriving := [self._along((s, name), values, timesteps) for s in self.sources[name]]:
+            if arriving := [
+                self._delivered((s, name), values, timesteps) for s in self.sources[name]
+            ]:
                 values[name] = self.nodes[name](sum(arriving[1:], arriving[0]))
         self.before = {name: value[:, -1:] for name, value in values.items()}
         return values
 
-    def _along(self, edge: Edge, values: dict[str, Array], timesteps: int) -> Array:
-        """What arrives over an edge: what its source puts out now, or what it did before."""
+    def _delivered(self, edge: Edge, values: dict[str, Array], timesteps: int) -> Array:
+        """What arrives over an edge: the output of its source, a timestep later over late edges."""
         source = edge[0]
         if edge not in self.timing.late:
             return values[source]
@@ -108,15 +111,17 @@ class FloatGraph:
 
     def _checked(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
         if isinstance(raster, Mapping):
-            given = named(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
+            given = by_port(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
         else:
-            given = named(self.inputs, np.asarray(raster, self.dtype))
+            given = by_port(self.inputs, np.asarray(raster, self.dtype))
         if not all(np.isfinite(rows).all() for rows in given.values()):
-            raise ObservationError("the raster holds NaN or infinity; every value must be finite.")
+            raise ObservationError(
+                "the raster holds NaN or infinity; every value must be finite. Correct the raster."
+            )
         return given
 
     def _check_finite(self) -> None:
-        """Refuse to go on from sums that were too large for the type of numbers."""
+        """Raise ObservationError where a membrane, or the last output of a node, overflowed."""
         for name, node in self.nodes.items():
             state = node.membrane if isinstance(node, FloatNeurons) else self.before[name]
             if state is not None and not np.isfinite(state).all():
@@ -125,14 +130,14 @@ class FloatGraph:
                     "raster, or correct the weights that lead to it."
                 )
 
-    def _check_room(self, batch: int, timesteps: int) -> None:
+    def _check_size(self, batch: int, timesteps: int) -> None:
         nodes = self.graph.nodes.values()
-        numbers = sum(int(np.prod(node.output_type["output"])) for node in nodes)
-        if (found := numbers * batch * timesteps * self.dtype.itemsize) > LARGEST:
+        values = sum(int(np.prod(node.output_type["output"])) for node in nodes)
+        if (found := values * batch * timesteps * self.dtype.itemsize) > MAX_RUN_BYTES:
             raise ObservationError(
-                f"all nodes over {timesteps} timesteps and a batch of {batch} take {found} bytes; "
-                f"at most {LARGEST}. Run fewer timesteps at once with state 'kept', or a smaller "
-                "batch."
+                f"the outputs of all nodes over {timesteps} timesteps and a batch of {batch} take "
+                f"{found} bytes; at most {MAX_RUN_BYTES}. Run fewer timesteps at once with "
+                "state 'kept', or a smaller batch."
             )
 
     def _check_batch(self, batch: int) -> None:
@@ -148,7 +153,9 @@ def _spiking(graph: nir.NIRGraph) -> list[str]:
     kinds = (*SPIKING, nir.Threshold)
     names = sorted(name for name, node in graph.nodes.items() if isinstance(node, kinds))
     if "output" in names:
-        raise ArtifactError("node 'output' spikes, but that name is the readout's. Rename it.")
+        raise ArtifactError(
+            "node 'output' spikes, but that name is reserved for the readout. Rename it."
+        )
     return names
 
 

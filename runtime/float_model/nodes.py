@@ -1,11 +1,10 @@
-"""What each kind of NIR node does to its input, in floating point.
+"""Nodes in floating point: what each primitive of NIR computes.
 
-Every node is called with T timesteps in a row, which may be one. Neurons go on from the state that
-the call before left; the other kinds have none.
-
-The delay node: y(t) = x(t - tau), for every element its own tau.
+A node is called with x (B, T, *shape), T timesteps at once, which may be one. Neurons and delays go
+on from the state of the call before; the other kinds have none.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -15,139 +14,28 @@ from numpy.typing import DTypeLike, NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.spatial import convolution, pool
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise
 from spikedeploy.runtime.graph.order import delay_timesteps
-from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS
+from spikedeploy.runtime.graph.shapes import DENSE
+from spikedeploy.runtime.graph.windows import (
+    CONVOLUTIONS,
+    POOLS,
+    ConvWindow,
+    convolution_window,
+    pool_window,
+)
 
-Array = NDArray[np.floating[Any]]
-
-
-class Delay:
-    """What arrived some timesteps ago; nothing had arrived before the first timestep.
-
-    timesteps: of each element.
-    """
-
-    def __init__(self, name: str, timesteps: NDArray[np.int64]) -> None:
-        self.name = name
-        self.timesteps = timesteps
-        # rows of the timesteps before (B, up to the longest delay, *N), as far as there were any
-        self.past: Array | None = None
-
-    def reset(self) -> None:
-        """Nothing is on its way."""
-        self.past = None
-
-    def __call__(self, x: Array) -> Array:
-        """What left over the next T timesteps (B, T, *N) comes out."""
-        rows = x if self.past is None else self._since(self.past, x)
-        first = rows.shape[1] - x.shape[1]
-        output = np.zeros_like(x)
-        for steps in np.unique(self.timesteps):
-            late = self.timesteps == steps
-            there = rows[:, max(0, first - steps) : max(0, rows.shape[1] - steps)]
-            output[:, x.shape[1] - there.shape[1] :, late] = there[..., late]
-        self.past = rows[:, max(0, rows.shape[1] - self.timesteps.max()) :]
-        return output
-
-    def _since(self, past: Array, x: Array) -> Array:
-        if len(past) != len(x):
-            raise ObservationError(
-                f"node {self.name!r} holds the past of {len(past)} networks, the raster is for "
-                f"{len(x)}. Call reset() between batches of different size."
-            )
-        return np.concatenate([past, x], axis=1)
-
-
-Values: TypeAlias = NDArray[np.floating[Any]]
-
+Array: TypeAlias = NDArray[np.floating[Any]]
 # output (B, T, *shape) for the input x (B, T, *shape)
-Node: TypeAlias = Callable[[Values], Values]
+Node: TypeAlias = Callable[[Array], Array]
+
+# values that the windows of a convolution or pool may hold at once: bounds the memory of a call
+CHUNK_VALUES = 1 << 22
 
 
-class FloatNeurons:
-    """A layer of neurons; its output are spikes where it has thresholds, else membranes."""
-
-    def __init__(
-        self, name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
-    ) -> None:
-        layer = discretise(name, node, convention)
-        self.name = name
-        self.subtract = convention.reset == "subtract"
-        self.spikes = convention.spikes
-        self.a = None if layer.current_decay is None else layer.current_decay.astype(dtype)
-        self.b = layer.membrane_decay.astype(dtype)
-        self.gain = layer.gain.astype(dtype)
-        self.leak = layer.leak.astype(dtype)
-        self.threshold = None if layer.threshold is None else layer.threshold.astype(dtype)
-        self.v_reset = layer.v_reset.astype(dtype)
-        self.floor = _floor(layer.threshold, convention)
-        self.current: Values | None = None
-        self.membrane: Values | None = None
-
-    def reset(self) -> None:
-        """Currents and membranes are 0 again."""
-        self.current = self.membrane = None
-
-    def __call__(self, x: Values) -> Values:
-        """Spikes or membranes (B, T, *N)."""
-        output = np.empty_like(x)
-        current, membrane = self._state(x[:, 0])
-        # gain and leak are constants of discrete.py
-        drive = x * self.gain
-        for t in range(x.shape[1]):
-            # I = a I + gain x
-            current = drive[:, t] if self.a is None else self.a * current + drive[:, t]
-            # V = b V + I + leak
-            membrane = self.b * membrane + current + self.leak
-            output[:, t], membrane = self._fire(membrane)
-        self.current, self.membrane = current, membrane
-        return output
-
-    def _fire(self, membrane: Values) -> tuple[NDArray[Any], Values]:
-        """Output of this timestep, and the membrane after the reset."""
-        if self.threshold is None:
-            return membrane, membrane
-        spikes = self._spikes(membrane, self.threshold)
-        if self.subtract:
-            membrane = membrane - spikes * (self.threshold - self.v_reset)
-        else:
-            membrane = np.where(spikes, self.v_reset, membrane)
-        return spikes, membrane if self.floor is None else np.maximum(membrane, self.floor)
-
-    def _spikes(self, membrane: Values, threshold: Values) -> NDArray[Any]:
-        """How many each neuron sends in this timestep."""
-        if self.spikes == "above":
-            return np.asarray(membrane > threshold)
-        reached = membrane >= threshold
-        if self.spikes == "reached":
-            return np.asarray(reached)
-        # n = floor((V - v_reset) / (threshold - v_reset))
-        times = np.floor((membrane - self.v_reset) / (threshold - self.v_reset))
-        return np.asarray(times * reached)
-
-    def _state(self, like: Values) -> tuple[Values, Values]:
-        if self.current is None or self.membrane is None:
-            return np.zeros_like(like), np.zeros_like(like)
-        if self.membrane.shape != like.shape:
-            raise ObservationError(
-                f"node {self.name!r} holds the state of {len(self.membrane)} networks, the raster "
-                f"is for {len(like)}. Call reset() between batches of different size."
-            )
-        return self.current, self.membrane
-
-
-def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Values | None:
-    """Lowest membrane (N,), or None where there is none."""
-    if threshold is None or convention.floor == "none":
-        return None
-    return np.zeros_like(threshold) if convention.floor == "zero" else -threshold
-
-
-def build(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
-    """The node, ready to be computed; kinds that NIR does not have are refused by name."""
-    if isinstance(node, (nir.Affine, nir.Linear)):
+def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
+    """The function that computes a node; ArtifactError for kinds that are not supported."""
+    if isinstance(node, DENSE):
         return _dense(node, dtype) if node.weight.ndim == 2 else _stacked(node, dtype)
     if isinstance(node, CONVOLUTIONS):
         return convolution(name, node, dtype)
@@ -169,24 +57,140 @@ def build(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
         shape = tuple(int(n) for n in node.output_type["output"])
         return lambda x: x.reshape(*x.shape[:2], *shape)
     raise ArtifactError(
-        f"node {name!r}: {type(node).__name__} is no primitive of NIR. Write it with those."
+        f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. Use one."
     )
 
 
+class FloatNeurons:
+    """A layer of neurons; puts out its spikes, or its membranes where it has no threshold."""
+
+    def __init__(
+        self, name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
+    ) -> None:
+        layer = discretise(name, node, convention)
+        self.name = name
+        self.subtract = convention.reset == "subtract"
+        self.spikes = convention.spikes
+        self.a = None if layer.current_decay is None else layer.current_decay.astype(dtype)
+        self.b = layer.membrane_decay.astype(dtype)
+        self.gain = layer.gain.astype(dtype)
+        self.leak = layer.leak.astype(dtype)
+        self.threshold = None if layer.threshold is None else layer.threshold.astype(dtype)
+        self.v_reset = layer.v_reset.astype(dtype)
+        self.floor = _floor(layer.threshold, convention)
+        self.current: Array | None = None
+        self.membrane: Array | None = None
+
+    def reset(self) -> None:
+        """Set currents and membranes to 0."""
+        self.current = self.membrane = None
+
+    def __call__(self, x: Array) -> Array:
+        """Spikes or membranes (B, T, *N) of the next T timesteps."""
+        output = np.empty_like(x)
+        current, membrane = self._state(x[:, 0])
+        drive = x * self.gain
+        for t in range(x.shape[1]):
+            # I = a I + gain x
+            current = drive[:, t] if self.a is None else self.a * current + drive[:, t]
+            # V = b V + I + leak
+            membrane = self.b * membrane + current + self.leak
+            output[:, t], membrane = self._fire(membrane)
+        self.current, self.membrane = current, membrane
+        return output
+
+    def _fire(self, membrane: Array) -> tuple[NDArray[Any], Array]:
+        """Output (B, *N) of this timestep, and the membrane after the reset."""
+        if self.threshold is None:
+            return membrane, membrane
+        spikes = self._spikes(membrane, self.threshold)
+        if self.subtract:
+            membrane = membrane - spikes * (self.threshold - self.v_reset)
+        else:
+            membrane = np.where(spikes, self.v_reset, membrane)
+        return spikes, membrane if self.floor is None else np.maximum(membrane, self.floor)
+
+    def _spikes(self, membrane: Array, threshold: Array) -> NDArray[Any]:
+        """Number of spikes (B, *N) in this timestep."""
+        if self.spikes == "above":
+            return np.asarray(membrane > threshold)
+        reached = membrane >= threshold
+        if self.spikes == "reached":
+            return np.asarray(reached)
+        # n = floor((V - v_reset) / (threshold - v_reset))
+        count = np.floor((membrane - self.v_reset) / (threshold - self.v_reset))
+        return np.asarray(count * reached)
+
+    def _state(self, like: Array) -> tuple[Array, Array]:
+        """Current and membrane before the first timestep, of the shape of its input."""
+        if self.current is None or self.membrane is None:
+            return np.zeros_like(like), np.zeros_like(like)
+        if self.membrane.shape != like.shape:
+            raise ObservationError(
+                f"node {self.name!r} holds the state of {len(self.membrane)} networks, the raster "
+                f"is for {len(like)}. Call reset() between batches of different size."
+            )
+        return self.current, self.membrane
+
+
+def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Array | None:
+    """Lower bound of the membranes (*N), or None where there is none."""
+    if threshold is None or convention.floor == "none":
+        return None
+    return np.zeros_like(threshold) if convention.floor == "zero" else -threshold
+
+
+class Delay:
+    """y(t) = x(t - delay), and 0 before the first input has arrived.
+
+    timesteps: (*N) delay of each element.
+    """
+
+    def __init__(self, name: str, timesteps: NDArray[np.int64]) -> None:
+        self.name = name
+        self.timesteps = timesteps
+        # (B, up to the longest delay, *N), the inputs of the timesteps before, as far as known
+        self.past: Array | None = None
+
+    def reset(self) -> None:
+        """Forget all inputs."""
+        self.past = None
+
+    def __call__(self, x: Array) -> Array:
+        """Output (B, T, *N) of the next T timesteps."""
+        rows = x if self.past is None else self._since(self.past, x)
+        first = rows.shape[1] - x.shape[1]
+        output = np.zeros_like(x)
+        for steps in np.unique(self.timesteps):
+            delayed = self.timesteps == steps
+            arriving = rows[:, max(0, first - steps) : max(0, rows.shape[1] - steps)]
+            output[:, x.shape[1] - arriving.shape[1] :, delayed] = arriving[..., delayed]
+        self.past = rows[:, max(0, rows.shape[1] - self.timesteps.max()) :]
+        return output
+
+    def _since(self, past: Array, x: Array) -> Array:
+        if len(past) != len(x):
+            raise ObservationError(
+                f"node {self.name!r} holds the inputs of {len(past)} networks, the raster is for "
+                f"{len(x)}. Call reset() between batches of different size."
+            )
+        return np.concatenate([past, x], axis=1)
+
+
 def _dense(node: nir.NIRNode, dtype: DTypeLike) -> Node:
-    """Affine or Linear: all timesteps in one multiplication."""
-    # (M, N) in C order: BLAS multiplies it in half the time
+    """Affine or Linear: all timesteps in one product."""
+    # (M, N) in C order, which BLAS multiplies in half the time
     weight = np.ascontiguousarray(node.weight.T, dtype=dtype)
     bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
 
-    def dense(x: Values) -> Values:
+    def dense(x: Array) -> Array:
         rows = x.reshape(-1, x.shape[2])
-        # inputs that are silent all the time add nothing: half the time at batch 1
+        # leaving out inputs that are 0 in every timestep halves the time at batch 1
         (active,) = rows.any(axis=0).nonzero()
-        few = 2 * len(active) < len(weight)
+        sparse = 2 * len(active) < len(weight)
         # y = W x + b
-        y: Values = (
-            rows.take(active, axis=1) @ weight.take(active, axis=0) if few else rows @ weight
+        y: Array = (
+            rows.take(active, axis=1) @ weight.take(active, axis=0) if sparse else rows @ weight
         )
         y = y.reshape(*x.shape[:2], -1)
         return y if bias is None else y + bias
@@ -195,13 +199,65 @@ def _dense(node: nir.NIRNode, dtype: DTypeLike) -> Node:
 
 
 def _stacked(node: nir.NIRNode, dtype: DTypeLike) -> Node:
-    """Affine or Linear with a matrix of its own (..., N, M) for every row of the input (..., M)."""
+    """Affine or Linear with weights (..., N, M), a matrix for each row of the input (..., M)."""
     weight = node.weight.astype(dtype)
     bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
 
-    def stacked(x: Values) -> Values:
+    def stacked(x: Array) -> Array:
         # y = W x + b
-        y: Values = np.matmul(weight, x[..., None])[..., 0]
+        y: Array = np.matmul(weight, x[..., None])[..., 0]
         return y if bias is None else y + bias
 
     return stacked
+
+
+def convolution(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
+    """Conv1d or Conv2d: output (B, T, N, *P) of x (B, T, C, *X).
+
+    y[n, p] = sum over c, k of W[n, c, k] x[c, p stride + k dilation - padding] + b[n], where c
+    are the C / groups channels of the group of n (torch.nn.functional.conv2d).
+    """
+    window, groups = convolution_window(name, node), int(node.groups)
+    # (G, C/G K, N/G)
+    weight = node.weight.reshape(groups, len(node.weight) // groups, -1).swapaxes(1, 2)
+    weight = np.ascontiguousarray(weight, dtype=dtype)
+    bias = node.bias.astype(dtype).reshape(-1, *(1 for _ in window.kernel))
+    return _in_chunks(window, lambda windows: _product(windows, weight, window) + bias)
+
+
+def pool(name: str, node: nir.NIRNode) -> Node:
+    """SumPool2d or AvgPool2d: output (B, T, C, *P) of x (B, T, C, *X).
+
+    A mean divides by the whole kernel, zeros of the padding included, which is the default of
+    torch.nn.AvgPool2d; NIR leaves it open.
+    """
+    window = pool_window(name, node)
+    size = math.prod(window.kernel) if isinstance(node, nir.AvgPool2d) else 1
+    return _in_chunks(window, lambda windows: windows.sum(axis=(-2, -1)) / size)
+
+
+def _product(windows: Array, weight: Array, window: ConvWindow) -> Array:
+    """Windows (R, C, *P, *K) times weights (G, C/G K, N/G), as (R, N, *P)."""
+    groups, axes = len(weight), len(window.kernel)
+    rows, channels, *positions = windows.shape[: 2 + axes]
+    # (R, G, C/G, *P, *K), still a view
+    split = windows.reshape(rows, groups, channels // groups, *windows.shape[2:])
+    before, after = range(3, 3 + axes), range(3 + axes, 3 + 2 * axes)
+    columns = split.transpose(0, 1, *before, 2, *after)
+    columns = columns.reshape(rows, groups, math.prod(positions), -1)
+    return np.asarray((columns @ weight).swapaxes(2, 3).reshape(rows, -1, *positions))
+
+
+def _in_chunks(window: ConvWindow, compute: Node) -> Node:
+    """The computation over chunks of rows whose windows hold at most CHUNK_VALUES values."""
+
+    def chunked(x: Array) -> Array:
+        # (R, C, *X)
+        rows = x.reshape(-1, *x.shape[2:])
+        values = x.shape[2] * math.prod(window.positions(x.shape[3:])) * math.prod(window.kernel)
+        size = max(1, CHUNK_VALUES // values)
+        parts = [compute(window.view(rows[i : i + size])) for i in range(0, len(rows), size)]
+        y = np.concatenate(parts)
+        return np.asarray(y.reshape(*x.shape[:2], *y.shape[1:]), dtype=x.dtype)
+
+    return chunked

@@ -1,10 +1,13 @@
-"""The NIR graph: its neurons, its edges, its shapes, and whether it is sound.
+"""The NIR graph: what its nodes compute, in which order, on which shapes, and whether it is valid.
 
-nesting          Graphs inside graphs, taken apart: the same network in one level
-neurons          The difference equation that a NIR neuron becomes under a convention
-order            The order in which the nodes of a graph are computed, and which edges look bac
-ports            The ports of a graph: its Input and Output nodes, side by side as the axes of
-shapes           The shapes of a graph, walked along its edges: what each node takes and what i
-validate         Soundness: what must be true of a NIR graph before anything is computed with i
-windows          Windows: where the kernel of a convolution or of a pool is laid, axis by axis
+The float model and the compiler both start from here, so that they agree on every neuron's
+coefficients and every edge's delay.
+
+neurons          the difference equation of a NIR neuron under a convention
+windows          geometry of convolutions and pools
+shapes           the shapes of every node, and the work of a timestep
+order            execution order, late edges and delays in timesteps
+ports            Input and Output nodes, and their rasters side by side
+validate         checks of a whole graph: names, nodes, edges, ports
+nesting          graphs nested in graphs, flattened
 """

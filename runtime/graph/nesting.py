@@ -1,6 +1,6 @@
-"""Graphs inside graphs, taken apart: the same network in one level.
+"""Graphs nested in graphs, flattened into one level.
 
-The nodes of an inner graph are called outer.inner. Its Input and Output are no computation; they
+The nodes of an inner graph are called outer.inner. Its Input and Output compute nothing; they
 become edges.
 """
 
@@ -16,7 +16,10 @@ from spikedeploy.runtime.graph.windows import whole_numbers
 
 
 def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
-    """The graph in one level; itself if it is so already."""
+    """The same network in one level; the graph itself where nothing is nested.
+
+    path: of the graph inside an outer one, ending in a dot.
+    """
     check_edges(graph, path)
     inner = {n: node for n, node in graph.nodes.items() if isinstance(node, nir.NIRGraph)}
     if not inner:
@@ -31,36 +34,36 @@ def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
 def _unpack(
     outer: str, graph: nir.NIRGraph, nodes: dict[str, nir.NIRNode], edges: set[Edge], path: str
 ) -> None:
-    """Put the nodes and edges of an inner graph in its place."""
+    """Replace the node `outer` by the nodes and edges of its graph."""
     entry = _port(path, graph.inputs, "Input")
-    leaving = _port(path, graph.outputs, "Output")
+    exit_ = _port(path, graph.outputs, "Output")
     for name, node in graph.nodes.items():
         if f"{outer}.{name}" in nodes:
             raise ArtifactError(
-                f"node {path!r}: its node {name!r} would be called {outer}.{name}, but there is "
-                "one already. Rename one of the two."
+                f"node {path!r}: its node {name!r} would be called {outer}.{name}, but that name "
+                "is taken. Rename one of the two."
             )
         nodes[f"{outer}.{name}"] = node
     for source, target in list(edges):
         if outer in (source, target):
             edges.remove((source, target))
-            source = f"{outer}.{leaving}" if source == outer else source
+            source = f"{outer}.{exit_}" if source == outer else source
             target = f"{outer}.{entry}" if target == outer else target
             edges.add((source, target))
     edges.update((f"{outer}.{source}", f"{outer}.{target}") for source, target in graph.edges)
-    for port in (entry, leaving):
-        _short_circuit(f"{outer}.{port}", nodes, edges)
+    for port in (entry, exit_):
+        _bypass(f"{outer}.{port}", nodes, edges)
 
 
-def _short_circuit(port: str, nodes: dict[str, nir.NIRNode], edges: set[Edge]) -> None:
-    """Join what comes to a port with what follows; where that would double an edge, keep it."""
+def _bypass(port: str, nodes: dict[str, nir.NIRNode], edges: set[Edge]) -> None:
+    """Connect the sources of a port to its targets; keep it where an edge would double."""
     sources = [source for source, target in edges if target == port]
     targets = [target for source, target in edges if source == port]
     through = set(product(sources, targets))
     if port in sources or through & edges:
-        # times one: NIR's way to write a node that does nothing
+        # NIR has no identity node; a Scale by one is one
         stated = np.asarray(nodes[port].output_type["output"])
-        shape = whole_numbers(port, "shape", stated, stated.size, least=1)
+        shape = whole_numbers(port, "shape", stated, stated.size, minimum=1)
         nodes[port] = nir.Scale(np.ones(shape))
         return
     del nodes[port]
@@ -72,7 +75,7 @@ def _port(path: str, found: dict[str, nir.NIRNode], kind: str) -> str:
     if len(found) != 1:
         raise ArtifactError(
             f"node {path!r}: the graph inside it has {len(found)} {kind} nodes "
-            f"({', '.join(sorted(found))}), and an edge cannot say which it means. Give it one, or "
-            "flatten the graph in the tool that wrote it."
+            f"({', '.join(sorted(found))}); it must have one, because an edge names only the outer "
+            "node. Give it one, or flatten the graph in the tool that wrote it."
         )
     return next(iter(found))

@@ -5,8 +5,8 @@
     gain = (1-a) w_in (1-b) r            leak = (1-b) v_leak
     spike where V[t] > threshold, then V[t] = v_reset  or  V[t] - (threshold - v_reset)
 
-The gain of the membrane, (1-b) r, is moved to the input, where it costs once and not per timestep;
-neurons without a synapse have a = 0, and integrators without a leak have b = 1 and (1-b) r = dt r.
+The gain of the membrane, (1-b) r, is applied to the input, once for all timesteps. Neurons without
+a synaptic current have a = 0; integrators without a leak have b = 1, and dt r for (1-b) r.
 """
 
 from dataclasses import dataclass
@@ -26,22 +26,22 @@ INTEGRATORS = (nir.IF, nir.I)
 SPIKING = (nir.LIF, nir.CubaLIF, nir.IF)
 NEURONS = (*LEAKY, *CURRENT_BASED, *INTEGRATORS)
 
-# Exporters write r = tau/dt and w_in = tau/dt so that the gain is 1, and it comes back as 1 within
-# the rounding of the file's number type. It is then taken as exactly 1, so that the bits are those
-# of a simulator that leaves the multiplication out.
+# Relative rounding error of parameters by their dtype. Exporters write r = tau/dt and w_in = tau/dt
+# for a gain of 1; a gain that differs from 1 by no more than this is taken as exactly 1, so that
+# results equal bit for bit those of a simulator without that multiplication.
 ROUNDING = {np.float16: 1e-2, np.float32: 1e-5, np.float64: 1e-9}
 
 
 @dataclass(frozen=True, eq=False)
 class DiscreteNeuron:
-    """One layer of neurons, ready to be stepped.
+    """Coefficients of the neurons of one node; each array has the shape of its parameters, (*N).
 
-    current_decay: (N,) a, or None where the input itself is the current.
-    membrane_decay: (N,) b.
-    gain: (N,) of the input.
-    leak: (N,) added to the membrane in every timestep.
-    threshold: (N,), or None where neurons do not spike and the membrane is the output.
-    v_reset: (N,) membrane after a spike.
+    current_decay: decay factor a of the current, or None where the input itself is the current.
+    membrane_decay: decay factor b of the membrane.
+    gain: factor of the input.
+    leak: added to the membrane in every timestep.
+    threshold: or None where neurons do not spike and the membrane is the output.
+    v_reset: membrane after a spike.
     """
 
     current_decay: Array | None
@@ -51,8 +51,8 @@ class DiscreteNeuron:
     threshold: Array | None
     v_reset: Array
 
-    def in_a_row(self) -> "DiscreteNeuron":
-        """The same neurons, whatever their shape was, as (N,)."""
+    def flat(self) -> "DiscreteNeuron":
+        """The same neurons along one axis (N,), in C order."""
         return DiscreteNeuron(
             current_decay=None if self.current_decay is None else self.current_decay.ravel(),
             membrane_decay=self.membrane_decay.ravel(),
@@ -65,7 +65,11 @@ class DiscreteNeuron:
 
 @np.errstate(over="ignore", invalid="ignore")
 def discretise(name: str, node: nir.NIRNode, convention: Convention) -> DiscreteNeuron:
-    """The difference equation of one of NEURONS; `name` is for messages."""
+    """The difference equation of a node of one of the kinds NEURONS.
+
+    Raises ConventionError where the convention cannot step it: dt > tau under forward Euler, a gain
+    or leak that overflows, several spikes of a zero threshold. `name` is for messages.
+    """
     current_decay = None
     gain = _array(node.r)
     leak = np.zeros_like(gain)
@@ -74,45 +78,45 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
         gain = convention.dt * gain
     else:
         tau = "tau" if isinstance(node, LEAKY) else "tau_mem"
-        membrane_decay, share = _decay(name, node, tau, convention)
-        leak = share * _array(node.v_leak)
-        gain = share * gain
+        membrane_decay, complement = _decay(name, node, tau, convention)
+        leak = complement * _array(node.v_leak)
+        gain = complement * gain
     if isinstance(node, CURRENT_BASED):
-        current_decay, share = _decay(name, node, "tau_syn", convention)
-        gain = share * _array(node.w_in) * gain
+        current_decay, complement = _decay(name, node, "tau_syn", convention)
+        gain = complement * _array(node.w_in) * gain
     if not np.isfinite(gain).all() or not np.isfinite(leak).all():
         raise ConventionError(
-            f"node {name!r}: at dt = {convention.dt:g} s its gain or leak is too large for a "
-            "number. Correct its parameters, or choose another dt."
+            f"node {name!r}: at dt = {convention.dt:g} s its gain or leak is too large for "
+            "float64. Correct its parameters, or choose another dt."
         )
     gain[np.abs(gain - 1) <= rounding(node)] = 1.0
     if convention.spikes == "many" and isinstance(node, SPIKING):
-        _check_distance(name, node)
+        _check_spike_height(name, node)
     threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
     v_reset = _array(node.v_reset) if isinstance(node, SPIKING) else np.zeros_like(gain)
     return DiscreteNeuron(current_decay, membrane_decay, gain, leak, threshold, v_reset)
 
 
-def _check_distance(name: str, node: nir.NIRNode) -> None:
+def _check_spike_height(name: str, node: nir.NIRNode) -> None:
     if not (node.v_threshold > node.v_reset).all():
         raise ConventionError(
-            f"node {name!r}: its threshold is not above v_reset, so that 'many' spikes would be "
-            "endless. Raise the threshold, or choose spikes 'above'."
+            f"node {name!r}: its threshold is not above v_reset, so that spikes 'many' would be "
+            "infinitely many. Raise the threshold, or choose spikes 'above'."
         )
 
 
 def rounding(node: nir.NIRNode) -> float:
-    """Relative difference that the number type of a neuron's parameters explains."""
+    """Relative rounding error of a neuron's parameters, from their dtype."""
     return ROUNDING.get(node.r.dtype.type, ROUNDING[np.float64])
 
 
 def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> tuple[Array, Array]:
-    """What stays after one timestep, and 1 minus it without cancellation."""
+    """The decay factor of one timestep, and 1 minus it computed without cancellation."""
     with np.errstate(over="ignore"):
         step = convention.dt / _array(getattr(node, field))
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)
-    # where tau was written as dt, dt/tau may come out a hair above 1
+    # for tau = dt, rounding may put dt/tau slightly above 1
     if step.max() > 1 + rounding(node):
         raise ConventionError(
             f"node {name!r}: dt = {convention.dt:g} s is longer than {field} = "

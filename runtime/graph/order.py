@@ -1,8 +1,7 @@
-"""The order in which the nodes of a graph are computed, and which edges look back one timestep.
+"""Execution order and timing of a graph: when each node runs, and which edges deliver later.
 
-The delay of a node in timesteps.
-
-The timing of a graph: in which order its nodes run, and where values are held back.
+NIR states neither which edge of a loop is the delayed one nor how a delay in seconds becomes
+timesteps; both are decided here, once for the float model and the compiler.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -23,9 +22,9 @@ Edge: TypeAlias = tuple[str, str]
 
 @dataclass(frozen=True)
 class Order:
-    """An order for the nodes that serves every edge.
+    """An execution order of the nodes.
 
-    names: each node after the sources of its edges, except for late edges.
+    names: of all nodes, each after its sources, except over late edges.
     late: edges that deliver in the next timestep.
     """
 
@@ -33,136 +32,14 @@ class Order:
     late: frozenset[Edge]
 
 
-def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
-    """Topological order; loops are opened where the spikes of a neuron come back to the loop.
-
-    Which edge of a loop is the late one is not in NIR. As in Norse and SpikingJelly it is the one
-    that leaves a neuron towards the neuron of the loop that is nearest to the input. Edges that
-    are `late` already are no dependencies.
-    """
-    delayed = set(late)
-    done: dict[str, None] = {}
-    pending = set(graph.nodes)
-    edges = tuple(graph.edges)
-    while pending:
-        held = {
-            target
-            for source, target in edges
-            if source in pending and (source, target) not in delayed
-        }
-        ready = sorted(pending - held)
-        if not ready:
-            delayed |= _feedback(graph, pending, delayed)
-        done.update(dict.fromkeys(ready))
-        pending.difference_update(ready)
-    return Order(tuple(done), frozenset(delayed))
-
-
-def has_loop(graph: nir.NIRGraph) -> bool:
-    """Whether any node hears itself, over however many others."""
-    pending = set(graph.nodes)
-    while pending:
-        held = {target for source, target in graph.edges if source in pending} & pending
-        if held == pending:
-            return True
-        pending = held
-    return False
-
-
-def sources(graph: nir.NIRGraph, name: str) -> list[str]:
-    """Names of the nodes with an edge to this one, sorted, so that sums have one order."""
-    return sorted(source for source, target in graph.edges if target == name)
-
-
-def _sources(graph: nir.NIRGraph, name: str, delayed: Collection[Edge]) -> list[str]:
-    return [source for source in sources(graph, name) if (source, name) not in delayed]
-
-
-def _feedback(graph: nir.NIRGraph, pending: set[str], delayed: set[Edge]) -> set[Edge]:
-    """Edges that bring spikes back to the neuron of a loop that is nearest to the input."""
-    loops = {name: loop for name in pending if (loop := _loop(graph, name, delayed))}
-    neurons = [name for name in loops if isinstance(graph.nodes[name], NEURONS)]
-    depth = _depth(graph)
-    for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
-        if found := set(_returning(graph, first, loops[first], delayed)):
-            return found
-    raise ArtifactError(
-        f"the loop through {', '.join(sorted(loops))} has no neuron in it, so that a value would "
-        "depend on itself within one timestep. Put a neuron into the loop or open it."
-    )
-
-
-def _loop(graph: nir.NIRGraph, name: str, delayed: set[Edge]) -> set[str]:
-    """Nodes on any way from this node back to itself."""
-    edges = [edge for edge in graph.edges if edge not in delayed]
-    after = _reached(name, edges)
-    before = _reached(name, [(target, source) for source, target in edges])
-    return after & before
-
-
-def _reached(start: str, edges: list[Edge]) -> set[str]:
-    found: set[str] = set()
-    waiting = [start]
-    while waiting:
-        here = waiting.pop()
-        ahead = {target for source, target in edges if source == here} - found
-        found |= ahead
-        waiting.extend(ahead)
-    return found
-
-
-def _returning(
-    graph: nir.NIRGraph, first: str, loop: set[str], delayed: set[Edge]
-) -> Iterator[Edge]:
-    """Edges of the loop that leave a neuron and come to `first` with no neuron in between."""
-    seen = {first}
-    waiting = [first]
-    while waiting:
-        target = waiting.pop()
-        for source in loop.intersection(_sources(graph, target, delayed)):
-            if isinstance(graph.nodes[source], NEURONS):
-                yield source, target
-            elif source not in seen:
-                seen.add(source)
-                waiting.append(source)
-
-
-def _depth(graph: nir.NIRGraph) -> dict[str, int]:
-    """Edges on the shortest way from an input to each node."""
-    depth = dict.fromkeys(graph.inputs, 0)
-    waiting = list(depth)
-    for here in waiting:
-        for source, target in graph.edges:
-            if source == here and target not in depth:
-                depth[target] = depth[here] + 1
-                waiting.append(target)
-    return depth
-
-
-def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArray[np.int64]:
-    """The delay of each element in timesteps, which must be whole."""
-    with np.errstate(over="ignore", under="ignore"):
-        # later than any raster is long: the number only has to fit
-        found = np.minimum(node.delay.astype(np.float64) / convention.dt, 2.0**62)
-    whole = np.rint(found)
-    tolerance = ROUNDING.get(node.delay.dtype.type, ROUNDING[np.float64])
-    odd = np.abs(found - whole) > tolerance * np.maximum(whole, 1)
-    if odd.any():
-        raise ConventionError(
-            f"node {name!r}: a delay of {node.delay[odd][0]:g} s is {found[odd][0]:g} timesteps of "
-            f"{convention.dt:g} s, which is not whole. Choose a dt that divides it, or round it."
-        )
-    return np.asarray(whole, np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When what a node puts out is heard.
+    """When each node runs, and when its output arrives.
 
-    names: of all nodes, each after those that it hears in the same timestep.
+    names: of all nodes, each after its sources of the same timestep.
     late: edges that deliver in the next timestep.
-    delays: Delay node -> (*N) timesteps that it holds values back besides its late edges.
-    loops: whether any node hears itself.
+    delays: of each Delay node, (*N) timesteps besides the one of its late edges.
+    loops: whether the graph has a loop.
     """
 
     names: tuple[str, ...]
@@ -174,28 +51,154 @@ class Timing:
 def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     """The timing of a graph under a convention.
 
-    A Delay node that holds every value back for at least one timestep opens a loop by itself, and
-    then its delay counts once: I[t] = w z[t - delay]. Its late edges are its first timestep.
+    A Delay node that holds every value back for at least one timestep opens a loop by itself; its
+    edges are late then, and that timestep is part of its delay: I[t] = w z[t - delay].
     """
     delays = {
         name: delay_timesteps(name, node, convention)
         for name, node in graph.nodes.items()
         if isinstance(node, nir.Delay)
     }
-    waiting = {name for name, timesteps in delays.items() if timesteps.min() >= 1}
-    into = {edge for edge in graph.edges if edge[1] in waiting}
+    delaying = {name for name, timesteps in delays.items() if timesteps.min() >= 1}
+    late = {edge for edge in graph.edges if edge[1] in delaying}
     if convention.delay:
-        into |= _into_weights(graph)
-    in_steps, loops = order(graph, into), has_loop(graph)
+        late |= _into_weights(graph)
+    stepwise, loops = order(graph, late), has_loop(graph)
     return Timing(
-        # a late edge may come from a later node of the same timestep, but not of all timesteps
-        names=in_steps.names if loops else order(graph).names,
-        late=in_steps.late,
-        delays={name: steps - (name in waiting) for name, steps in delays.items()},
+        # without loops a node runs for all timesteps at once, after its late sources too
+        names=stepwise.names if loops else order(graph).names,
+        late=stepwise.late,
+        delays={name: steps - (name in delaying) for name, steps in delays.items()},
         loops=loops,
     )
+
+
+def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArray[np.int64]:
+    """The delay (*N) of each element [timesteps]; ConventionError where dt does not divide it."""
+    with np.errstate(over="ignore", under="ignore"):
+        # longer than any raster: the number only has to fit into an int64
+        steps = np.minimum(node.delay.astype(np.float64) / convention.dt, 2.0**62)
+    whole = np.rint(steps)
+    tolerance = ROUNDING.get(node.delay.dtype.type, ROUNDING[np.float64])
+    fractional = np.abs(steps - whole) > tolerance * np.maximum(whole, 1)
+    if fractional.any():
+        raise ConventionError(
+            f"node {name!r}: a delay of {node.delay[fractional][0]:g} s is "
+            f"{steps[fractional][0]:g} timesteps of {convention.dt:g} s, which is not whole. "
+            "Choose a dt that divides it, or round it."
+        )
+    return np.asarray(whole, np.int64)
+
+
+def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
+    """Topological order; each loop is opened at an edge by which a neuron's output returns to it.
+
+    Which edge of a loop is late is not in NIR. As in Norse and SpikingJelly it is the one that
+    leaves a neuron towards the neuron of the loop that is nearest to the input. A loop without a
+    neuron raises ArtifactError.
+
+    late: edges that deliver in the next timestep anyway, and so impose no order.
+    """
+    delayed = set(late)
+    done: dict[str, None] = {}
+    pending = set(graph.nodes)
+    edges = tuple(graph.edges)
+    while pending:
+        blocked = {
+            target
+            for source, target in edges
+            if source in pending and (source, target) not in delayed
+        }
+        ready = sorted(pending - blocked)
+        if not ready:
+            delayed |= _feedback(graph, pending, delayed)
+        done.update(dict.fromkeys(ready))
+        pending.difference_update(ready)
+    return Order(tuple(done), frozenset(delayed))
+
+
+def has_loop(graph: nir.NIRGraph) -> bool:
+    """Whether any node reaches itself over the edges."""
+    pending = set(graph.nodes)
+    while pending:
+        blocked = {target for source, target in graph.edges if source in pending} & pending
+        if blocked == pending:
+            return True
+        pending = blocked
+    return False
+
+
+def sources(graph: nir.NIRGraph, name: str) -> list[str]:
+    """Names of the nodes with an edge to this one, sorted, which fixes the order of summation."""
+    return sorted(source for source, target in graph.edges if target == name)
 
 
 def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
     kinds = (nir.Affine, nir.Linear, *CONVOLUTIONS)
     return {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], kinds)}
+
+
+def _feedback(graph: nir.NIRGraph, pending: set[str], delayed: set[Edge]) -> set[Edge]:
+    """Edges by which spikes return to the neuron of a loop that is nearest to the input."""
+    loops = {name: loop for name in pending if (loop := _loop(graph, name, delayed))}
+    neurons = [name for name in loops if isinstance(graph.nodes[name], NEURONS)]
+    depth = _depth(graph)
+    for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
+        if returning := set(_returning(graph, first, loops[first], delayed)):
+            return returning
+    raise ArtifactError(
+        f"the loop through {', '.join(sorted(loops))} has no neuron in it, so that a value would "
+        "depend on itself within one timestep. Put a neuron into the loop or open it."
+    )
+
+
+def _loop(graph: nir.NIRGraph, name: str, delayed: set[Edge]) -> set[str]:
+    """Nodes on any path from this node back to itself."""
+    edges = [edge for edge in graph.edges if edge not in delayed]
+    descendants = _descendants(name, edges)
+    ancestors = _descendants(name, [(target, source) for source, target in edges])
+    return descendants & ancestors
+
+
+def _descendants(start: str, edges: list[Edge]) -> set[str]:
+    reached: set[str] = set()
+    waiting = [start]
+    while waiting:
+        here = waiting.pop()
+        new = {target for source, target in edges if source == here} - reached
+        reached |= new
+        waiting.extend(new)
+    return reached
+
+
+def _returning(
+    graph: nir.NIRGraph, first: str, loop: set[str], delayed: set[Edge]
+) -> Iterator[Edge]:
+    """Edges of the loop that leave a neuron and reach `first` without another in between."""
+    seen = {first}
+    waiting = [first]
+    while waiting:
+        target = waiting.pop()
+        for source in loop.intersection(_prompt_sources(graph, target, delayed)):
+            if isinstance(graph.nodes[source], NEURONS):
+                yield source, target
+            elif source not in seen:
+                seen.add(source)
+                waiting.append(source)
+
+
+def _prompt_sources(graph: nir.NIRGraph, name: str, delayed: Collection[Edge]) -> list[str]:
+    """Sources whose output arrives in the same timestep."""
+    return [source for source in sources(graph, name) if (source, name) not in delayed]
+
+
+def _depth(graph: nir.NIRGraph) -> dict[str, int]:
+    """Edges on the shortest path from an input to each node."""
+    depth = dict.fromkeys(graph.inputs, 0)
+    waiting = list(depth)
+    for here in waiting:
+        for source, target in graph.edges:
+            if source == here and target not in depth:
+                depth[target] = depth[here] + 1
+                waiting.append(target)
+    return depth

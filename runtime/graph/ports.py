@@ -1,4 +1,7 @@
-"""The ports of a graph: its Input and Output nodes, side by side as the axes of one raster."""
+"""The ports of a graph, its Input and Output nodes, and their rasters side by side as one.
+
+The compiled program has one input of M spike trains, whatever the number and shapes of the ports.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +22,7 @@ class Port:
     """One Input or Output node.
 
     name: of the node.
-    shape: of what passes in a timestep.
+    shape: of its values in a timestep.
     """
 
     name: str
@@ -27,53 +30,57 @@ class Port:
 
     @property
     def size(self) -> int:
-        """Numbers that pass in a timestep."""
+        """Values in a timestep."""
         return math.prod(self.shape)
 
 
 def ports(nodes: Mapping[str, nir.NIRNode]) -> tuple[Port, ...]:
-    """The ports of Input or Output nodes, in the order of their names."""
+    """The ports of Input or Output nodes, sorted by name."""
     return tuple(
         Port(name, tuple(int(n) for n in nodes[name].output_type["output"]))
         for name in sorted(nodes)
     )
 
 
-def named(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[str, Rows]:
-    """The raster (B, T, *shape) of each port; a single port's needs no name."""
+def by_port(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[str, Rows]:
+    """The raster (B, T, *shape) of each port, by name; that of a single port needs no name.
+
+    Raises ObservationError where names or shapes do not fit the ports.
+    """
     if isinstance(rasters, Mapping):
         given = dict(rasters)
     elif len(all_) == 1:
         given = {all_[0].name: rasters}
     else:
         raise ObservationError(
-            f"the network has the inputs {', '.join(port.name for port in all_)}, but there is one "
-            "raster without a name. Give one for each, by name."
+            f"the network has the inputs {', '.join(port.name for port in all_)}, found one raster "
+            "without a name. Give one raster for each input, by name."
         )
-    check(all_, given)
+    check_rasters(all_, given)
     return given
 
 
-def check(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
-    """Refuse rasters (B, T, *shape) that are not those of the ports."""
+def check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
+    """Raise ObservationError where the rasters (B, T, *shape) do not fit the ports."""
     if names := sorted({port.name for port in all_} ^ set(rows)):
         raise ObservationError(
-            f"the inputs of the network are {', '.join(port.name for port in all_)}, and there are "
-            f"rasters for {', '.join(sorted(rows))}. Give one for each; {names[0]} has no pair."
+            f"the network has the inputs {', '.join(port.name for port in all_)}, found rasters "
+            f"for {', '.join(sorted(rows))}. Give one raster for each input; "
+            f"{names[0]} has no match."
         )
     for port in all_:
         _check(port, rows[port.name], rows[all_[0].name].shape[:2])
 
 
-def joined(all_: Sequence[Port], rows: Mapping[str, Rows]) -> Rows:
-    """(B, T, M) of what goes into each port (B, T, *shape), in C order and in the ports' order."""
-    check(all_, rows)
+def concatenate(all_: Sequence[Port], rows: Mapping[str, Rows]) -> Rows:
+    """One raster (B, T, M) of those of the ports (B, T, *shape), each in C order, ports by name."""
+    check_rasters(all_, rows)
     flat = [rows[port.name].reshape(*rows[port.name].shape[:2], port.size) for port in all_]
     return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=2)
 
 
-def parted(all_: Sequence[Port], rows: Rows) -> dict[str, Rows]:
-    """What passes each port (B, T, *shape), from all of them in one (B, T, M)."""
+def split(all_: Sequence[Port], rows: Rows) -> dict[str, Rows]:
+    """The raster (B, T, *shape) of each port, from that of all (B, T, M): undoes `concatenate`."""
     ends = np.cumsum([port.size for port in all_])[:-1]
     return {
         port.name: part.reshape(*part.shape[:2], *port.shape)
@@ -90,6 +97,6 @@ def _check(port: Port, rows: Rows, leading: tuple[int, ...]) -> None:
         )
     if rows.shape[:2] != leading:
         raise ObservationError(
-            f"the raster of node {port.name!r} is {rows.shape[:2]} long (B, T), that of another "
-            f"input {leading}. Make all rasters equally long."
+            f"the raster of node {port.name!r} has (B, T) = {rows.shape[:2]}, that of another "
+            f"input {leading}. Give all rasters the same batch and timesteps."
         )

@@ -1,9 +1,12 @@
-"""Metrics: energy, time, memory, messages and NeuroBench's numbers of a run.
+"""Metrics of a recorded run: energy, time, memory, messages, and those of NeuroBench.
 
-energy           Energy and time: what the events of a ledger cost, by tables of which each say
-energy_tables    The energy tables that are known, and the static power of chips
-memory           Memory: what a chip reads and writes for the events of a ledger, in bits
-neurobench       NeuroBench's numbers, by its own names and formulas: what its release 2.3.0 ma
-traffic          Traffic: the messages that spikes become on a chip of many cores, and how far
-xylo_clocks      How long Xylo takes: clocks of its core in a timestep, by rockpool's model of
+All of them are computed after a run, from its ledger or spikes, so that any run can be costed again
+by another table.
+
+energy           energy and time of a ledger by a table
+energy_tables    the tables, with source and uncertainty, and static power of chips
+memory           bits read and written
+neurobench       NeuroBench's metrics by its own formulas
+traffic          messages between cores under a layout
+xylo_clocks      clock cycles of a Xylo
 """

@@ -1,7 +1,7 @@
-"""Energy and time: what the events of a ledger cost, by tables of which each says its source.
+"""Energy and time of a ledger's events, by published tables of prices.
 
-None of the tables knows of getting observations in and actions out, and none but `truenorth` of
-static power: they are for comparing networks, not for choosing batteries.
+No table includes transferring observations and actions, and none but `truenorth` static power: use
+them to compare networks, not to size batteries.
 """
 
 import difflib
@@ -24,7 +24,7 @@ __all__ = ["STATIC", "TABLES", "EnergyEstimate", "EnergyTable", "StaticPower", "
 
 @dataclass(frozen=True)
 class EnergyEstimate:
-    """A number, and the interval that it lies in.
+    """An energy or time, and the interval in which it lies.
 
     value: [J] or [s].
     low, high: likewise; 0 and infinity where nothing bounds it.
@@ -36,7 +36,7 @@ class EnergyEstimate:
 
 
 def energy_table(name: str) -> EnergyTable:
-    """The table called `name`."""
+    """The table called `name`; ConfigError where there is none."""
     if name not in TABLES:
         close = difflib.get_close_matches(name, TABLES, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
@@ -44,45 +44,45 @@ def energy_table(name: str) -> EnergyTable:
     return TABLES[name]
 
 
-def energy_tables(names: Iterable[str]) -> tuple[str, ...]:
-    """The names, each of a table that exists, each once."""
+def checked_table_names(names: Iterable[str]) -> tuple[str, ...]:
+    """The names without repetition; ConfigError where one is of no table."""
     return tuple(dict.fromkeys(energy_table(name).name for name in names))
 
 
-def described(table: EnergyTable) -> str:
-    """A line that belongs to every number of the table: its source, and how sure it is."""
+def describe_table(table: EnergyTable) -> str:
+    """One line to print with every number of the table: its source, and how certain it is."""
     why = table.uncertainty.why
-    return f"{table.source}: {table.provenance}. Energies: {certainty(table)} ({why})"
+    return f"{table.source}: {table.provenance}. Energies: {describe_certainty(table)} ({why})"
 
 
-def certainty(table: EnergyTable) -> str:
-    """How far off the energies of the table may be, in a few words."""
-    return "between two figures" if table.most else table.uncertainty.describe()
+def describe_certainty(table: EnergyTable) -> str:
+    """How far the energies of the table may be from the truth, in a few words."""
+    return "between two figures" if table.upper_joules else table.uncertainty.describe()
 
 
 def energy(ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None) -> float:
-    """[J] per inference.
+    """Energy of an inference [J].
 
-    traffic: of all inferences, instead of the ledger's messages: between cores that are placed.
+    traffic: of all inferences, between placed cores; replaces the ledger's count of messages.
     """
-    return _priced(ledger, table.joules, traffic)
+    return _cost(ledger, table.joules, traffic)
 
 
 def energy_estimate(
     ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None
 ) -> EnergyEstimate:
-    """[J] per inference, and between what it lies."""
+    """Energy of an inference [J], with its interval; arguments as for `energy`."""
     joules = energy(ledger, table, traffic)
-    most = _priced(ledger, {**table.joules, **table.most}, traffic)
-    return EnergyEstimate(joules, joules * table.uncertainty.low, most * table.uncertainty.high)
+    upper = _cost(ledger, {**table.joules, **table.upper_joules}, traffic)
+    return EnergyEstimate(joules, joules * table.uncertainty.low, upper * table.uncertainty.high)
 
 
 def static_energy(seconds: float, power: StaticPower) -> float:
-    """[J] that a chip draws besides, in so many seconds."""
+    """Energy [J] of a chip's static power over a time [s]."""
     return seconds * power.watts
 
 
-def _priced(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None) -> float:
+def _cost(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None) -> float:
     # E = sum over events of count * price
     counts = {event: ledger.per_inference(event) for event in EVENTS}
     if traffic is not None:
@@ -92,7 +92,10 @@ def _priced(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None
 
 
 def mac_energy(macs: float, table: EnergyTable) -> float:
-    """[J] of one inference of a network without spikes, with so many multiply-accumulates."""
+    """Energy [J] of an inference without spikes, from its multiply-accumulates.
+
+    Raises ConfigError where the table has no price for them.
+    """
     if "mac" not in table.joules:
         raise ConfigError(
             f"energy table {table.name!r} has no price for multiply-accumulates. "
@@ -101,17 +104,18 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
     return macs * table.joules["mac"]
 
 
-def mac_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
-    """[J] likewise, and between what it lies."""
-    joules, off = mac_energy(macs, table), table.uncertainty
-    return EnergyEstimate(joules, joules * off.low, joules * off.high)
+def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
+    """The same [J], with its interval."""
+    joules, factor = mac_energy(macs, table), table.uncertainty
+    return EnergyEstimate(joules, joules * factor.low, joules * factor.high)
 
 
 def latency(ledger: Ledger, table: EnergyTable) -> float:
-    """[s] per inference, as if one core did everything, one event after another.
+    """Time of an inference [s], as if one core processed every event one after another.
 
-    An upper bound for a network of one core: SANA-FE, which overlaps messages with synapses, comes
-    out 8 % lower on its own example. Networks on many cores run as many times faster at best.
+    An upper bound for a network on one core: SANA-FE, which overlaps messages with synaptic
+    operations, is 8 % lower on its own example. On many cores a network runs at best as many times
+    faster. Raises ConfigError where the table has no times.
     """
     if not table.timed:
         timed = ", ".join(name for name, each in TABLES.items() if each.timed)
@@ -121,6 +125,6 @@ def latency(ledger: Ledger, table: EnergyTable) -> float:
 
 
 def latency_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
-    """[s] per inference, and between what it lies."""
-    seconds, off = latency(ledger, table), table.time_uncertainty
-    return EnergyEstimate(seconds, seconds * off.low, seconds * off.high)
+    """Time of an inference [s], with its interval."""
+    seconds, factor = latency(ledger, table), table.time_uncertainty
+    return EnergyEstimate(seconds, seconds * factor.low, seconds * factor.high)

@@ -1,9 +1,7 @@
-"""The energy tables that are known, and the static power of chips.
+"""Energy tables: published prices of events with source and uncertainty; static power of chips.
 
-A chip that is not here has no published energy per operation: Loihi 2 (none found), Xylo and Speck
-(whole tasks only), Spiker+ (an FPGA's whole power only).
-
-The energy table: what events cost, who says so, and how far off that may be.
+A chip without a table has no published energy per operation: Loihi 2 (none found), Xylo and Speck
+(whole tasks only), Spiker+ (only the power of a whole FPGA).
 """
 
 import math
@@ -13,11 +11,11 @@ from dataclasses import dataclass, field, replace
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far off the numbers of a table may be.
+    """How far the estimates of a table may be from the truth.
 
     low, high: the truth lies between these multiples of an estimate; 0 and infinity where nothing
         published bounds it.
-    why: who says so, or why nobody can.
+    why: where the bounds come from, or why there are none.
     """
 
     low: float
@@ -25,7 +23,7 @@ class Uncertainty:
     why: str
 
     def describe(self) -> str:
-        """A few words to stand behind a number: `± 11.7 %`, `at least`."""
+        """A few words to print after a number, such as `± 11.7 %` or `at least`."""
         if self.low == self.high == 1:
             return "exact"
         if math.isinf(self.high):
@@ -42,18 +40,18 @@ UNKNOWN = Uncertainty(0.0, math.inf, "nothing published bounds it")
 
 @dataclass(frozen=True)
 class EnergyTable:
-    """Prices.
+    """Energies and times of events.
 
     name: as in TABLES.
     source: publication.
-    provenance: how the numbers came about, and how sure they are.
-    joules: [J] per event; of EVENTS, "mac" for networks without spikes, and "hop_x" and "hop_y" for
-        what a Traffic counts.
+    provenance: how the numbers were obtained, and how certain they are.
+    joules: [J] per event: of EVENTS, "mac" for networks without spikes, and "hop_x" and "hop_y" of
+        a Traffic.
     seconds: [s] per event, one after another.
-    step: [s] per chip timestep, to synchronise cores, or because time is kept by a clock.
+    step: [s] per chip timestep, for the synchronisation of cores or the period of a clock.
     uncertainty: of energies.
     time_uncertainty: of times.
-    most: [J] per event where two sources disagree: `joules` has the lower figure, this the higher.
+    upper_joules: [J] per event where two sources disagree; `joules` holds the lower figure.
     """
 
     name: str
@@ -64,21 +62,21 @@ class EnergyTable:
     step: float = 0.0
     uncertainty: Uncertainty = UNKNOWN
     time_uncertainty: Uncertainty = UNKNOWN
-    most: Mapping[str, float] = field(default_factory=dict)
+    upper_joules: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def timed(self) -> bool:
-        """Whether it says anything about time."""
+        """Whether it has any times."""
         return bool(self.seconds) or self.step > 0
 
 
 @dataclass(frozen=True)
 class StaticPower:
-    """What a chip draws while it does nothing: a line of its own, never part of a table's energy.
+    """Power that a chip draws while idle; reported by itself, never added to a table's energy.
 
-    name: by which it is called.
+    name: of the measurement.
     source: publication.
-    provenance: how sure the number is.
+    provenance: how certain the number is.
     watts: [W] of a whole chip.
     """
 
@@ -123,7 +121,7 @@ DAVIES2018 = EnergyTable(
     ),
 )
 
-# a neuron is accessed in every timestep, updated when it is not idle, and pays again for a spike
+# every neuron is accessed in every timestep; an update and a spike cost extra
 SANAFE = EnergyTable(
     name="sanafe",
     source="SANA-FE 2.2.9, arch/loihi.yaml (Boyle et al. 2025)",
@@ -203,7 +201,7 @@ RECKON = EnergyTable(
     joules={"sop": 5.3 * PICO, "bias_sop": 5.3 * PICO},
 )
 
-# software computes every neuron in every timestep, so that an idle one costs as much
+# software on a processor computes every neuron in every timestep, idle or not
 SPINNAKER2 = EnergyTable(
     name="spinnaker2",
     source="two energy estimators that do not cite where they have it from",
@@ -215,11 +213,11 @@ SPINNAKER2 = EnergyTable(
         "neuron_update": 2.19 * NANO,
         "neuron_idle": 2.19 * NANO,
     },
-    most={"sop": 1.5 * NANO, "bias_sop": 1.5 * NANO},
+    upper_joules={"sop": 1.5 * NANO, "bias_sop": 1.5 * NANO},
     uncertainty=Uncertainty(1.0, 1.0, "both for a synaptic event, and neither has a source"),
 )
 
-# a multiplication and an addition in float32, and 4 of the 8 bytes of a read of 10 pJ
+# float32: 3.7 pJ a multiplication, 0.9 pJ an addition; 10 pJ a read of 8 bytes, of which 4 are used
 HOROWITZ45 = EnergyTable(
     name="horowitz45",
     source="Horowitz 2014, ISSCC: 45 nm, 0.9 V",
@@ -265,7 +263,7 @@ TABLES: dict[str, EnergyTable] = {
     )
 }
 
-# chip -> what it draws besides
+# chip -> its static power
 STATIC: dict[str, StaticPower] = {
     "loihi1": StaticPower(
         name="frady2020",

@@ -1,8 +1,8 @@
-"""Memory: what a chip reads and writes for the events of a ledger, in bits.
+"""Memory traffic: the bits that a chip reads and writes for the events of a ledger.
 
-Nothing of this is counted while a network runs: it follows from the ledger's events and from the
-widths of the chip's registers. It is what the arithmetic must touch at least; what a memory fetches
-besides (indices, whole words, routing tables) differs from chip to chip and is not in it.
+It follows from the ledger's events and the widths of the chip's registers; nothing is counted while
+a network runs. It is the least that the arithmetic needs: indices, whole words and routing tables,
+which differ between chips, are not included.
 """
 
 from dataclasses import dataclass, fields
@@ -13,15 +13,15 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.compiler.program import Layer, Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, Ledger
 
-FLOAT = 32  # [bits] of a weight or state of a network that no chip has rounded
+FLOAT_BITS = 32  # of a weight or state on a chip that rounds nothing
 
 
 @dataclass(frozen=True)
 class Widths:
-    """What a chip stores.
+    """Widths of what a chip stores.
 
-    weight: [bits] of a weight; the sign is none of them where a list says it.
-    states: [bits] of each state of a neuron.
+    weight: [bits] of a weight, without its sign where the sign belongs to a list of synapses.
+    states: [bits] of each state variable of a neuron.
     """
 
     weight: int
@@ -30,11 +30,11 @@ class Widths:
 
 @dataclass(frozen=True)
 class MemoryTraffic:
-    """What a layer reads and writes, in all inferences of a ledger.
+    """Reads and writes of a layer in all inferences of a ledger.
 
-    weight_reads: weights fetched, one for each synaptic operation, those of biases included.
-    state_reads: states looked at: every state of every neuron in every timestep.
-    state_writes: states written: every state of every neuron that was updated.
+    weight_reads: one weight for each synaptic operation, those of biases included.
+    state_reads: every state variable of every neuron in every timestep.
+    state_writes: every state variable of every neuron that was updated.
     read_bits, write_bits: the same [bits].
     """
 
@@ -46,30 +46,30 @@ class MemoryTraffic:
 
 
 def widths(chip: Chip) -> Widths:
-    """The widths of a chip's weights and states; those of float32 where it rounds nothing."""
+    """Widths of a chip's weights and states; those of float32 where it rounds nothing."""
     if chip.arithmetic is None:
-        return Widths(FLOAT, (FLOAT, FLOAT))
+        return Widths(FLOAT_BITS, (FLOAT_BITS, FLOAT_BITS))
     return Widths(chip.arithmetic.weight_bits, chip.arithmetic.state_bits)
 
 
 def memory_counts(ledger: Ledger, program: Program) -> Counts:
-    """Counts (S, L, K) of each row and layer of the ledger; K as the fields of Memory."""
-    wide = widths(program.chip)
+    """Counts (S, L, K) of each row and layer of the ledger; K are the fields of MemoryTraffic."""
+    bits = widths(program.chip)
     event = {name: ledger.counts[:, :, kind] for kind, name in enumerate(EVENTS)}
     weights = event["sop"] + event["bias_sop"]
-    looks = event["neuron_update"] + event["neuron_idle"]
+    reads = event["neuron_update"] + event["neuron_idle"]
     columns = {
         "weight_reads": weights,
-        "state_reads": looks * len(wide.states),
-        "state_writes": event["neuron_update"] * len(wide.states),
-        "read_bits": weights * wide.weight + looks * sum(wide.states),
-        "write_bits": event["neuron_update"] * sum(wide.states),
+        "state_reads": reads * len(bits.states),
+        "state_writes": event["neuron_update"] * len(bits.states),
+        "read_bits": weights * bits.weight + reads * sum(bits.states),
+        "write_bits": event["neuron_update"] * sum(bits.states),
     }
     return np.stack([columns[field.name] for field in fields(MemoryTraffic)], axis=2)
 
 
-def memory(ledger: Ledger, program: Program) -> dict[str, MemoryTraffic]:
-    """What each layer reads and writes, in all inferences."""
+def memory_traffic(ledger: Ledger, program: Program) -> dict[str, MemoryTraffic]:
+    """Reads and writes of each layer in all inferences."""
     totals = memory_counts(ledger, program).sum(axis=0)
     return {
         name: MemoryTraffic(*row.tolist()) for name, row in zip(ledger.layers, totals, strict=True)
@@ -77,9 +77,9 @@ def memory(ledger: Ledger, program: Program) -> dict[str, MemoryTraffic]:
 
 
 def packed_bytes(program: Program) -> float:
-    """[bytes] of all weights on the chip, zeros included, and of the biases, in its widths.
+    """Size [bytes] of all weights, zeros included, and biases in the chip's widths.
 
-    The readout is the host's and not among them.
+    The readout, which the host computes, is not included.
     """
     weights = sum(_weights(layer) for layer in program.layers)
     return weights * widths(program.chip).weight / 8

@@ -1,8 +1,8 @@
-"""NeuroBench's numbers, by its own names and formulas: what its release 2.3.0 makes of a network.
+"""NeuroBench's metrics, by its own names and formulas (release 2.3.0).
 
-Its numbers are those of a torch module built of snnTorch's neurons; here they follow from the file
-and from what was recorded, and equal its own to the last bit. A sample is one inference. What its
-numbers leave out or count in a way of its own is in docs/metrics.md.
+NeuroBench measures a torch module of snnTorch's neurons; here the same numbers follow from the file
+and the recorded spikes, equal to the last bit. A sample is one inference. What the metrics leave
+out, or count in a way of their own, is in docs/metrics.md.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.float_model.spatial import convolution
+from spikedeploy.runtime.float_model.nodes import convolution
 from spikedeploy.runtime.metrics.memory import packed_bytes
 
 WEIGHTED = (nir.Affine, nir.Linear, nir.Conv1d, nir.Conv2d)
 FLOAT32 = 4  # [bytes]
-# what each of snnTorch's neurons keeps besides: the factor of graded spikes, and the kind of reset
-KEPT = 4 + 8  # [bytes]
-# operations of an update, by neuron and reset: the table of neuron_operations.py
+# further buffers of a snnTorch neuron: the factor of graded spikes, and the reset mechanism
+EXTRA_BUFFERS = 4 + 8  # [bytes]
+# operations of an update, by neuron and reset: the table in NeuroBench's neuron_operations.py
 NEURON_OPERATIONS = {
     "Leaky": {"subtract": 4, "zero": 4},
     "Synaptic": {"subtract": 6, "zero": 8},
@@ -31,21 +31,22 @@ NEURON_OPERATIONS = {
 
 @dataclass(frozen=True)
 class NeuroBench:
-    """What NeuroBench says of a network and of what it did; means over the samples.
+    """NeuroBench's metrics of a network and its inferences; counts are means over the samples.
 
     parameter_count: weights and biases.
     footprint: [bytes] of those in float32, unless the file holds them as integers, and of the
         constants of the neurons.
-    footprint_packed: [bytes] of the weights and biases in the chip's widths; our own.
-    connection_sparsity: part of all weights that is 0, to 4 decimals.
-    activation_sparsity: part of all neuron-timesteps without a spike.
+    footprint_packed: [bytes] of weights and biases in the chip's widths; not of NeuroBench.
+    connection_sparsity: fraction of all weights that is 0, to 4 decimals.
+    activation_sparsity: fraction of all neurons and timesteps without a spike.
     activation_sparsity_by_layer: the same of each layer.
-    effective_macs, effective_acs: non-zero inputs times non-zero weights, of the matrices and
-        timesteps in which some input is neither 0 nor 1, and of the others.
-    dense: all inputs times all weights.
+    effective_macs, effective_acs: products of non-zero inputs and non-zero weights; MACs in the
+        timesteps in which some input of the matrix is neither 0 nor 1, ACs in the others.
+    dense: products of all inputs and all weights.
     membrane_updates: membranes that changed from one timestep to the next, and all in the first;
         None where membranes were not recorded.
-    effective_neuron_ops, neuron_dense_ops: those, and all, times the operations of an update.
+    effective_neuron_ops, neuron_dense_ops: membrane updates, and all neurons and timesteps, times
+        the operations of an update.
     """
 
     parameter_count: int
@@ -62,7 +63,7 @@ class NeuroBench:
     neuron_dense_ops: float
 
     def as_json(self) -> dict[str, Any]:
-        """The same by NeuroBench's names; Footprint_packed is ours."""
+        """The same by NeuroBench's names; Footprint_packed is not one of them."""
         return {
             "ParameterCount": self.parameter_count,
             "Footprint": self.footprint,
@@ -89,10 +90,10 @@ def neurobench(
     spikes: Mapping[str, NDArray[Any]],
     membranes: Mapping[str, NDArray[Any]] | None = None,
 ) -> NeuroBench:
-    """NeuroBench's numbers of inferences from zero states.
+    """NeuroBench's metrics of inferences that started from zero states.
 
-    graph: of the file; parameters are counted there.
-    program: what ran; operations are counted there, and so are weights that rounding made 0.
+    graph: of the file, for the parameters.
+    program: that ran, for the operations; a weight that rounding made 0 is none of them.
     spikes: (B, T, N) of the input and of each layer.
     membranes: (B, T, N) of each layer after each timestep, resets included.
     """
@@ -112,7 +113,7 @@ def neurobench(
         activation_sparsity_by_layer={name: sparsity([rows]) for name, rows in layers.items()},
         effective_macs=macs / samples,
         effective_acs=acs / samples,
-        dense=float(dense(graph) * timesteps),
+        dense=float(dense_operations(graph) * timesteps),
         membrane_updates=sum(updates.values()) / samples if updates else None,
         effective_neuron_ops=_total(updates, operations) / samples if updates else None,
         neuron_dense_ops=float(_total(each, operations)),
@@ -120,12 +121,12 @@ def neurobench(
 
 
 def parameter_count(graph: nir.NIRGraph) -> int:
-    """Weights and biases; constants of neurons are no parameters unless they are trained."""
+    """Weights and biases; NeuroBench counts constants of neurons only where they are trained."""
     return sum(array.size for node in _weighted(graph) for array in _parameters(node))
 
 
 def footprint(graph: nir.NIRGraph) -> int:
-    """[bytes] of the parameters, and of the constants that snnTorch's neurons keep in buffers."""
+    """Size [bytes] of the parameters, and of the constants in the buffers of snnTorch's neurons."""
     parameters = sum(
         array.size * _width(array) for node in _weighted(graph) for array in _parameters(node)
     )
@@ -133,30 +134,30 @@ def footprint(graph: nir.NIRGraph) -> int:
 
 
 def connection_sparsity(graph: nir.NIRGraph) -> float:
-    """Part of all weights that is 0, where there are any; biases do not count."""
+    """Fraction of all weights that is 0, biases not counted; 0 where there are no weights."""
     weights = [node.weight for node in _weighted(graph)]
     if not weights:
         return 0.0
     zeros = sum(weight.size - np.count_nonzero(weight) for weight in weights)
-    # divided in float32 and rounded, as theirs is
+    # divided in float32 and rounded, as NeuroBench does
     return round(float(np.float32(zeros) / np.float32(sum(w.size for w in weights))), 4)
 
 
 def sparsity(rasters: Any) -> float:  # noqa: ANN401
-    """Part of all neuron-timesteps of some rasters without a spike."""
+    """Fraction of all neurons and timesteps of some rasters without a spike."""
     rasters = list(rasters)
     every = sum(rows.size for rows in rasters)
     return float((every - sum(np.count_nonzero(rows) for rows in rasters)) / every)
 
 
 def synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-    """Effective ACs and MACs of all samples: the non-zero inputs of each matrix times its fan-out.
+    """Effective ACs and MACs of all samples: non-zero inputs of each matrix times their fan-out.
 
-    Only what a matrix hears within its window counts: of a loop, not the last timestep's spikes.
+    Only spikes that arrive within the inference count: in a loop, not those of the last timestep.
     """
     acs = macs = 0
-    for presynaptic, fan_out in _heard(program, spikes):
-        # over batch and neurons: an input that is no spike makes its timestep one of MACs
+    for presynaptic, fan_out in _presynaptic(program, spikes):
+        # an input above 1 of any sample makes the operations of its timestep MACs
         graded = (presynaptic > 1).any(axis=(0, 2))
         operations = (presynaptic != 0).sum(axis=0) @ fan_out
         acs += int(operations[~graded].sum())
@@ -164,13 +165,13 @@ def synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) ->
     return acs, macs
 
 
-def dense(graph: nir.NIRGraph) -> int:
-    """Operations of a timestep without sparsity: all inputs times all weights, zeros included."""
-    return sum(_taps(name, node) for name, node in graph.nodes.items() if _is_weighted(node))
+def dense_operations(graph: nir.NIRGraph) -> int:
+    """Operations of a timestep: all inputs times all weights, zeros included."""
+    return sum(_products(name, node) for name, node in graph.nodes.items() if _is_weighted(node))
 
 
 def neuron_operations(program: Program) -> dict[str, int]:
-    """Operations of an update in each layer; without a current that lasts, a neuron is Leaky."""
+    """Operations of an update in each layer; a neuron whose current does not last is Leaky."""
     reset = program.convention.reset
     return {
         layer.name: NEURON_OPERATIONS["Synaptic" if layer.current_decay.any() else "Leaky"][reset]
@@ -178,10 +179,10 @@ def neuron_operations(program: Program) -> dict[str, int]:
     }
 
 
-def _heard(
+def _presynaptic(
     program: Program, spikes: Mapping[str, NDArray[Any]]
 ) -> Iterator[tuple[NDArray[Any], NDArray[np.int64]]]:
-    """What each matrix hears (B, T - lag, M), and the non-zero weights (M,) of its rows."""
+    """Inputs (B, T - lag, M) of each matrix, and the non-zero weights (M,) of its rows."""
     for layer, lags in zip(program.layers, program.lags, strict=True):
         for synapses, lag in zip(layer.synapses, lags, strict=True):
             rows = spikes[synapses.source]
@@ -198,7 +199,7 @@ def _heard(
 
 
 def _updates(membranes: Mapping[str, NDArray[Any]]) -> dict[str, int]:
-    """Membranes of each layer that changed, all in the first timestep."""
+    """Number of membranes in each layer that changed, all in the first timestep included."""
     return {
         name: rows[:, 0].size + int(np.count_nonzero(rows[:, 1:] != rows[:, :-1]))
         for name, rows in membranes.items()
@@ -209,13 +210,13 @@ def _total(counts: Mapping[str, int], prices: Mapping[str, int]) -> int:
     return sum(count * prices[name] for name, count in counts.items())
 
 
-def _taps(name: str, node: nir.NIRNode) -> int:
-    """Products of weights and inputs; of a convolution those outside its input are none."""
+def _products(name: str, node: nir.NIRNode) -> int:
+    """Products of weights and inputs; a convolution has none with its padding."""
     if not isinstance(node, (nir.Conv1d, nir.Conv2d)):
         return int(node.weight.size)
     ones = copy(node)
     ones.weight, ones.bias = np.ones(node.weight.shape), np.zeros(len(node.weight))
-    # nir forgets the groups in the channels
+    # nir infers the channels of one group only
     shape = (node.weight.shape[1] * node.groups, *map(int, node.input_type["input"][1:]))
     return int(convolution(name, ones, np.float64)(np.ones((1, 1, *shape))).sum())
 
@@ -235,22 +236,22 @@ def _parameters(node: nir.NIRNode) -> Iterator[NDArray[Any]]:
 
 
 def _width(array: NDArray[Any]) -> int:
-    """[bytes] of a number: torch's default where it is a float."""
+    """Size [bytes] of a value: floats are float32, torch's default."""
     return array.itemsize if array.dtype.kind in "iu" else FLOAT32
 
 
 def _buffers(node: nir.NIRNode) -> int:
-    """[bytes] of the buffers that snnTorch's neuron of this kind has before it runs."""
+    """Size [bytes] of the buffers of snnTorch's neuron of this kind before it runs."""
     if not hasattr(node, "v_threshold"):
         return 0
     decays = [getattr(node, name, 1.0) for name in ("tau", "tau_mem") if hasattr(node, name)]
     constants = [node.v_threshold, *(decays or [1.0])]
     if hasattr(node, "tau_syn"):
         constants.append(node.tau_syn)
-    return KEPT + FLOAT32 * sum(map(_numbers, constants))
+    return EXTRA_BUFFERS + FLOAT32 * sum(map(_stored_values, constants))
 
 
-def _numbers(constant: Any) -> int:  # noqa: ANN401
-    """One where all neurons share it."""
+def _stored_values(constant: Any) -> int:  # noqa: ANN401
+    """Values that a buffer holds: one where all neurons share it."""
     values = np.asarray(constant)
     return 1 if np.all(values == values.flat[0]) else values.size

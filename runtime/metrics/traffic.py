@@ -1,11 +1,9 @@
-"""Traffic: the messages that spikes become on a chip of many cores, and how far they go.
+"""Traffic between cores: the messages that spikes cause under a layout, and their distances.
 
-A ledger knows no cores: it counts a message for each spike and each layer that hears it, as if
-every layer sat on a core of its own. With a layout, a spike becomes a message to each core that
-holds a neuron which it reaches, as in SANA-FE: layers that share a core share the message, layers
-on several cores take several, and a spike that reaches nothing takes none.
-
-The layout: which neuron sits on which core, and where the cores lie.
+A ledger counts one message for each spike and each postsynaptic layer, as if every layer were on a
+core of its own. With a layout of neurons on cores, a spike is one message to each core that holds a
+postsynaptic neuron, as in SANA-FE: layers on one core share it, a layer on several cores takes
+several, and a spike without synapses takes none.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,10 +19,10 @@ Counts = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Neurons on cores; a mapping counts cores by the layer, a layout says them by the neuron.
+    """The core of every neuron, and the place of every core.
 
-    cores: of the input and of each layer, the core (N,) of each neuron.
-    tiles: (K, 2) column and row of the tile of each core, on the mesh that messages travel.
+    cores: of the input and of each layer, (N,) core of each neuron.
+    tiles: (K, 2) column and row of the tile of each core, on the mesh of the network on chip.
     """
 
     cores: Mapping[str, Counts]
@@ -39,10 +37,10 @@ def one_core_each(program: Program) -> Layout:
 
 @dataclass(frozen=True)
 class Traffic:
-    """What travels between cores; spikes to the host are not among it.
+    """Messages between cores; spikes to the host are not included.
 
     message: packets.
-    hop_x, hop_y: steps from tile to tile of all packets, along rows and along columns.
+    hop_x, hop_y: hops between tiles of all packets, along rows and along columns.
     """
 
     message: int
@@ -51,32 +49,32 @@ class Traffic:
 
 
 def traffic(program: Program, spikes: Mapping[str, Counts], layout: Layout) -> Traffic:
-    """What the spikes (N,) of each neuron of the input and of each layer become."""
+    """The traffic of spikes, given by their number (N,) for each neuron of the input and layers."""
     message = hop_x = hop_y = 0
-    for source, reached in _reached(program, layout).items():
+    for source, reached in _reached_cores(program, layout).items():
         packets = spikes[source].astype(np.int64)[:, None] * reached
-        here = layout.tiles[layout.cores[source]]
-        across, along = np.abs(here[:, None] - layout.tiles[None]).transpose(2, 0, 1)
+        own = layout.tiles[layout.cores[source]]
+        across, along = np.abs(own[:, None] - layout.tiles[None]).transpose(2, 0, 1)
         message += int(packets.sum())
         hop_x += int((packets * across).sum())
         hop_y += int((packets * along).sum())
     return Traffic(message, hop_x, hop_y)
 
 
-def joined(parts: Iterable[Traffic]) -> Traffic:
-    """The sum of several."""
+def total(parts: Iterable[Traffic]) -> Traffic:
+    """The sum of the parts."""
     columns = zip(*((part.message, part.hop_x, part.hop_y) for part in parts), strict=True)
     return Traffic(*map(sum, columns))
 
 
-def _reached(program: Program, layout: Layout) -> dict[str, NDArray[np.bool_]]:
-    """Which cores (N, K) each neuron of a source reaches."""
+def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.bool_]]:
+    """Whether each neuron of a source has synapses on each core, (N, K)."""
     reached = {
         name: np.zeros((size, len(layout.tiles)), np.bool_) for name, size in program.sizes.items()
     }
     for layer in program.layers:
         for synapses in layer.synapses:
             for core in np.unique(layout.cores[layer.name]):
-                there = layout.cores[layer.name] == core
-                reached[synapses.source][:, core] |= synapses.weight[:, there].any(axis=1)
+                on_core = layout.cores[layer.name] == core
+                reached[synapses.source][:, core] |= synapses.weight[:, on_core].any(axis=1)
     return reached

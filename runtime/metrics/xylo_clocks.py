@@ -1,6 +1,6 @@
-"""How long Xylo takes: clocks of its core in a timestep, by rockpool's model of them.
+"""Time of an inference on Xylo: clock cycles of its core, by rockpool's model.
 
-There is no energy here: what is published of Xylo is the power of whole tasks, none an operation.
+There is no energy: for Xylo only the power of whole tasks is published, none of an operation.
 """
 
 from collections.abc import Mapping
@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.compiler.program import Layer, Program
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
-# rockpool 3.1, devices/xylo/syns61201 cycles_model; the same numbers for all Xylos
+# [clock cycles] rockpool 3.1, devices/xylo/syns61201 cycles_model; the same for all Xylos
 INPUT_LOOP = 3.5
 HIDDEN_UPDATE = 7
 OUTPUT_UPDATE = 8
 HIDDEN_FIXED = 19
 OUTPUT_FIXED = 12
 CLOCK = 50e6  # [Hz] rockpool's default for the core
-MARGIN = 0.2  # what rockpool adds to be safe
+MARGIN = 0.2  # safety margin of rockpool
 
 
 def xylo_time(
     program: Program, spikes: Mapping[str, NDArray[Any]], clock: float = CLOCK
 ) -> EnergyEstimate:
-    """[s] that an inference takes on a Xylo, and with rockpool's margin.
+    """Time of an inference [s], up to that with rockpool's margin.
 
     spikes: (B, T, N) of the input and of each layer.
-    clock: [Hz] of the core.
+    clock: [Hz] frequency of the core.
     """
     timesteps = spikes[program.input].shape[1]
     seconds = timesteps * xylo_clocks(program, spikes) / clock
@@ -36,7 +36,10 @@ def xylo_time(
 
 
 def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
-    """Mean clocks of a timestep; several events of a neuron in one cost as much as one."""
+    """Mean clock cycles of a timestep; several events of a neuron cost as much as one.
+
+    spikes: (B, T, N) of the input and of each layer.
+    """
     outputs = program.layer(program.output).size
     clocks = float(OUTPUT_FIXED * outputs)
     for layer in program.layers:
@@ -51,10 +54,10 @@ def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
 
 
 def _hidden(layer: Layer, rate: float) -> float:
-    """Clocks of one hidden neuron, its recurrent synapses and its spikes."""
+    """Clock cycles of one hidden neuron, its recurrent synapses and its spikes."""
     loops = [s for s in layer.synapses if s.source == layer.name and s.current == 0]
     fan_out = sum(float(synapses.fan_out.mean()) for synapses in loops)
-    # how many aliases a neuron has, and how many neurons have it for one: the same on average
+    # aliases of a neuron, and neurons that have it as an alias: the same on average
     alias = sum(map(len, layer.aliases)) / layer.size
     both = alias * alias
     spiking = (

@@ -63,9 +63,9 @@ def compare(
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison, print_json
     from spikedeploy.runtime.chips.chip import listed
-    from spikedeploy.runtime.metrics.energy import energy_tables
+    from spikedeploy.runtime.metrics.energy import checked_table_names
 
-    tables = energy_tables(energy or ())
+    tables = checked_table_names(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     entries = line_up(env, files or (), listed(chips), limits is LimitsSwitch.on, rounded)
     comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))

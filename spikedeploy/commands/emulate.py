@@ -78,7 +78,7 @@ def emulate(
     from spikedeploy.emulate import emulate as play
     from spikedeploy.rasters import read_rasters
     from spikedeploy.reports.terminal import print_emulation, print_json
-    from spikedeploy.runtime.metrics.energy import energy_tables
+    from spikedeploy.runtime.metrics.energy import checked_table_names
 
     read = reading(
         dt=dt,
@@ -90,7 +90,7 @@ def emulate(
         state=state,
         like=like,
     )
-    tables = energy_tables(energy or ())
+    tables = checked_table_names(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     result = play(
         file,

@@ -59,9 +59,9 @@ def run(
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison, print_json
     from spikedeploy.run import run as play
-    from spikedeploy.runtime.metrics.energy import energy_tables
+    from spikedeploy.runtime.metrics.energy import checked_table_names
 
-    tables = energy_tables(energy or ())
+    tables = checked_table_names(energy or ())
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     comparison = play(

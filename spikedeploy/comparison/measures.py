@@ -17,7 +17,7 @@ from spikedeploy.runtime.metrics.energy import (
     latency_estimate,
     static_energy,
 )
-from spikedeploy.runtime.metrics.memory import MemoryTraffic, memory
+from spikedeploy.runtime.metrics.memory import MemoryTraffic, memory_traffic
 from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
 from spikedeploy.runtime.metrics.xylo_clocks import xylo_time
 
@@ -63,7 +63,7 @@ def measured(
     return Measures(
         neurobench(artifact.graph, program, spikes, membranes),
         _events(ledger),
-        memory(ledger, program),
+        memory_traffic(ledger, program),
         latencies,
         {name: static_energy(t.value, power) for name, t in latencies.items()} if power else {},
     )

@@ -95,7 +95,7 @@ def describe(path: Path) -> Candidate:
         name=path.stem,
         kind="snn",
         format=".nir",
-        env=env_id(artifact.origin.env) if artifact.origin else None,
+        env=env_id(artifact.provenance.env) if artifact.provenance else None,
         observed=artifact.codec.encoder.observed,
         actions=int(np.prod(output.output_type["output"])),
     )

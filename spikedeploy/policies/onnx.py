@@ -12,7 +12,7 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.policies import Candidate, env_id
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metrics.energy import energy_table, mac_estimate
+from spikedeploy.runtime.metrics.energy import energy_table, mac_energy_estimate
 from spikedeploy.trainers.onnx_session import session
 
 KINDS = ("ann", "control")
@@ -124,7 +124,7 @@ def costs(controller: OnnxController, played: Rollout) -> Costs:
         effective_acs=0.0,
         effective_macs=controller.effective_macs(played.observation[:-1]),
         dense=macs,
-        energy_j={name: mac_estimate(macs, energy_table(name)) for name in ENERGY_TABLES},
+        energy_j={name: mac_energy_estimate(macs, energy_table(name)) for name in ENERGY_TABLES},
     )
 
 

@@ -3,7 +3,13 @@
 from typing import Any
 
 from spikedeploy.runtime.chips.chip import CHIPS, chip
-from spikedeploy.runtime.metrics.energy import STATIC, TABLES, EnergyTable, Uncertainty, certainty
+from spikedeploy.runtime.metrics.energy import (
+    STATIC,
+    TABLES,
+    EnergyTable,
+    Uncertainty,
+    describe_certainty,
+)
 
 PICO, NANO = 1e-12, 1e-9
 HEADS = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
@@ -19,7 +25,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
                 "source": table.source,
                 "provenance": table.provenance,
                 "joules": dict(table.joules),
-                "most_joules": dict(table.most),
+                "most_joules": dict(table.upper_joules),
                 "uncertainty": _uncertain(table.uncertainty),
                 "seconds": dict(table.seconds),
                 "step_seconds": table.step,
@@ -52,7 +58,7 @@ def rows() -> list[tuple[str, ...]]:
             table.name,
             ", ".join(chips(table)) or "–",
             _energies(table),
-            f"{certainty(table)}: {table.uncertainty.why}",
+            f"{describe_certainty(table)}: {table.uncertainty.why}",
             _times(table),
             f"{table.time_uncertainty.describe()}: {table.time_uncertainty.why}"
             if table.timed
@@ -81,7 +87,7 @@ def markdown() -> list[str]:
 
 def _energies(table: EnergyTable) -> str:
     prices = {event: f"{joules / PICO:.4g}" for event, joules in table.joules.items()}
-    for event, joules in table.most.items():
+    for event, joules in table.upper_joules.items():
         prices[event] += f" to {joules / PICO:.4g}"
     return ", ".join(f"{event} {price}" for event, price in prices.items())
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from spikedeploy import envs
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.metrics.energy import described, energy_table
+from spikedeploy.runtime.metrics.energy import describe_table, energy_table
 from spikedeploy.runtime.compiler.quantisation import PLAIN
 from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.comparison.comparison import Comparison
@@ -66,7 +66,7 @@ def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
     """Where the numbers of each table come from, by the table's name."""
     names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     tables = [energy_table(name) for name in names]
-    return {table.name: described(table) for table in tables}
+    return {table.name: describe_table(table) for table in tables}
 
 
 def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:

@@ -56,7 +56,7 @@ def test_the_shipped_policies_spike_alike_in_torch_in_numpy_and_compiled(env):
 
 
 def test_a_network_of_another_tool_is_refused_in_one_line(tmp_path):
-    foreign = replace(popsan(), codec=None, origin=None)
+    foreign = replace(popsan(), codec=None, provenance=None)
     save(foreign, tmp_path / "foreign.nir")
     with pytest.raises(ArtifactError, match="only what spikedeploy exported"):
         from_nir(tmp_path / "foreign.nir")

@@ -68,8 +68,12 @@ def test_the_file_holds_all_that_a_robot_needs(policy, tmp_path):
     assert found.codec.encoder.threshold == policy.encoder.threshold
     assert (found.convention.reset, found.convention.delay) == ("zero", 0)
     assert (found.convention.integrator, found.convention.state) == ("euler", "reset")
-    assert (found.origin.recipe, found.origin.seed, found.origin.steps) == ("hexapod-popsan", 3, 7)
-    assert len(found.origin.sha256) == 64
+    assert (found.provenance.recipe, found.provenance.seed, found.provenance.steps) == (
+        "hexapod-popsan",
+        3,
+        7,
+    )
+    assert len(found.provenance.sha256) == 64
 
 
 def test_exporting_twice_gives_the_same_bytes_and_leaves_the_policy_alone(policy, tmp_path):

@@ -38,14 +38,16 @@ def test_who_says_so_is_no_part_of_equality():
 
 
 def test_given_options_win_and_say_so():
-    convention = Convention(1e-3, source="as trained").given({"reset": "subtract", "delay": 1})
+    convention = Convention(1e-3, source="as trained").with_options(
+        {"reset": "subtract", "delay": 1}
+    )
     assert convention == Convention(1e-3, reset="subtract", delay=1)
     assert convention.source == "delay, reset given, otherwise as trained"
 
 
 def test_a_given_option_is_checked_too():
     with pytest.raises(ConventionError, match="reset 'none' is unknown"):
-        Convention(1e-3).given({"reset": "none"})
+        Convention(1e-3).with_options({"reset": "none"})
 
 
 def test_a_convention_survives_its_record():

@@ -1,12 +1,14 @@
-"""Presets: what other tools make of the same file; a tool, a file.
+"""Presets: how other tools read the same file, a tool a file.
 
-lava             What Lava's processes make of a NIR file, as the NIR paper's import sets them
-nengo            What the NIR paper's import for Nengo makes of a NIR file; the package itself
-nodes            Pieces of presets: nodes with other parameters, and demands that tools make on
-norse            What Norse's import makes of a NIR file
-preset           Presets: what other tools make of the same file
-rockpool         What Rockpool's import makes of a NIR file
-sinabs           What sinabs' import makes of a NIR file
-snntorch         What snnTorch's import makes of a NIR file
-spikingjelly     What SpikingJelly's import makes of a NIR file
+Each translates a graph into one with the tool's meaning under a stated convention; PRESETS is where
+a new one is entered.
+
+preset           the table, the class, and the steps that the tools' files are built from
+lava             Lava, as the NIR paper's import configures it
+nengo            Nengo, by the NIR paper's import
+norse            Norse
+rockpool         Rockpool
+sinabs           sinabs
+snntorch         snnTorch
+spikingjelly     SpikingJelly
 """

@@ -1,35 +1,39 @@
-"""What Norse's import makes of a NIR file."""
+"""Norse: its import of NIR."""
 
 import nir
 import numpy as np
 
-from spikedeploy.runtime.artifact.presets.nodes import (
-    at_rest,
-    batch_counted,
-    changed,
-    demand,
-    stated,
+from spikedeploy.runtime.artifact.presets.preset import (
+    Edges,
+    Nodes,
+    Preset,
+    default_convention,
+    require,
+    with_batch_axis,
+    with_parameters,
+    with_zero_reset,
 )
-from spikedeploy.runtime.artifact.presets.preset import Edges, Nodes, Preset
 from spikedeploy.runtime.convention import Convention
 
 TOOL = "Norse 1.1.0"
 
 
-def _read(nodes: Nodes, edges: Edges, convention: Convention) -> None:
+def _translate(nodes: Nodes, edges: Edges, convention: Convention) -> None:
     for name, node in nodes.items():
         if isinstance(node, nir.Flatten):
-            nodes[name] = batch_counted(node)
+            nodes[name] = with_batch_axis(node)
         if isinstance(node, nir.SumPool2d):
-            nodes[name] = changed(node, padding=np.zeros(2, int))
+            nodes[name] = with_parameters(node, padding=np.zeros(2, int))
         if isinstance(node, (nir.IF, nir.LIF)):
-            demand(convention.reset == "zero", name, TOOL, "subtracts after spikes of CubaLIF only")
-            # r is left out, with a warning; an IF adds its input whatever dt
+            require(
+                convention.reset == "zero", name, TOOL, "subtracts after spikes of CubaLIF only"
+            )
+            # it ignores r, with a warning; an IF adds its input whatever dt is
             r = np.full(node.r.shape, 1 / convention.dt if isinstance(node, nir.IF) else 1.0)
-            nodes[name] = at_rest(changed(node, r=r))
+            nodes[name] = with_zero_reset(with_parameters(node, r=r))
         if isinstance(node, nir.CubaLIF):
-            demand(node.v_leak == 0, name, TOOL, "would add v_leak to the synapse as well")
-            nodes[name] = at_rest(node)
+            require(node.v_leak == 0, name, TOOL, "would add v_leak to the synapse as well")
+            nodes[name] = with_zero_reset(node)
 
 
 NORSE = Preset(
@@ -44,8 +48,8 @@ NORSE = Preset(
         nir.LIF,
         nir.CubaLIF,
     ),
-    convention=stated(TOOL, 1e-3),
+    convention=default_convention(TOOL, 1e-3),
     options=("dt", "reset"),
-    reading=_read,
+    translate=_translate,
     source="norse 1.1.0, torch/utils/import_nir.py and torch/functional/lif_box.py",
 )

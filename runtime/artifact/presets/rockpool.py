@@ -1,11 +1,19 @@
-"""What Rockpool's import makes of a NIR file."""
+"""Rockpool: its import of NIR."""
 
 import nir
 import numpy as np
 
-from spikedeploy.runtime.artifact.presets.nodes import at_rest, changed, demand, share, with_gain
-from spikedeploy.runtime.artifact.presets.nodes import values as numbers
-from spikedeploy.runtime.artifact.presets.preset import Edges, Nodes, Preset
+from spikedeploy.runtime.artifact.presets.preset import (
+    Edges,
+    Nodes,
+    Preset,
+    float64,
+    one_minus_decay,
+    require,
+    with_gain,
+    with_parameters,
+    with_zero_reset,
+)
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError
 
@@ -13,8 +21,8 @@ TOOL = "Rockpool 3.1.0"
 
 
 def _timestep(node: nir.CubaLIF) -> float:
-    """The dt that a layer is given; the export writes r = tau exp(-dt/tau)/dt."""
-    return float((numbers(node.tau_mem) / (1 + numbers(node.r))).min())
+    """The dt [s] that its import gives a layer; its export writes r = tau exp(-dt/tau)/dt."""
+    return float((float64(node.tau_mem) / (1 + float64(node.r))).min())
 
 
 def _convention(nodes: Nodes, _: float | None) -> Convention:
@@ -25,26 +33,28 @@ def _convention(nodes: Nodes, _: float | None) -> Convention:
             "without the preset."
         )
     for name, node in layers.items():
-        demand(_timestep(node) > 0, name, TOOL, "takes dt = tau_mem/(1 + r), which is not above 0")
+        require(_timestep(node) > 0, name, TOOL, "takes dt = tau_mem/(1 + r), which is not above 0")
     dt = min(_timestep(node) for node in layers.values())
     source = f"as {TOOL} reads it: dt = tau_mem/(1 + r) of each layer"
     return Convention(dt, "subtract", "exponential", source=source, spikes="many")
 
 
-def _read(nodes: Nodes, edges: Edges, convention: Convention) -> None:
+def _translate(nodes: Nodes, edges: Edges, convention: Convention) -> None:
     for name, node in nodes.items():
         if isinstance(node, nir.CubaLIF):
             nodes[name] = _neuron(node, convention)
 
 
 def _neuron(node: nir.CubaLIF, convention: Convention) -> nir.NIRNode:
-    """I = a (I + x); V = b V + I + v_leak: r and w_in are left out, v_leak is a bias."""
-    # layers whose dt differ are stepped together all the same
+    """I = a (I + x); V = b V + I + v_leak: r and w_in are ignored, v_leak is a bias."""
+    # layers of different dt are stepped together, so their time constants are scaled
     stretch = convention.dt / _timestep(node)
-    tau_syn, tau_mem = stretch * numbers(node.tau_syn), stretch * numbers(node.tau_mem)
-    own = at_rest(changed(node, tau_syn=tau_syn, tau_mem=tau_mem))
-    leak = numbers(node.v_leak) / share(tau_mem, convention)
-    return with_gain(changed(own, v_leak=leak), convention, np.exp(-convention.dt / tau_syn))
+    tau_syn, tau_mem = stretch * float64(node.tau_syn), stretch * float64(node.tau_mem)
+    own = with_zero_reset(with_parameters(node, tau_syn=tau_syn, tau_mem=tau_mem))
+    leak = float64(node.v_leak) / one_minus_decay(tau_mem, convention)
+    return with_gain(
+        with_parameters(own, v_leak=leak), convention, np.exp(-convention.dt / tau_syn)
+    )
 
 
 ROCKPOOL = Preset(
@@ -52,6 +62,6 @@ ROCKPOOL = Preset(
     kinds=(nir.Affine, nir.Linear, nir.CubaLIF),
     convention=_convention,
     options=(),
-    reading=_read,
+    translate=_translate,
     source="rockpool 3.1.0, nn/modules/torch/nir.py and lif_torch.py",
 )

@@ -47,7 +47,7 @@ def test_everything_comes_back(artifact, path):
     obs = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_array_equal(back.codec.encode(obs), artifact.codec.encode(obs))
     assert (back.convention, back.convention.source) == (Convention(1e-3), "stated")
-    assert back.origin == Provenance(
+    assert back.provenance == Provenance(
         "spikedeploy/Hexapod-v0",
         "smoke",
         seed=3,
@@ -69,7 +69,7 @@ def test_the_same_artifact_gives_the_same_bytes_in_any_node_order(artifact, path
     network = artifact.graph
     turned = nir.NIRGraph(dict(reversed(network.nodes.items())), network.edges[::-1])
     save(artifact, path)
-    save(Artifact(turned, artifact.codec, artifact.convention, artifact.origin), tmp_path / "b")
+    save(Artifact(turned, artifact.codec, artifact.convention, artifact.provenance), tmp_path / "b")
     assert path.read_bytes() == (tmp_path / "b").read_bytes()
 
 
@@ -90,9 +90,9 @@ def test_metadata_of_other_tools_are_kept(artifact, path):
     assert load(path).graph.metadata == {"lab": {"note": "third try", "rate": 0.5}}
 
 
-def test_an_artifact_without_codec_and_origin_is_one(artifact, path):
+def test_an_artifact_without_codec_and_provenance_is_one(artifact, path):
     save(Artifact(artifact.graph, None, Convention(1e-3)), path)
-    assert (load(path).codec, load(path).origin) == (None, None)
+    assert (load(path).codec, load(path).provenance) == (None, None)
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(artifact, path):
@@ -125,7 +125,7 @@ def test_the_timestep_of_a_foreign_file_is_inferred_with_its_reason(artifact, pa
     back = load(foreign(path, artifact.graph))
     assert back.convention == Convention(1e-3)
     assert "dt = tau/r in n2, n4, n6" in back.convention.describe()
-    assert (back.codec, back.origin) == (None, None)
+    assert (back.codec, back.provenance) == (None, None)
 
 
 def test_float32_gains_give_a_clean_timestep_and_a_gain_of_one(path):
@@ -164,7 +164,7 @@ def test_what_is_given_goes_before_what_our_file_states(artifact, path):
 )
 def test_a_timestep_that_cannot_be_inferred_must_be_given(path, nodes, reason):
     foreign(path, chain(*nodes, width=2, act=2))
-    with pytest.raises(ArtifactError, match=f"cannot be inferred: {reason}.* Give dt"):
+    with pytest.raises(ArtifactError, match=f"cannot be inferred: {reason}.* Give the dt"):
         load(path)
     assert load(path, dt=1e-4).convention.dt == 1e-4
 
@@ -301,7 +301,7 @@ def test_a_name_that_hdf5_cannot_hold_is_refused_before_it_is_written(name):
 
 def test_a_timestep_that_the_gains_contradict_is_refused(artifact, path):
     save(artifact, path)
-    with pytest.raises(ArtifactError, match=r"say dt = 0\.002 s, the nodes 0\.001 s"):
+    with pytest.raises(ArtifactError, match=r"state dt = 0\.002 s, the nodes 0\.001 s"):
         load(edited(path, "node/metadata/spikedeploy/convention/dt", 2e-3))
 
 

@@ -115,7 +115,7 @@ def test_nengo_holds_membranes_at_0_and_sends_spikes_as_high_as_1_over_dt():
     assert (found, output) == ([0, 0, 1], [0, 0, 1000])
 
 
-def test_nengo_hears_through_a_synapse_one_timestep_later():
+def test_a_synapse_of_nengo_delivers_one_timestep_later():
     # I: 0, 1.2, 0.6 | V: 0, 1.2 -> spike, 0.6
     node = nir.CubaLIF(*full(2e-3, 1e-3 * HALF, 2, 0, 1), w_in=np.array([2.0]))
     assert spikes("nengo", node, 1.2, 0, 0) == [0, 1, 0]
@@ -167,12 +167,12 @@ def test_a_file_whose_timestep_cannot_be_inferred_is_read_like_a_tool(tmp_path):
     assert "as Norse 1.1.0 reads it" in back.convention.describe()
 
 
-def test_our_file_read_like_a_tool_keeps_its_codec_and_loses_its_origin(tmp_path):
+def test_our_file_read_like_a_tool_keeps_its_codec_and_loses_its_provenance(tmp_path):
     artifact = popsan()
     save(artifact, tmp_path / "a.nir")
     back = load(tmp_path / "a.nir", like="norse", dt=1e-3, reset="subtract")
     assert back.convention == Convention(1e-3, reset="subtract")
-    assert (back.codec.timesteps, back.origin) == (artifact.codec.timesteps, None)
+    assert (back.codec.timesteps, back.provenance) == (artifact.codec.timesteps, None)
 
 
 def test_a_convention_of_many_spikes_survives_its_file(tmp_path):
@@ -206,7 +206,7 @@ def test_many_spikes_need_something_to_subtract():
 @pytest.mark.parametrize(
     ("tool", "node", "message"),
     [
-        ("snntorch", nir.IF(*full(1, 1)), "reads IF as a leaky neuron of decay 0.9"),
+        ("snntorch", nir.IF(*full(1, 1)), "reads IF as a leaky neuron of decay factor 0.9"),
         ("snntorch", cuba(1, dt=1e-3), "needs r = tau_mem/dt, dt being 0.0001 s always"),
         ("snntorch", lif(1, v_leak=1.0), "needs v_leak = 0"),
         ("snntorch", nir.LI(*full(1, 1, 0)), "reads no LI, only Affine"),
@@ -251,7 +251,7 @@ def test_a_bias_is_nothing_that_lava_reads():
 )
 def test_an_option_that_a_tool_does_not_offer_is_refused(tool, given, offered):
     (option,) = given
-    message = f"lets nobody choose {option}; its options are: {offered}"
+    message = f"does not let {option} be chosen; its options are: {offered}"
     with pytest.raises(ConventionError, match=message):
         read_like(chain(lif(1, tau=1e-3), width=1, act=1), tool, given)
 

@@ -85,7 +85,7 @@ def test_random_spikes_come_at_the_rate():
     np.testing.assert_allclose(rates, (x + 1) / 2, atol=4 * 0.5 / 64)
 
 
-def test_the_same_seed_throws_the_same_dice_and_another_does_not():
+def test_the_same_seed_draws_the_same_spikes_and_another_does_not():
     x = np.zeros((2, 5))
     code = encoder("bernoulli", 5)
     first, again = (code.encode(x, 16, Xorshift(4, 5)) for _ in range(2))
@@ -93,14 +93,14 @@ def test_the_same_seed_throws_the_same_dice_and_another_does_not():
     assert (code.encode(x, 16, Xorshift(5, 5)) != first).any()
 
 
-def test_without_dice_encoding_is_a_function_of_the_observation():
+def test_without_a_generator_encoding_is_a_function_of_the_observation():
     x = np.zeros((2, 5))
     code = encoder("bernoulli", 5)
     np.testing.assert_array_equal(code.encode(x, 16), code.encode(x, 16))
     np.testing.assert_array_equal(code.encode(x, 16), code.encode(x, 16, Xorshift(0, 5)))
 
 
-def test_dice_that_are_kept_go_on():
+def test_a_generator_that_is_kept_goes_on():
     x, rng = np.zeros((2, 5)), Xorshift(4, 5)
     code = encoder("bernoulli", 5)
     assert (code.encode(x, 16, rng) != code.encode(x, 16, rng)).any()

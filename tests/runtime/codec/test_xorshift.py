@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.codec.xorshift import Xorshift, ahead, first_states, step
+from spikedeploy.runtime.codec.xorshift import Xorshift, advance, first_states, step
 
 
 def marsaglia(x):
@@ -24,7 +24,7 @@ def test_a_step_worked_by_hand():
 
 def test_looking_ahead_gives_the_bits_of_going_step_by_step():
     x = np.random.default_rng(0).integers(1, 2**32, (3, 50), dtype=np.uint32)
-    found = ahead(x, 40)
+    found = advance(x, 40)
     for t in range(40):
         x = step(x)
         np.testing.assert_array_equal(found[t], x)

@@ -165,7 +165,7 @@ def test_subtraction_equals_the_textbook_loop():
     equal(FloatGraph(artifact).run(raster), loop(artifact, raster, subtract=True))
 
 
-def test_a_delay_makes_every_affine_hear_the_timestep_before():
+def test_a_delay_of_one_timestep_applies_to_every_affine():
     artifact = popsan()
     artifact = replace(artifact, convention=Convention(1e-3, delay=1))
     raster = np.concatenate([spikes_in(artifact), spikes_in(artifact, seed=1)], axis=1)
@@ -232,7 +232,7 @@ def test_flatten_scale_and_threshold_do_what_they_say():
 
 
 def recurrent(weight, bias=0.0):
-    """A spiking neuron that hears itself through `weight`."""
+    """A spiking neuron with a recurrent connection `weight`."""
     return graph(
         "input->cell, cell->back, back->cell, cell->output",
         **ends(1, 1),
@@ -261,7 +261,7 @@ def test_a_recurrent_connection_takes_one_timestep_whatever_the_delay(weight):
     np.testing.assert_array_equal(found["cell"], delayed["cell"])
 
 
-def test_a_neuron_may_hear_itself_without_a_weight():
+def test_a_neuron_may_have_a_recurrent_edge_without_a_weight():
     nodes = graph("input->cell, cell->cell, cell->output", **ends(1, 1), cell=lif(1, threshold=0.5))
     assert network(nodes).run(column(1, 0, 0))["cell"].ravel().tolist() == [1, 1, 1]
 
@@ -421,9 +421,12 @@ def test_several_inputs_and_outputs_go_by_their_names():
 @pytest.mark.parametrize(
     ("raster", "message"),
     [
-        (np.zeros((1, 2, 2)), "inputs a, b, but there is one raster without a name"),
-        ({"a": np.zeros((1, 2, 2))}, r"rasters for a\. Give one for each; b has no pair"),
-        ({"a": np.zeros((1, 2, 2)), "b": np.zeros((1, 3, 2))}, "Make all rasters equally long"),
+        (np.zeros((1, 2, 2)), "inputs a, b, found one raster without a name"),
+        (
+            {"a": np.zeros((1, 2, 2))},
+            r"rasters for a\. Give one raster for each input; b has no match",
+        ),
+        ({"a": np.zeros((1, 2, 2)), "b": np.zeros((1, 3, 2))}, "Give all rasters the same batch"),
     ],
 )
 def test_rasters_that_are_not_those_of_the_inputs_are_refused(raster, message):

@@ -114,7 +114,7 @@ def test_many_rows_at_once_equal_each_alone(monkeypatch):
     node = nir.Conv2d((9, 7), np.ones((2, 1, 3, 3)), 1, 1, 1, 1, np.zeros(2))
     x = np.random.default_rng(0).normal(size=(4, 5, 1, 9, 7))
     whole = ran(node, x)
-    monkeypatch.setattr("spikedeploy.runtime.float_model.spatial.ENOUGH", 1000)
+    monkeypatch.setattr("spikedeploy.runtime.float_model.nodes.CHUNK_VALUES", 1000)
     np.testing.assert_allclose(ran(node, x), whole, rtol=0, atol=1e-12)
 
 
@@ -215,7 +215,7 @@ def test_a_delay_in_a_loop_counts_once():
 # files and chips
 
 
-def test_a_convolution_hears_the_timestep_before_where_the_convention_delays():
+def test_the_delay_of_the_convention_applies_to_convolutions():
     node = nir.Conv1d(2, np.ones((1, 1, 1)), 1, 0, 1, 1, np.zeros(1))
     x = np.arange(1.0, 7).reshape(1, 3, 1, 2)
     found = network(alone(node, (1, 2), (1, 2)), delay=1).run(x)["output"]

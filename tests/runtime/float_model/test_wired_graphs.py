@@ -1,4 +1,4 @@
-"""Graphs that nobody drew, on the ideal chip: windows, sums, delays, skips, loops, many inputs.
+"""Generated graphs on the ideal chip: windows, sums, delays, skips, loops, many inputs.
 
 Weights and decays are small fractions of powers of 2, so that every sum is exact in any order.
 """
@@ -19,7 +19,7 @@ from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
-from spikedeploy.runtime.graph.ports import joined, parted
+from spikedeploy.runtime.graph.ports import concatenate, split
 from spikedeploy.runtime.graph.shapes import infer_shapes
 from tests.networks import chain, graph, lif
 
@@ -129,21 +129,21 @@ def test_a_generated_network_on_the_ideal_chip_equals_the_float_graph(network, s
     try:
         program = compile_program(artifact, chip("ideal"))
     except RuleError as error:
-        # a bias before a delay, and what nobody remembers
+        # a bias before a delay, and several layers read late while states are kept
         assert "begin late" in str(error) or "it hears several layers" in str(error)  # noqa: PT017
         return
     twin, machine = FloatGraph(artifact), Machine(program, 2, trace=True)
     rng = np.random.default_rng(seed)
     for inference in range(2):
         raster = (rng.random((2, TIMESTEPS, program.width)) < 0.4).astype(np.uint8)
-        expected = twin.run(parted(program.inputs, raster))
+        expected = twin.run(split(program.inputs, raster))
         output = machine.infer(raster)
         for name, found in machine.recordings.items():
             flat = expected[name].reshape(found.spikes.shape)
             np.testing.assert_array_equal(found.spikes, flat)
             if inference == 0:
                 np.testing.assert_array_equal(trace(program, raster)[name].spikes, flat)
-        for name, found in parted(program.outputs, output).items():
+        for name, found in split(program.outputs, output).items():
             wanted = expected["output" if len(program.outputs) == 1 else name]
             np.testing.assert_array_equal(found, wanted)
 
@@ -186,7 +186,7 @@ def artifact(network):
 
 
 def test_a_convolution_and_a_pool_become_one_matrix():
-    # x convolved with (1, 10), then sums of pairs: each hears three numbers by (1, 11, 10)
+    # x convolved with (1, 10), then sums of pairs: each sums three inputs by (1, 11, 10)
     conv = nir.Conv2d(None, np.array([[[[1.0, 10.0]]]]), 1, 0, 1, 1, np.array([0.5]))
     pool = nir.SumPool2d(np.array([1, 2]), np.array([1, 2]), np.array([0, 0]))
     flat = nir.Flatten({"input": np.array([1, 1, 2])}, 0, -1)
@@ -252,10 +252,10 @@ def test_inputs_lie_side_by_side_in_the_order_of_their_names():
     assert program.input == "a, b"
     assert program.layers[0].synapses[0].weight.ravel().tolist() == [1, 2, 3, 4]
     rasters = {"b": np.array([[[[0, 1]]]]), "a": np.array([[[1, 0]]])}
-    assert joined(program.inputs, rasters).tolist() == [[[1, 0, 0, 1]]]
+    assert concatenate(program.inputs, rasters).tolist() == [[[1, 0, 0, 1]]]
 
 
-def test_an_output_may_hear_several_layers():
+def test_an_output_may_read_several_layers():
     edges = "input->a, a->b, a->twice, twice->output, b->output"
     nodes = {
         "a": lif(1, 4e-3, 4.0, 0.5),

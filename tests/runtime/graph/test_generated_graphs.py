@@ -1,4 +1,4 @@
-"""Graphs that nobody drew: branches, sums, skips and loops, against a walk written for clarity."""
+"""Generated graphs with branches, sums, skips and loops, against a plain reference."""
 
 from functools import cache
 
@@ -32,7 +32,7 @@ def node(kind, rng):
 
 @st.composite
 def graphs(draw):
-    """A graph from an input to an output: every node hears an earlier one, some a later one."""
+    """A graph from an input to an output: every node has an earlier source, some a later one."""
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
     kinds = draw(
         st.lists(

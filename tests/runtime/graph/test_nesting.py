@@ -22,7 +22,7 @@ def artifact(network):
 
 
 def recurrent():
-    """A cell that hears itself, as snnTorch writes one."""
+    """A recurrent cell as snnTorch writes one."""
     weight = nir.Linear(np.array([[0.0, 1.5], [1.5, 0.0]]))
     edges = "input->lif, lif->w_rec, w_rec->lif, lif->output"
     return graph(edges, **ends(), lif=lif(2), w_rec=weight)
@@ -37,7 +37,7 @@ def test_a_graph_inside_computes_what_it_computes_alone():
     np.testing.assert_array_equal(found["n2.lif"], alone["lif"])
 
 
-def test_graphs_inside_graphs_inside_graphs_are_taken_apart():
+def test_graphs_nested_twice_are_flattened():
     inner = chain(lif(2), width=2, act=2)
     nested = artifact(chain(chain(inner, lif(2), width=2, act=2), width=2, act=2))
     assert sorted(nested.graph.nodes) == ["input", "n1.n1.n1", "n1.n2", "output"]

@@ -118,15 +118,15 @@ def test_every_table_says_where_it_comes_from_and_prices_known_events(name):
     assert table.source
     assert table.provenance
     assert set(table.joules) | set(table.seconds) <= {*EVENTS, "mac", "hop_x", "hop_y"}
-    assert table.most.keys() <= table.joules.keys()
-    assert all(table.most[event] > table.joules[event] for event in table.most)
+    assert table.upper_joules.keys() <= table.joules.keys()
+    assert all(table.upper_joules[event] > table.joules[event] for event in table.upper_joules)
     for uncertainty in (table.uncertainty, table.time_uncertainty):
         assert uncertainty.why
         assert uncertainty.low <= 1 <= uncertainty.high
     assert all(price > 0 for price in [*table.joules.values(), *table.seconds.values()])
 
 
-def test_an_energy_says_between_what_it_lies():
+def test_an_energy_states_its_interval():
     fitted = energy_estimate(ledger(sop=1000), TABLES["sanafe"])
     assert fitted.value == pytest.approx(35.5e-9)
     # 11.7 % each way

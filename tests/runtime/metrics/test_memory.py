@@ -7,7 +7,13 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.program import Program, Synapses
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.metrics.memory import MemoryTraffic, Widths, memory, memory_counts, widths
+from spikedeploy.runtime.metrics.memory import (
+    MemoryTraffic,
+    Widths,
+    memory_counts,
+    memory_traffic,
+    widths,
+)
 from tests.programs import layer
 
 
@@ -30,7 +36,7 @@ def run(network, rows):
 
 def test_a_synaptic_operation_reads_a_weight_and_an_update_writes_both_states():
     network = program()
-    found = memory(run(network, [[1, 0], [0, 1], [0, 0]]), network)
+    found = memory_traffic(run(network, [[1, 0], [0, 1], [0, 0]]), network)
     # 2 and 3 weights of 8 bits; 9 neuron-timesteps look at a current and a membrane of 24 bits;
     # two neurons are updated in the second timestep and all three in the third
     assert found == {
@@ -54,7 +60,7 @@ def test_there_is_a_row_for_each_timestep_of_a_stream():
 
 def test_fewer_bits_are_fewer_bits_to_read():
     network = program(weight_bits=4)
-    found = memory(run(network, [[1, 1]]), network)["n"]
+    found = memory_traffic(run(network, [[1, 1]]), network)["n"]
     assert (found.weight_reads, found.read_bits) == (5, 5 * 4 + 3 * 48)
 
 

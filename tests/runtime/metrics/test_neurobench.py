@@ -12,7 +12,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.metrics.memory import packed_bytes
 from spikedeploy.runtime.metrics.neurobench import (
     connection_sparsity,
-    dense,
+    dense_operations,
     footprint,
     neurobench,
     parameter_count,
@@ -64,7 +64,11 @@ def test_a_network_of_bytes_is_a_quarter_of_one_of_floats():
 
 def test_a_network_without_weights_has_none_that_are_zero():
     graph = chain(lif(3), width=3, act=3)
-    assert (connection_sparsity(graph), parameter_count(graph), dense(graph)) == (0.0, 0, 0)
+    assert (connection_sparsity(graph), parameter_count(graph), dense_operations(graph)) == (
+        0.0,
+        0,
+        0,
+    )
 
 
 def test_packed_weights_take_the_bits_of_the_chip():
@@ -74,7 +78,7 @@ def test_packed_weights_take_the_bits_of_the_chip():
     assert packed_bytes(compile_program(network(biased=False), IDEAL)) == 4 * (20 * 16 + 16 * 12)
 
 
-def test_a_loop_hears_its_spikes_a_timestep_later():
+def test_spikes_of_a_loop_arrive_a_timestep_later():
     weight, loop = np.eye(2), np.array([[0.0, 1.0], [1.0, 1.0]])
     neurons = lif(2, tau=DT, r=1.0, threshold=0.5)
     neurons.v_reset = np.zeros(2)
@@ -90,12 +94,12 @@ def test_a_loop_hears_its_spikes_a_timestep_later():
 
 
 def test_dense_counts_zero_weights_too():
-    assert dense(network().graph) == 20 * 16 + 16 * 12 + 12 * 3
+    assert dense_operations(network().graph) == 20 * 16 + 16 * 12 + 12 * 3
 
 
 def test_a_convolution_has_no_operations_with_its_padding():
     # four places of three taps, less one at each end
-    assert dense(nir.NIRGraph.from_list(convolutions()[0])) == 4 * 3 - 2
+    assert dense_operations(nir.NIRGraph.from_list(convolutions()[0])) == 4 * 3 - 2
 
 
 @pytest.mark.parametrize("name", ["ideal", "loihi1"])
@@ -106,7 +110,7 @@ def test_the_ledger_of_the_same_run_agrees(name):
     spikes = raster(width=30)
     machine.infer(spikes)
     found, ledger = measured(program, file.graph, spikes), machine.ledger
-    readout = machine.recordings[program.output].spikes.sum() / 4  # each hears one number
+    readout = machine.recordings[program.output].spikes.sum() / 4  # each has one presynaptic neuron
     assert found.effective_acs == ledger.per_inference("sop") + readout
     assert found.activation_sparsity == ledger.sparsity
     # what changed had something to add up

@@ -9,7 +9,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.metrics.neurobench import dense
+from spikedeploy.runtime.metrics.neurobench import dense_operations
 from tests.measuring import (
     DT,
     IDEAL,
@@ -83,7 +83,7 @@ def torch_layer(node, convention, whole):
 
 
 def theirs(tool, model, spikes):
-    """Everything that NeuroBench 2.3.0 can say of it, one batch at a time."""
+    """Every metric of NeuroBench 2.3.0, one batch at a time."""
     import torch
     from neurobench.metrics.static import ConnectionSparsity, Footprint, ParameterCount
     from neurobench.metrics.workload import (
@@ -225,4 +225,4 @@ def test_the_operations_of_convolutions_are_neurobenchs(tool, index):
     )
     shape = (channels, *np.atleast_1d(node.input_shape).tolist())
     wanted, _ = single_layer_MACs(torch.ones(1, *shape), layer, total=True)
-    assert dense(nir.NIRGraph.from_list(node)) == wanted
+    assert dense_operations(nir.NIRGraph.from_list(node)) == wanted

@@ -39,7 +39,7 @@ def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
     assert ledger.total("spike_out") == theirs["neurons_fired"] - inputs
     assert sent.message == theirs["packets_sent"]
     assert sent.hop_x + sent.hop_y == sum(theirs["perf_trace"]["hops"])
-    # neurons that hear weights which cancel are busy there, and those with a current left are here
+    # neurons whose inputs cancel are updated there, and those with a current left are here
     more = ledger.total("neuron_update") - (theirs["neurons_updated"] - inputs)
     assert abs(more) <= 0.01 * ledger.total("neuron_update")
     ours = energy(ledger, TABLE, sent)

@@ -6,7 +6,7 @@ import pytest
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.program import Program, Synapses
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.metrics.traffic import Layout, Traffic, joined, one_core_each, traffic
+from spikedeploy.runtime.metrics.traffic import Layout, Traffic, one_core_each, total, traffic
 from tests.programs import layer
 
 CHIP = chip("loihi1")
@@ -14,7 +14,7 @@ CHIP = chip("loihi1")
 
 @pytest.fixture
 def network():
-    """Two inputs; a layer of two and one of one, which both hear them; the second hears itself."""
+    """Two inputs; layers of two and of one, which both receive them; the second is recurrent."""
     first = [[5, 5], [0, 7]]
     second, loop = [[0], [3]], [[1]]
     layers = (
@@ -47,13 +47,13 @@ def test_layers_that_share_a_core_share_a_message(network):
 
 
 def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
-    apart = {"input": np.array([0, 0]), "a": np.array([1, 2]), "b": np.array([0])}
+    spread = {"input": np.array([0, 0]), "a": np.array([1, 2]), "b": np.array([0])}
     # the second core is two tiles along the row, the third one tile along the column
     tiles = np.array([[0, 0], [2, 0], [0, 1]])
-    found = traffic(network, SPIKES, Layout(apart, tiles))
+    found = traffic(network, SPIKES, Layout(spread, tiles))
     # axon 0 to cores 1 and 2; axon 1 to core 2 and its own
     assert found == Traffic(message=10 * 2 + 1 * 2 + 2, hop_x=10 * 2, hop_y=10 + 1)
 
 
 def test_the_traffic_of_several_inferences_is_their_sum():
-    assert joined([Traffic(1, 2, 3), Traffic(10, 20, 30)]) == Traffic(11, 22, 33)
+    assert total([Traffic(1, 2, 3), Traffic(10, 20, 30)]) == Traffic(11, 22, 33)

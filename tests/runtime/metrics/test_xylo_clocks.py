@@ -31,12 +31,12 @@ QUIET = {
 }
 
 
-def test_a_silent_network_takes_its_fixed_clocks():
+def test_a_network_without_spikes_takes_its_fixed_clocks():
     # 2 inputs; 4 hidden neurons of 3 + 19; 1 output of 12
     assert xylo_clocks(_program(), QUIET) == 2 + 4 * 22 + 12
 
 
-def test_spikes_take_clocks_for_all_that_hears_them():
+def test_a_spike_takes_clocks_for_each_postsynaptic_neuron():
     busy = {**QUIET, "input": QUIET["input"].copy(), "hidden": QUIET["hidden"].copy()}
     busy["input"][0, :5] = 3  # half of the timesteps; that they are three is all the same
     busy["hidden"][0, ::4] = 1  # of 10 timesteps 3

@@ -166,7 +166,7 @@ def test_several_inputs_and_outputs_go_by_their_names(chip, emulate):
 def test_a_raster_without_a_name_does_not_fit_several_inputs(emulate):
     code, _, _, err = emulate(two_ways(), np.ones((3, 1)), "--chip", "float")
     assert code == 1
-    assert "inputs a, b, but there is one raster without a name" in err
+    assert "inputs a, b, found one raster without a name" in err
 
 
 def single(threshold=1.0):
@@ -220,7 +220,7 @@ def test_a_backend_is_for_chips(emulate):
 @pytest.mark.parametrize("chip", ["float", "ideal"])
 def test_a_raster_that_would_fill_the_memory_is_refused(chip, emulate, monkeypatch):
     monkeypatch.setattr("spikedeploy.emulate.LARGEST", 1000)
-    monkeypatch.setattr("spikedeploy.runtime.float_model.graph.LARGEST", 1000)
+    monkeypatch.setattr("spikedeploy.runtime.float_model.graph.MAX_RUN_BYTES", 1000)
     assert emulate(single(), np.ones((5, 1)), "--chip", chip)[0] == 0
     code, _, _, err = emulate(single(), np.ones((50, 1)), "--chip", chip)
     assert code == 1

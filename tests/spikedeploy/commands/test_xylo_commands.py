@@ -65,7 +65,9 @@ def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path
     strolling.install(monkeypatch)
     policy = popsan()
     convention = replace(policy.convention, reset="subtract")
-    save(replace(policy, convention=convention, origin=strolling.ORIGIN), tmp_path / "policy.nir")
+    save(
+        replace(policy, convention=convention, provenance=strolling.ORIGIN), tmp_path / "policy.nir"
+    )
     words = (tmp_path / "policy.nir", "--chip", "xylo-a2", "--env", "stroll", "--json")
     code, _, err = command("run", *words)
     assert code == 1
@@ -83,7 +85,7 @@ def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch
     policy = popsan(obs=3, act=2, hidden=(16, 12))
     convention = replace(policy.convention, reset="subtract")
     file = shipped / "popsan.nir"
-    save(replace(policy, convention=convention, origin=strolling.ORIGIN), file)
+    save(replace(policy, convention=convention, provenance=strolling.ORIGIN), file)
     asked = ("stroll", file, "--chips", "xylo-a2,ideal", "--episodes", "1", "--seed", "10000")
     asked += ("--workers", "1", "--limits", "off")
     code, out, err = command("compare", *asked, "-o", tmp_path / "out")

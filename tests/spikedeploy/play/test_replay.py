@@ -78,7 +78,7 @@ def policy(tmp_path_factory):
     """A spiking policy with random weights for karts that drive or turn."""
     path = tmp_path_factory.mktemp("policies") / "snn.nir"
     observed = envs.make("kart-gazebo").observation_space.shape[0]
-    save(replace(spiking_mlp(observed, 4, (16, 12)), origin=ORIGIN), path)
+    save(replace(spiking_mlp(observed, 4, (16, 12)), provenance=ORIGIN), path)
     return path
 
 

@@ -32,8 +32,8 @@ def artifact(network):
 
 
 def conv2d(**change):
-    """A sound convolution of (2, 6, 6) but for the change."""
-    sound = {
+    """A valid convolution of (2, 6, 6) but for the change."""
+    valid = {
         "input_shape": None,
         "weight": np.ones((4, 2, 3, 3)),
         "stride": 1,
@@ -42,7 +42,7 @@ def conv2d(**change):
         "groups": 1,
         "bias": np.zeros(4),
     }
-    return nir.Conv2d(**{**sound, **change})
+    return nir.Conv2d(**{**valid, **change})
 
 
 @pytest.mark.parametrize(
@@ -58,11 +58,11 @@ def conv2d(**change):
         ({"stride": (0, 1)}, "stride holds 0"),
         ({"stride": (1.5, 1)}, "stride is .*whole numbers, one or 2"),
         ({"dilation": (1, -1)}, "dilation holds -1"),
-        ({"dilation": 4}, r"a kernel that reaches over \(9, 9\) does not fit into \(6, 6\)"),
+        ({"dilation": 4}, r"a kernel of extent \(9, 9\) does not fit into \(6, 6\)"),
         ({"padding": (1, 1, 1)}, "padding is"),
         ({"padding": -1}, "padding holds -1"),
-        ({"padding": "same", "stride": 2}, "'same' with stride .* means different things"),
-        ({"padding": 10**6}, "is more than 16777216 numbers"),
+        ({"padding": "same", "stride": 2}, "'same' with stride .* differs between tools"),
+        ({"padding": 10**6}, "is more than 16777216 values"),
         ({"input_shape": (6, 5)}, r"'input' puts out \(2, 6, 6\), 'n' takes \(2, 6, 5\)"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
@@ -77,7 +77,7 @@ def test_a_convolution_that_is_none_is_refused_by_name(change, message):
         artifact(alone(node, (2, 6, 6), (4, 4, 4)))
 
 
-def test_a_word_for_padding_that_nobody_knows_is_refused():
+def test_an_unknown_padding_is_refused():
     node = conv2d()
     node.padding = "reflect"
     with pytest.raises(ArtifactError, match="'n': padding is 'reflect'"):
@@ -87,8 +87,8 @@ def test_a_word_for_padding_that_nobody_knows_is_refused():
 def test_nir_takes_height_for_width_and_a_group_for_all_and_is_not_believed():
     node = nir.Conv2d((10, 10), np.ones((4, 1, 3, 5)), 1, 0, 1, 2, np.zeros(4))
     assert (node.input_type["input"][0], node.output_type["output"][2]) == (1, 8)
-    sound = artifact(alone(node, (2, 10, 10), (4, 8, 6)))
-    assert sound.graph.nodes["n"].output_type["output"].tolist() == [4, 8, 6]
+    valid = artifact(alone(node, (2, 10, 10), (4, 8, 6)))
+    assert valid.graph.nodes["n"].output_type["output"].tolist() == [4, 8, 6]
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ SHAPES = st.sampled_from([(), (0,), (1,), (2,), (3,), (2, 2), (2, 1), (1, 2)])
 
 @st.composite
 def mutilated(draw):
-    """A sound graph of several kinds, with one thing in it that may be odd."""
+    """A valid graph of several kinds, with one change that may make it invalid."""
     nodes = {
         "input": nir.Input(np.array([2])),
         "fc": nir.Affine(np.eye(2), np.zeros(2)),
@@ -335,8 +335,8 @@ def mutilated(draw):
 
 @settings(max_examples=300, deadline=None)
 @given(mutilated(), st.sampled_from(["euler", "exponential"]), st.sampled_from([1e-3, 1e-12, 1e12]))
-def test_a_graph_with_something_odd_is_refused_by_us_or_computes_numbers(network, integrator, dt):
+def test_a_changed_graph_is_refused_by_name_or_computes_numbers(network, integrator, dt):
     with contextlib.suppress(SpikedeployError):
-        sound = Artifact(network, None, Convention(dt, integrator=integrator))
-        found = FloatGraph(sound).run(np.ones((1, 4, 2)))
+        valid = Artifact(network, None, Convention(dt, integrator=integrator))
+        found = FloatGraph(valid).run(np.ones((1, 4, 2)))
         assert np.isfinite(found["output"]).all()
