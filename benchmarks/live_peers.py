@@ -11,8 +11,6 @@ sinabs and samna are never installed here, and rockpool without what it depends 
 runs an installer.
 """
 
-import prepare  # isort: skip  # noqa: F401 - before all others
-
 import argparse
 import os
 import shutil
@@ -25,6 +23,9 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
+
+if __name__ == "__main__":
+    import prepare  # noqa: F401 - the checkout is in the path, not its folder benchmarks
 
 from benchmarks.record_traces import NOTHING_RECORDED
 

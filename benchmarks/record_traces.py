@@ -9,8 +9,6 @@ environments whose NumPy is older than ours allows. Exits with 1 where a number 
 77 where nothing could be recorded.
 """
 
-import prepare  # isort: skip  # noqa: F401 - before all others
-
 import argparse
 import json
 import sys
@@ -20,6 +18,9 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+if __name__ == "__main__":
+    import prepare  # noqa: F401 - xylosim is then the tool's own, not a file of benchmarks/traces
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden"
 # module of benchmarks.traces, and what the `source` of its traces begins with
