@@ -1,7 +1,7 @@
 """How far our energies and times of random networks are from those of SANA-FE.
 
 Both have the same spikes; energies by the table `sanafe`, with the messages between the cores of
-the layout; times as if one core did everything. `pip install spikedeploy[sanafe]` first.
+the layout; times as if one core did everything. `pip install "spikedeploy[sanafe]"` first.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others

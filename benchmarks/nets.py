@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.interpreter import trace
 
 Raster = NDArray[np.uint8]
 
-ONE = 4096  # the decay that keeps everything
+ONE = 4096  # a decay factor of 1
 SHIFT = 6  # from a weight to state units
 
 
@@ -25,7 +25,7 @@ class Net:
 
     weights: (M, N) of each layer, int16.
     thresholds: of each layer [weights]; half a weight off, so that nothing ties.
-    alpha, beta: what a current and a membrane keep in a timestep; alpha 0 has no current.
+    alpha, beta: decay factors of current and membrane a timestep; alpha 0 has no current.
     timesteps: T.
     program: the same for `loihi1`.
     """
@@ -76,10 +76,10 @@ def calibrated(
     """A network whose layers spike at such rates when the raster comes in."""
     rng = np.random.default_rng(seed)
     weights = [rng.integers(-127, 128, shape).astype(np.int16) for shape in pairwise(sizes)]
-    keeps = (round(alpha * ONE), round(beta * ONE))
+    decays = (round(alpha * ONE), round(beta * ONE))
     layers: list[Layer] = []
     for k, (weight, rate) in enumerate(zip(weights, rates, strict=True), start=1):
-        layers.append(layer(k, weight, keeps, threshold=1))
+        layers.append(layer(k, weight, decays, threshold=1))
         layers[-1] = replace(layers[-1], threshold=_threshold(program(layers), raster, rate))
     thresholds = [float(a.threshold[0]) / (1 << SHIFT) for a in layers]
     return Net(name, weights, thresholds, alpha, beta, raster.shape[1], program(layers))
@@ -95,16 +95,16 @@ def widened(net: Net, times: int, seed: int = 1) -> Net:
         neurons = weight.shape[1] * (times if k < len(net.weights) - 1 else 1)
         wide = rng.integers(-3, 4, (inputs, neurons)).astype(np.int16)
         wide[: weight.shape[0], : weight.shape[1]] = weight
-        keeps = (int(old.current_decay[0]), int(old.membrane_decay[0]))
-        made = layer(k + 1, wide, keeps, top)
+        decays = (int(old.current_decay[0]), int(old.membrane_decay[0]))
+        made = layer(k + 1, wide, decays, top)
         made.threshold[: weight.shape[1]] = old.threshold
         weights.append(wide)
         layers.append(made)
     return replace(net, name=f"{net.name} x {times}", weights=weights, program=program(layers))
 
 
-def layer(k: int, weight: NDArray[Any], keeps: tuple[int, int], threshold: int) -> Layer:
-    """Layer k, counted from 1, that hears the one before it; the threshold is in weights."""
+def layer(k: int, weight: NDArray[Any], decays: tuple[int, int], threshold: int) -> Layer:
+    """Layer k, counted from 1, whose input is the layer before it; the threshold is in weights."""
     ones = np.ones(weight.shape[1], np.int64)
     return Layer(
         name=f"layer{k}",
@@ -112,8 +112,8 @@ def layer(k: int, weight: NDArray[Any], keeps: tuple[int, int], threshold: int) 
         bias=0 * ones,
         voltage_bias=0 * ones,
         threshold=_between(threshold) * ones,
-        current_decay=keeps[0] * ones,
-        membrane_decay=keeps[1] * ones,
+        current_decay=decays[0] * ones,
+        membrane_decay=decays[1] * ones,
         scale=1.0,
         start=k,
     )

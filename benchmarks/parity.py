@@ -46,7 +46,9 @@ def walked(file: Path, count: int) -> NDArray[np.float64]:
     """Return observations (count, obs) that the policy makes in its own environment."""
     artifact = load(file)
     if artifact.provenance is None:
-        raise ArtifactError(f"{file} was not exported by spikedeploy: it does not name its world")
+        raise ArtifactError(
+            f"{file} was not exported by spikedeploy: it does not name its environment"
+        )
     env, controller = envs.make(artifact.provenance.env), SpikingController(artifact)
     walks: list[NDArray[np.float64]] = []
     while sum(map(len, walks)) < count:

@@ -112,7 +112,7 @@ def spikingjelly_layers(net: Net) -> Peer:
 def xylosim_layer(net: Net) -> Peer:
     """The C++ simulator of Xylo: hidden layers are its recurrent neurons; rates are not matched.
 
-    A Xylo has room for fewer inputs and outputs; the simulator does not mind.
+    A Xylo has room for fewer inputs and outputs; the simulator has no such limit.
     """
     from xylosim.v2 import XyloLayer, XyloSynapse
 

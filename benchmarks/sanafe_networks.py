@@ -15,7 +15,7 @@ from spikedeploy.runtime.metrics.traffic import Layout
 Weights = NDArray[Any]
 CHIP = chip("loihi1")
 
-# sizes, density, threshold, part of the membrane and of the current kept [/4096], loops, bias
+# sizes, density, threshold, decay factors of membrane and current [/4096], loops, bias
 NETWORKS = {
     "dense": ([20, 30, 10], 1.0, 200, 4096, 0, False, 0),
     "sparse": ([20, 30, 10], 0.3, 200, 3000, 0, False, 0),
@@ -59,7 +59,7 @@ def program(case: str, seed: int) -> Program:
 
 
 def scattered(network: Program, seed: int, cores: int = 12) -> Layout:
-    """Neurons thrown onto twelve cores of three tiles, of which each has four."""
+    """Neurons placed at random on twelve cores, four to a tile."""
     rng = np.random.default_rng(seed)
     where = {name: rng.integers(0, cores, size) for name, size in network.sizes.items()}
     # their tiles are numbered along columns, of four each

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.files import replacing
 from spikedeploy.reports.columns import Row, interval, label
 from spikedeploy.reports.curves import Curve
-from spikedeploy.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,9 @@ from spikedeploy.files import as_text
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from spikedeploy.exporters.check import ParityCheck
     from spikedeploy.drift import DriftReport
     from spikedeploy.emulate import Emulation
+    from spikedeploy.exporters.check import ParityCheck
     from spikedeploy.verify import ReplayedTrace
 
 PIPE_WIDTH = 120

@@ -46,14 +46,15 @@ def test_the_first_call_installs_what_the_verb_needs(verb, extra, checkout):
     _, programs, lines = spike(checkout, verb)
     assert programs[0] == "pip"
     assert lines[0].endswith(f"-e {checkout}{extra}")
-    assert programs[1] == ("python" if verb == "test" else "spikedeploy")
+    assert programs[-1] == ("python" if verb == "test" else "spikedeploy")
 
 
 def test_the_second_call_installs_nothing(checkout):
     spike(checkout, "train")
     assert spike(checkout, "train")[1] == ["spikedeploy"]
     assert spike(checkout, "demo")[1] == ["spikedeploy"]  # train holds what demo needs
-    assert spike(checkout, "test")[1] == ["pip", "python"]
+    assert spike(checkout, "test")[1] == ["pip", "pip", "python"]
+    assert spike(checkout, "test")[1] == ["python"]
 
 
 def test_a_changed_project_is_installed_again(checkout):
@@ -71,9 +72,26 @@ def test_without_words_it_prints_the_help(checkout):
     assert spike(checkout)[2][-1].endswith(" --help")
 
 
-def test_the_suite_runs_in_the_checkout(checkout, tmp_path):
+def test_the_suite_runs_in_the_checkout_on_two_cores(checkout, tmp_path):
     _, _, lines = spike(checkout, "test", "-x", cwd=tmp_path)
-    assert lines[-1] == f"python {checkout} -m pytest -n 2 -x"
+    assert lines[-1] == f"python {checkout} -m pytest -n 2 --dist worksteal -x"
+
+
+def test_peers_are_compared_with_by_a_script_of_the_checkout(checkout, tmp_path):
+    _, _, lines = spike(checkout, "test", "--peers", "norse", cwd=tmp_path)
+    assert lines[-1] == f"python {checkout} benchmarks/live_peers.py norse"
+
+
+def test_the_suite_runs_without_xylosim_where_it_cannot_be_built(checkout):
+    pip = checkout / ".venv/bin/pip"
+    fails = """case $* in *xylosim*) echo "no compiler"; exit 1 ;; esac\n"""
+    pip.write_text(pip.read_text() + fails)
+    done, programs, lines = spike(checkout, "test")
+    assert programs == ["pip", "pip", "python"]
+    assert lines[1].endswith(f"-e {checkout}[xylosim]")
+    assert "xylosim cannot be built" in done.stderr
+    assert "no compiler" in (checkout / ".venv/install.log").read_text()
+    assert done.returncode == 0
 
 
 def test_a_failed_installation_shows_its_log_and_is_tried_again(checkout):

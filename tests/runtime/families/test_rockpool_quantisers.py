@@ -1,4 +1,4 @@
-"""Xylo's quantisers against rockpool's, where it is installed: pip install --no-deps rockpool.
+"""Xylo's quantisers against rockpool's, which `./spike test --peers` installs without the rest.
 
 Its file is loaded alone: the package has parts that install software when they are imported.
 """
@@ -29,7 +29,7 @@ OUTPUT = ("weights_out", "threshold_out", "bias_out")
 def rockpool():
     """Its module of quantisers."""
     if (found := find_spec("rockpool")) is None:
-        pytest.skip("rockpool is not installed")
+        pytest.skip("rockpool is not installed; ./spike test --peers compares with it")
     file = Path(found.submodule_search_locations[0]) / "transform" / "quantize_methods.py"
     spec = spec_from_file_location("quantize_methods", file)
     module = module_from_spec(spec)

@@ -1,6 +1,6 @@
 """Compiled networks against xylosim, SynSense's simulator of the chip, where it is installed.
 
-The extra `peers` installs it; it is built from source and wants a C++ compiler.
+`./spike test` installs it where there is a C++ compiler, with which it is built.
 """
 
 import numpy as np
@@ -17,7 +17,9 @@ from tests.xylo_networks import network, random_cores, random_networks
 
 TIMESTEPS = 60
 
-v2 = pytest.importorskip("xylosim.v2", reason="xylosim is not installed", exc_type=ImportError)
+v2 = pytest.importorskip(
+    "xylosim.v2", reason="xylosim is not installed: it needs a C++ compiler", exc_type=ImportError
+)
 
 
 class Simulated:

@@ -1,4 +1,4 @@
-"""NeuroBench's numbers against NeuroBench, where the extra `neurobench` is installed."""
+"""Our figures of NeuroBench's metrics against NeuroBench itself, where it is installed."""
 
 import importlib.metadata
 
@@ -28,7 +28,8 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 @pytest.fixture(scope="module")
 def tool():
     return pytest.importorskip(
-        "neurobench.benchmarks", reason="the extra `neurobench` is not installed"
+        "neurobench.benchmarks",
+        reason="NeuroBench is not installed; ./spike test --peers compares with it",
     )
 
 

@@ -1,7 +1,4 @@
-"""The events that we price, against SANA-FE's simulation of random networks where it is installed.
-
-The extra `sanafe` installs it.
-"""
+"""Events and energies against SANA-FE's simulation of random networks, where it is installed."""
 
 import numpy as np
 import pytest
@@ -17,7 +14,9 @@ STEPS = 20
 
 @pytest.fixture(autouse=True, scope="module")
 def _sanafe():
-    pytest.importorskip("sanafe", reason="the extra `sanafe` is not installed")
+    pytest.importorskip(
+        "sanafe", reason="SANA-FE is not installed; ./spike test --peers compares with it"
+    )
 
 
 def raster_of(network, seed, rate):
@@ -39,7 +38,7 @@ def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
     assert ledger.total("spike_out") == theirs["neurons_fired"] - inputs
     assert sent.message == theirs["packets_sent"]
     assert sent.hop_x + sent.hop_y == sum(theirs["perf_trace"]["hops"])
-    # neurons whose inputs cancel are updated there, and those with a current left are here
+    # neurons whose inputs cancel are updated there, and those with a current left are updated here
     more = ledger.total("neuron_update") - (theirs["neurons_updated"] - inputs)
     assert abs(more) <= 0.01 * ledger.total("neuron_update")
     ours = energy(ledger, TABLE, sent)
