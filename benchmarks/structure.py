@@ -1,4 +1,4 @@
-"""How many modules and names there are, and how many files a load, a compilation and an action touch.
+"""How many modules and names there are; what a load, a compilation and an action touch.
 
     python benchmarks/structure.py [--chip loihi1] [--policy spikedeploy/zoo/hexapod/popsan.nir]
 
