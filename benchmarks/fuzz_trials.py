@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from spikedeploy.emulate import played
+from spikedeploy.emulation.open_loop import played
+from spikedeploy.emulation.rasters import read_rasters
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart import track
-from spikedeploy.rasters import read_rasters
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.presets.preset import PRESETS
 from spikedeploy.runtime.chips.chip import CHIPS, chip

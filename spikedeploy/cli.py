@@ -6,7 +6,7 @@ from importlib import import_module
 
 import typer
 
-from spikedeploy.failures import one_line
+from spikedeploy.user_errors import one_line
 
 COMMANDS = {
     "Deploy": ("demo", "compare", "run", "emulate", "check", "drift", "verify"),

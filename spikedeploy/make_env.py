@@ -11,7 +11,7 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 
 
-def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
+def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
     """The environment with this short name or id; options that it does not have are refused."""
     try:
         return envs.make(name, **options, **more)
@@ -26,7 +26,7 @@ def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[An
         ) from error
 
 
-def parsed(settings: Iterable[str]) -> dict[str, Any]:
+def parse_options(settings: Iterable[str]) -> dict[str, Any]:
     """The options in texts such as `track=small_S`; values are JSON, or else plain text.
 
     `lidar.noise=5` sets one of a group of options.

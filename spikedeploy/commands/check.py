@@ -40,10 +40,10 @@ def check(
 
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits.
     """
-    from spikedeploy.check import ALL
-    from spikedeploy.check import check as judged
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.design_report import ALL
+    from spikedeploy.emulation.design_report import check as judged
     from spikedeploy.reports.check_tables import print_report
-    from spikedeploy.reports.terminal import print_json
 
     read = reading(
         dt=dt,

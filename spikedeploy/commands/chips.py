@@ -17,9 +17,9 @@ def chips(
 
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
     """
+    from spikedeploy.console import print_json, print_table
     from spikedeploy.reports.datasheets import COLUMNS, rows
     from spikedeploy.reports.datasheets import markdown as as_markdown
-    from spikedeploy.reports.terminal import print_json, print_table
     from spikedeploy.runtime.chips.chip import CHIPS, chip
 
     known = [chip(name) for name in CHIPS]

@@ -57,18 +57,21 @@ def compare(
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
     from dataclasses import replace
 
-    from spikedeploy.comparison.compare import compare as play
     from spikedeploy.comparison.lineup import line_up
-    from spikedeploy.make_env import parsed
+    from spikedeploy.comparison.rounds import compare as play
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
-    from spikedeploy.reports.terminal import print_comparison, print_json
+    from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.metrics.energy import energy_tables
 
     tables = energy_tables(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     entries = line_up(env, files or (), listed(chips), limits is LimitsSwitch.on, rounded)
-    comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
+    comparison = play(
+        env, entries, range(seed, seed + episodes), workers, parse_options(set_ or ())
+    )
     document = report.document(replace(comparison, tables=tables))
     if output:
         report.write(document, output)

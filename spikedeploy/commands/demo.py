@@ -5,9 +5,9 @@ from spikedeploy.commands.options import Json
 
 def demo(json: Json = False) -> None:
     """Watch the shipped policies walk: float ANN, float SNN, and the SNN on an emulated Loihi."""
-    from spikedeploy.demo import FOLDER
-    from spikedeploy.demo import demo as show
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.demo_reports import FOLDER
+    from spikedeploy.shipping.demo_reports import demo as show
 
     documents = show(quiet=json)
     if json:

@@ -19,9 +19,9 @@ def draw(
     json: Json = False,
 ) -> None:
     """Draw or edit a track; what no kart could drive is kept as a draft."""
-    from spikedeploy.play.drawing import Drawing
+    from spikedeploy.console import print_json
+    from spikedeploy.play.track_editor import Drawing
     from spikedeploy.play.window import show
-    from spikedeploy.reports.terminal import print_json
 
     app = Drawing(file, copy)
     try:

@@ -80,11 +80,12 @@ def drift(
     json: Json = False,
 ) -> None:
     """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
-    from spikedeploy.drift import drift_report
-    from spikedeploy.inputs import chosen, path_of
-    from spikedeploy.make_env import parsed
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.drift_inputs import chosen, path_of
+    from spikedeploy.emulation.drift_report import drift_report
+    from spikedeploy.make_env import parse_options
     from spikedeploy.reports import drift_tables
-    from spikedeploy.reports.terminal import print_drift, print_json
+    from spikedeploy.reports.terminal import print_drift
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
 
@@ -100,7 +101,7 @@ def drift(
         like=like,
     )
     artifact = load(path, **read)
-    options = parsed(set_ or ())
+    options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)
     inputs = chosen(artifact, path, input_, random, env, numbers, steps, options)
     report = drift_report(

@@ -75,9 +75,10 @@ def emulate(
     """Play recorded spikes into any NIR network, and count what the chip does."""
     from dataclasses import replace
 
-    from spikedeploy.emulate import emulate as play
-    from spikedeploy.rasters import read_rasters
-    from spikedeploy.reports.terminal import print_emulation, print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.open_loop import emulate as play
+    from spikedeploy.emulation.rasters import read_rasters
+    from spikedeploy.reports.terminal import print_emulation
     from spikedeploy.runtime.metrics.energy import energy_tables
 
     read = reading(

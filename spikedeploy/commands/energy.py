@@ -14,8 +14,8 @@ def energy(
     ] = False,
 ) -> None:
     """List the energy tables: what events cost, who says so, and how sure that is."""
+    from spikedeploy.console import print_json, print_table
     from spikedeploy.reports import price_list
-    from spikedeploy.reports.terminal import print_json, print_table
 
     if json:
         print_json(price_list.price_list())

@@ -46,9 +46,9 @@ def experiment(
     """Train, export and evaluate everything that an experiment needs; go on where it stopped."""
     from importlib import import_module
 
+    from spikedeploy.console import print_json
     from spikedeploy.experiments import EXPERIMENTS
-    from spikedeploy.jobs import cores
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.parallel import cores
     from spikedeploy.runtime.errors import ConfigError
 
     if name not in EXPERIMENTS:

@@ -35,8 +35,9 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and prove that the file does the same."""
-    from spikedeploy.export import export as write
-    from spikedeploy.reports.terminal import print_checks, print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.terminal import print_checks
+    from spikedeploy.shipping.export_run import export as write
 
     written = write(run, to, output, observations, state=state.value)
     if json:

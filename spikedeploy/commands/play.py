@@ -28,12 +28,12 @@ def play(
     json: Json = False,
 ) -> None:
     """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
-    from spikedeploy.make_env import parsed
-    from spikedeploy.play.driving import Driving, session
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
+    from spikedeploy.play.drive_app import Driving, session
     from spikedeploy.play.window import show
-    from spikedeploy.reports.terminal import print_json
 
-    options = parsed(set_ or ()) | ({} if track is None else {"track": track})
+    options = parse_options(set_ or ()) | ({} if track is None else {"track": track})
     drive = session(env, options, policy, chip, seed, record)
     show(Driving(drive, env))
     drive.close()

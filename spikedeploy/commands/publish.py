@@ -29,8 +29,8 @@ def publish(
 ) -> None:
     """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
     from spikedeploy import zoo
-    from spikedeploy.publish import publish as write
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.publish_run import publish as write
 
     files = write(run, name, episodes, output or zoo.FOLDER, workers, note, control)
     if json:

@@ -39,14 +39,14 @@ def replay(
     json: Json = False,
 ) -> None:
     """Replay a training's episodes as ghosts, or a drive that `play --record` kept."""
-    from spikedeploy.make_env import parsed
-    from spikedeploy.play.film import film
-    from spikedeploy.play.replaying import replay as open_replay
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
+    from spikedeploy.play.replay_app import replay as open_replay
+    from spikedeploy.play.replay_film import film
     from spikedeploy.play.window import show
-    from spikedeploy.reports.terminal import print_json
 
     first, *beside = source
-    app = open_replay(first, mode, batch, spikes, chip, speed, parsed(set_ or ()), beside)
+    app = open_replay(first, mode, batch, spikes, chip, speed, parse_options(set_ or ()), beside)
     if video is None:
         show(app)
     else:

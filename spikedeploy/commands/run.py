@@ -55,10 +55,11 @@ def run(
     """Let one policy drive the robot, and say how it went and what it cost."""
     from dataclasses import replace
 
-    from spikedeploy.make_env import parsed
+    from spikedeploy.comparison.closed_loop import run as play
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
-    from spikedeploy.reports.terminal import print_comparison, print_json
-    from spikedeploy.run import run as play
+    from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.metrics.energy import energy_tables
 
     tables = energy_tables(energy or ())
@@ -71,7 +72,7 @@ def run(
         numbers,
         video,
         sampled,
-        parsed(set_ or ()),
+        parse_options(set_ or ()),
         limits is LimitsSwitch.on,
         rounded,
     )

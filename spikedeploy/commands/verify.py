@@ -13,8 +13,9 @@ def verify(
     json: Json = False,
 ) -> None:
     """Replay traces; say equal or the first difference, and exit 1 if any is not equal."""
-    from spikedeploy.reports.terminal import print_json, print_replays
-    from spikedeploy.verify import replay
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.trace_replay import replay
+    from spikedeploy.reports.terminal import print_replays
 
     replays = [replay(path) for path in traces]
     if json:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Player
+from spikedeploy.policies.interface import Player
 
 TOLERANCE = 0.01  # of an action in [-1, 1]: far below what a servo resolves
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
-from spikedeploy.comparison import costs
 from spikedeploy.comparison.agreement import median_divergence, pooled_equality, pooled_rmse
-from spikedeploy.comparison.costs import priced_by
 from spikedeploy.comparison.episodes import Episode
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference, share
-from spikedeploy.policies.policies import BASELINES, FLOAT
+from spikedeploy.policies import costs
+from spikedeploy.policies.costs import priced_by
+from spikedeploy.policies.interface import BASELINES, FLOAT
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 

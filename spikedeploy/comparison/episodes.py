@@ -11,11 +11,12 @@ from typing import Any
 import gymnasium
 
 from spikedeploy.comparison.agreement import Agreement, agreement
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.comparison.metrics import measure
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.make_env import made
-from spikedeploy.policies.policies import Candidate, Player, open_policy, price
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import Candidate, Player
+from spikedeploy.policies.registry import open_policy, price
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def summarise(
 
 @cache
 def _environment(name: str, options: str) -> gymnasium.Env[Any, Any]:
-    return made(name, json.loads(options))
+    return make_env(name, json.loads(options))
 
 
 @cache

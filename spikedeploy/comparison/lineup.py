@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spikedeploy import envs, zoo
-from spikedeploy.policies.policies import FLOAT, Candidate, find
+from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 

@@ -1,10 +1,12 @@
 """What a comparison means, in two or three sentences, for people who read nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from spikedeploy.comparison.metrics import drives
-from spikedeploy.policies.policies import BASELINES
-from spikedeploy.reports.columns import Row
+from spikedeploy.policies.interface import BASELINES
+
+Row = Mapping[str, Any]  # of Comparison.as_json
 
 NEEDED = 0.95  # of the ANN's return: a control that reaches it puts the network's worth in doubt
 NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spikedeploy.experiments import workers
-from spikedeploy.experiments.board import ProgressBoard
-from spikedeploy.experiments.drive import Drive
+from spikedeploy.experiments.evaluation import Drive
 from spikedeploy.experiments.kart_design import ExperimentDesign
 from spikedeploy.experiments.kart_page import write
+from spikedeploy.experiments.progress import ProgressBoard
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Ended, Job
 from spikedeploy.runtime.errors import ConfigError

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from spikedeploy import envs
-from spikedeploy.experiments.drive import Drive
+from spikedeploy.experiments.evaluation import Drive
 from spikedeploy.experiments.trial import Trial
 
 WORLDS = ("kart-grid", "kart-gazebo", "kart-steer")

@@ -21,7 +21,7 @@ from spikedeploy.experiments.kart_tables import (
     share,
 )
 from spikedeploy.files import write_text
-from spikedeploy.versions import own
+from spikedeploy.trainers.versions import own
 
 NEAR = 0.95  # of the ANN's steps: what an SNN is asked to reach
 POINTS = 2  # of the finish rate that the chip may differ from the float twin

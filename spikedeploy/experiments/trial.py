@@ -13,9 +13,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.experiments.alone import alone
-from spikedeploy.experiments.drive import drive
+from spikedeploy.experiments.evaluation import drive
 from spikedeploy.experiments.finishes import Steps, finishes
+from spikedeploy.experiments.lock import alone
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.trainers.config import amended, differences, resolve
@@ -148,7 +148,7 @@ def _train(trial: Trial) -> None:
 
 def _evaluate(trial: Trial) -> None:
     """Export the policy, and let it drive: a float network, or a spiking one on its chip too."""
-    from spikedeploy.export import export
+    from spikedeploy.shipping.export_run import export
 
     run, config = trial.run, trial.config
     if run is None:

@@ -12,7 +12,7 @@ import sys
 import threading
 from importlib import import_module
 
-from spikedeploy.failures import one_line
+from spikedeploy.user_errors import one_line
 
 INTERRUPTED = 130  # as a shell says of a program that Ctrl-C ended
 

@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Any
 
 from spikedeploy.experiments.worker import INTERRUPTED
-from spikedeploy.jobs import WORKER_ENVIRONMENT
+from spikedeploy.parallel import WORKER_ENVIRONMENT
 
 PAUSE = 0.5  # between two looks at the processes [s]
 

@@ -8,7 +8,7 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy.play.keys import Keys, Sticks
-from spikedeploy.policies.policies import Player
+from spikedeploy.policies.interface import Player
 
 Legend = list[tuple[str, str]]
 

@@ -7,9 +7,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import NOTHING, Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.policies.costs import NOTHING, Costs
+from spikedeploy.policies.interface import Candidate
 from spikedeploy.runtime.errors import ConfigError
 
 

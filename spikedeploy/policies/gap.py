@@ -7,10 +7,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import Candidate
 
 
 class GapController:

@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs, spiking_costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import FLOAT, Candidate, env_id
+from spikedeploy.policies.costs import Costs, spiking_costs
+from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program as compiled

@@ -7,9 +7,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate, env_id
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import Candidate, env_id
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metrics.energy import energy_table, mac_estimate

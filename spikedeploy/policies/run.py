@@ -7,10 +7,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import FLOAT, Candidate, env_id
-from spikedeploy.runs import settings
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import FLOAT, Candidate, env_id
+from spikedeploy.policies.run_record import settings
 from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ConfigError

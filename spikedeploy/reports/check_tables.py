@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 
-from spikedeploy.runtime.compiler.check import DesignCheck
+from spikedeploy.console import console, print_table
+from spikedeploy.emulation.design_report import Report, statuses, worst
 from spikedeploy.runtime.chips.limits import Limits
-from spikedeploy.runtime.design_rules.mapping import Placement
+from spikedeploy.runtime.compiler.check import DesignCheck
+from spikedeploy.runtime.design_rules.mapping import Placement, of_mapping, of_placement
 from spikedeploy.runtime.design_rules.result import RuleResult, text
-from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
-from spikedeploy.check import Report, statuses, worst
-from spikedeploy.reports.terminal import console, print_table
 
 MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"

@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.cuba.spinnaker2 import CubaFloat32
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.free_width import CubaFreeWidth
+from spikedeploy.runtime.families.cuba.spinnaker2 import CubaFloat32
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
 
 OVERFLOWS = {
     "none": "never full",

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
+from spikedeploy.emulation.drift_report import DriftReport
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
-from spikedeploy.drift import DriftReport
 
 # title, heads, rows
 Table: TypeAlias = tuple[str, Sequence[str], Sequence[Sequence[str]]]

@@ -7,23 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.files import replacing
 from spikedeploy.reports.columns import Row, interval, label
 from spikedeploy.reports.curves import Curve
-from spikedeploy.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Colours that colour-blind readers can tell apart (Okabe and Ito 2008).
-BLUE, ORANGE, VERMILION, GREEN, PURPLE, GREY = (
-    "#0072B2",
-    "#E69F00",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#8A939E",
-)
+BLUE, ORANGE, VERMILION, GREY = "#0072B2", "#E69F00", "#D55E00", "#8A939E"
 MARKERS = "osD^vP"
 
 

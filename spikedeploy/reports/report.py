@@ -12,16 +12,16 @@ from string import Template
 from typing import Any
 
 from spikedeploy import envs
-from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.metrics.energy import described, energy_table
-from spikedeploy.runtime.compiler.quantisation import PLAIN
-from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.comparison.comparison import Comparison
-from spikedeploy.files import as_text, write_text
 from spikedeploy.comparison.summary import meaning
+from spikedeploy.files import as_text, write_text
+from spikedeploy.policies.interface import Candidate
+from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.reports.plots import draw_energy, draw_returns
-from spikedeploy.policies.policies import Candidate
-from spikedeploy.versions import own
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.compiler.quantisation import PLAIN
+from spikedeploy.runtime.metrics.energy import described, energy_table
+from spikedeploy.trainers.versions import own
 
 Document = Mapping[str, Any]
 
@@ -105,7 +105,9 @@ def html(document: Document, pictures: Mapping[str, Path], video: Path | None = 
     """
     rows = document["rows"]
     shown = tables(rows)
-    page = Template(files("spikedeploy.reports").joinpath("report.html").read_text(encoding="utf-8"))
+    page = Template(
+        files("spikedeploy.reports").joinpath("report.html").read_text(encoding="utf-8")
+    )
     return page.substitute(
         title=escape(f"{document['env']}: {len(rows)} policies on the same seeds"),
         meaning=escape(document["meaning"]),

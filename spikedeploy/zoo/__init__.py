@@ -25,6 +25,11 @@ def path(name: str) -> Path | None:
     return next((p for p in policies() if f"{p.parent.name}/{p.stem}" == wanted), None)
 
 
+def resolve(reference: str) -> Path | None:
+    """The existing path, else the shipped policy of that name; None where there is neither."""
+    return Path(reference) if Path(reference).exists() else path(reference)
+
+
 def called(file: str) -> str:
     """A policy's file as reports name it: `hexapod/popsan.nir` where it is shipped."""
     place = Path(file)

@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spikedeploy.inputs import at_random, observed
-from spikedeploy.policies.policies import find
+from spikedeploy.emulation.drift_inputs import at_random, observed
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.quantisation import Quantisation
-from tests import strolling
+from tests import stroll_env
 from tests.networks import popsan
 from tests.runtime.families.test_headroom import crowd
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

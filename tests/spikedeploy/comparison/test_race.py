@@ -11,25 +11,25 @@ from spikedeploy.comparison.agreement import (
     pooled_equality,
     pooled_rmse,
 )
-from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.closed_loop import run
 from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.metrics import measure
+from spikedeploy.comparison.rounds import compare
 from spikedeploy.comparison.summary import meaning
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.make_env import made, parsed
-from spikedeploy.policies.policies import find, open_policy
+from spikedeploy.make_env import make_env, parse_options
+from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import tables
-from spikedeploy.run import run
 from spikedeploy.runtime.errors import ConfigError
-from tests import racing
+from tests import race_env
 
 SEEDS = range(10_000, 10_004)
 
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    racing.install(monkeypatch)
+    race_env.install(monkeypatch)
 
 
 class Quadrants:
@@ -119,12 +119,12 @@ def test_options_of_the_environment_reach_every_episode():
 
 def test_an_option_that_an_environment_does_not_have_is_one_clear_line():
     with pytest.raises(ConfigError, match=r"race has no option 'wings'; the docstring of"):
-        made("race", {"wings": 2})
+        make_env("race", {"wings": 2})
     with pytest.raises(ConfigError, match="--set takes option=value"):
-        parsed(["track"])
+        parse_options(["track"])
     with pytest.raises(ConfigError, match="'lidar' was given as a whole already"):
-        parsed(["lidar=3", "lidar.noise=2"])
-    assert parsed(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
+        parse_options(["lidar=3", "lidar.noise=2"])
+    assert parse_options(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
         "track": "small_S", "lidar": {"noise": 2, "count": 9}, "on": True,
     }  # fmt: skip
 

@@ -19,7 +19,7 @@ from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Ended
 from spikedeploy.files import write_text
 from spikedeploy.runtime.errors import ConfigError
-from tests import racing
+from tests import race_env
 
 NUMBERS = {
     "episodes": 100, "lap_time": 7.5, "crashes": 0.02, "stalls": 0.0, "gates": 7.9,
@@ -29,7 +29,7 @@ NUMBERS = {
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    racing.install(monkeypatch, *WORLDS)
+    race_env.install(monkeypatch, *WORLDS)
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def leave(trial, first=1_000, gap=1_000):
 
 
 def leave_drive(arguments):
-    from spikedeploy.experiments.drive import Drive
+    from spikedeploy.experiments.evaluation import Drive
 
     drive = Drive(**arguments)
     found = {"of": {"episodes": drive.episodes}, "rows": [driven(rate=0.1)]}

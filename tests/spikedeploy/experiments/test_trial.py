@@ -5,19 +5,19 @@ import json
 import numpy as np
 import pytest
 
-from spikedeploy.experiments import drive, trial
+from spikedeploy.experiments import evaluation, trial
 from spikedeploy.experiments.finishes import by, finishes, how_far, steps_to
 from spikedeploy.experiments.trial import Trial, perform
-from spikedeploy.policies.policies import find
+from spikedeploy.policies.registry import find
 from spikedeploy.trainers.metrics import read
-from tests import racing
+from tests import race_env
 
 QUICK = ("steps=1024", "policy.timesteps=8")
 
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    racing.install(monkeypatch, "kart-grid")
+    race_env.install(monkeypatch, "kart-grid")
 
 
 def make(folder, **changes):
@@ -126,11 +126,11 @@ def test_seeds_and_recipes_do_not_take_each_other_for_themselves(tmp_path):
 
 
 def test_a_built_in_player_is_evaluated_once(tmp_path, monkeypatch):
-    one = drive.Drive("kart-grid", "random", str(tmp_path), 3)
-    assert drive.perform(**one.arguments())
+    one = evaluation.Drive("kart-grid", "random", str(tmp_path), 3)
+    assert evaluation.perform(**one.arguments())
     assert one.done
     assert one.evaluation["rows"][0]["policy"] == "random"
-    assert not drive.Drive("kart-grid", "random", str(tmp_path), 4).done
+    assert not evaluation.Drive("kart-grid", "random", str(tmp_path), 4).done
 
 
 def test_finishes_are_read_to_the_step(tmp_path):
@@ -160,7 +160,8 @@ def test_a_broken_export_is_not_evaluated(monkeypatch, tmp_path):
     from spikedeploy.runtime.errors import SpikedeployError
 
     monkeypatch.setattr(
-        "spikedeploy.export.check", lambda *_: [ParityCheck("spikes", False, "3 differ")]
+        "spikedeploy.shipping.export_run.check",
+        lambda *_: [ParityCheck("spikes", False, "3 differ")],
     )
     one = make(tmp_path)
     with pytest.raises(SpikedeployError, match=r"does not do what .*: spikes"):

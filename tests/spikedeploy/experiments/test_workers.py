@@ -19,13 +19,13 @@ from tests.paths import ROOT
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    monkeypatch.chdir(ROOT)  # where the processes find tests.errands
+    monkeypatch.chdir(ROOT)  # where the processes find tests.job_functions
     monkeypatch.setattr(workers, "PAUSE", 0.05)
 
 
 def job(name, errand, folder):
     arguments = {"path": str(folder / name)}
-    return Job(name, f"tests.errands:{errand}", folder / "logs" / f"{name}.log", arguments)
+    return Job(name, f"tests.job_functions:{errand}", folder / "logs" / f"{name}.log", arguments)
 
 
 def when(condition, then):

@@ -9,10 +9,10 @@ import pytest
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import load
 from spikedeploy.play import window
-from spikedeploy.play.drawing import Drawing
-from spikedeploy.play.drawing_picture import HEIGHT, View, view_of
-from spikedeploy.play.sketch import History, Sketch
-from spikedeploy.play.sketch_file import as_text, draft_of, opened, save, save_draft
+from spikedeploy.play.draft_files import as_text, draft_of, opened, save, save_draft
+from spikedeploy.play.track_draft import History, Sketch
+from spikedeploy.play.track_editor import Drawing
+from spikedeploy.play.track_editor_view import HEIGHT, View, view_of
 from spikedeploy.runtime.errors import ConfigError
 
 BOX = ((0.0, 0.0), (400.0, 0.0), (400.0, 100.0), (0.0, 100.0), (0.0, 0.0))

@@ -10,11 +10,11 @@ from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window
+from spikedeploy.play.drive_app import Driving, session
 from spikedeploy.play.drivers import Commanded, Hand, Watched
-from spikedeploy.play.driving import Driving, session
 from spikedeploy.play.keys import Keys, Sticks
 from spikedeploy.runtime.errors import ConfigError
-from tests import strolling
+from tests import stroll_env
 
 KARTS = {
     "kart-grid": {"w": "up", "s": "down", "a": "left", "d": "right"},
@@ -277,7 +277,7 @@ def test_a_hexapod_walks_as_the_arrows_command():
 
 
 def test_worlds_that_are_no_karts_show_what_their_camera_sees(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     driven = session("stroll", {}, None, None, 10_000)
     app = Driving(driven, "stroll")
     for _ in range(5):

@@ -15,18 +15,18 @@ from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.play import window
-from spikedeploy.play.brain import gates_passed, seen_by
-from spikedeploy.play.crowd import Crowd
-from spikedeploy.play.film import film
-from spikedeploy.play.overlay import COLOURS, distinct
+from spikedeploy.play.ghost_group import Crowd
+from spikedeploy.play.overlay_view import COLOURS, distinct
 from spikedeploy.play.playback import Playback
-from spikedeploy.play.replaying import replay
-from spikedeploy.play.source import open_source
+from spikedeploy.play.replay_app import replay
+from spikedeploy.play.replay_film import film
+from spikedeploy.play.replay_source import open_source
+from spikedeploy.play.spike_recorder import gates_passed, seen_by
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from tests import strolling
+from tests import stroll_env
 from tests.networks import spiking_mlp
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
@@ -451,7 +451,7 @@ class Waves:
 
 
 def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_path):
-    strolling.install(monkeypatch)
+    stroll_env.install(monkeypatch)
     played = rollout(envs.make("stroll"), Waves(), 10_005)
     played.save(tmp_path / "walk.npz")
     app = replay(tmp_path / "walk.npz")
@@ -465,7 +465,7 @@ def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_pa
 
 
 def test_a_hexapod_that_was_steered_is_steered_again(tmp_path):
-    from spikedeploy.play.driving import session
+    from spikedeploy.play.drive_app import session
 
     driven = session("hexapod-command", {}, "gait", None, 10_000, tmp_path / "walk.npz")
     for key in [pygame.K_UP] * 60 + [pygame.K_LEFT] * 60:

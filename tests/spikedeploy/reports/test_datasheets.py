@@ -1,7 +1,5 @@
 """The table of chips in the documentation is what the command prints."""
 
-from pathlib import Path
-
 import pytest
 
 from spikedeploy.reports.datasheets import COLUMNS, markdown, rows

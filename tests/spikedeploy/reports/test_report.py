@@ -6,18 +6,18 @@ from html.parser import HTMLParser
 
 import pytest
 
-from spikedeploy.comparison.compare import compare
 from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.rounds import compare
 from spikedeploy.comparison.summary import meaning
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
 from spikedeploy.reports.terminal import print_comparison
-from tests import strolling
+from tests import stroll_env
 
 
 @pytest.fixture
 def document(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     entries = line_up("stroll", (), ("loihi1",))
     return report.document(compare("stroll", entries, range(10_000, 10_003), processes=1))
 

@@ -1,0 +1,48 @@
+"""Which exceptions are a user's to act on, and the one line each becomes."""
+
+import sys
+
+# package -> the extra that installs it; the extras are pyproject's
+EXTRAS = {
+    "torch": "train",
+    "snntorch": "train",
+    "pydantic": "train",
+    "safetensors": "train",
+    "onnx": "train",
+    "tomli": "train",
+    "numba": "fast",
+    "nengo": "peers",
+    "nirtorch": "peers",
+    "norse": "peers",
+    "spikingjelly": "peers",
+    "xylosim": "peers",
+    "neurobench": "neurobench",
+    "sanafe": "sanafe",
+}
+EXPECTED = (
+    ("spikedeploy.runtime.errors", "SpikedeployError"),
+    ("spikedeploy.envs.errors", "EnvError"),
+    ("gymnasium.error", "Error"),
+)
+
+
+def one_line(error: Exception) -> str | None:
+    """The line for a user, or None where the exception is a bug that deserves its traceback."""
+    if isinstance(error, ModuleNotFoundError):
+        return _missing(error.name or "")
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split()) if _expected(error) else None
+
+
+def _missing(module: str) -> str | None:
+    """What to install for a module that is not there; None when it is none of the extras'."""
+    package = module.partition(".")[0]
+    extra = EXTRAS.get(package)
+    return extra and f'this needs {package}, which is not installed: pip install ".[{extra}]"'
+
+
+def _expected(error: Exception) -> bool:
+    """Whether it is of an announced kind; a kind whose module never loaded cannot be raised."""
+    modules = ((sys.modules.get(module), name) for module, name in EXPECTED)
+    return any(module and isinstance(error, getattr(module, name)) for module, name in modules)
