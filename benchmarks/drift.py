@@ -34,7 +34,7 @@ from benchmarks.drift_page import (
     section,
     summary,
 )
-from spikedeploy.emulation.drift_inputs import observed
+from spikedeploy.emulation.drift_inputs import observed_inputs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.interface import Candidate
@@ -96,7 +96,7 @@ def subject(name: str, episodes: int, steps: int) -> Subject:
     candidate = find(name)
     artifact = load(candidate.path)
     tuning, measuring = (
-        observed(artifact, candidate, None, range(first, first + PLAYED), steps)
+        observed_inputs(artifact, candidate, None, range(first, first + PLAYED), steps)
         for first in (VALIDATION.start, EVALUATION)
     )
     seeds = range(EVALUATION, EVALUATION + episodes)

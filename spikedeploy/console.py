@@ -18,14 +18,14 @@ def print_json(data: object) -> None:
 
 
 def say(line: str) -> None:
-    """Write a line on stderr, beside whatever goes to stdout."""
+    """Write a line on stderr, which leaves stdout for results."""
     console(stderr=True).print(line, markup=False)
 
 
 def print_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = False
 ) -> None:
-    """Write a table; with `numbers` every column after the first is set flush right."""
+    """Write a table; with `numbers` every column after the first is right-aligned."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -56,7 +56,7 @@ def console(stderr: bool = False) -> "Console":
 
 @contextmanager
 def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr, and the function that moves it on by one."""
+    """A progress bar on stderr, and the function that advances it by one."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -12,7 +12,7 @@ from spikedeploy.runtime.errors import ConfigError
 
 
 def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
-    """The environment with this short name or id; options that it does not have are refused."""
+    """The environment with this short name or id; unknown options are refused."""
     try:
         return envs.make(name, **options, **more)
     except TypeError as error:
@@ -27,7 +27,7 @@ def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.En
 
 
 def parse_options(settings: Iterable[str]) -> dict[str, Any]:
-    """The options in texts such as `track=small_S`; values are JSON, or else plain text.
+    """Options from texts such as `track=small_S`; values are JSON, or else plain text.
 
     `lidar.noise=5` sets one of a group of options.
     """

@@ -1,4 +1,4 @@
-"""Jobs: pure functions of a specification, run one after another or in processes of one thread."""
+"""Jobs, pure functions of a specification, run in this process or in several of one thread each."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from spikedeploy.runtime.errors import SpikedeployError
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-# Workers draw nothing, and a thread each is faster than many threads for all.
+# Workers do not render, and one thread each is faster than many threads in all.
 WORKER_ENVIRONMENT = {
     "MUJOCO_GL": "disable",
     "OMP_NUM_THREADS": "1",
@@ -24,7 +24,7 @@ WORKER_ENVIRONMENT = {
 
 
 class Jobs:
-    """A place to run jobs, made once for all of them: starting a process costs a second."""
+    """Runs jobs, in a pool if there is one, whose processes take a second each to start."""
 
     def __init__(self, pool: ProcessPoolExecutor | None) -> None:
         self._pool = pool
@@ -50,7 +50,7 @@ class Jobs:
 
 @contextmanager
 def workers(count: int | None) -> Iterator[Jobs]:
-    """Jobs in `count` processes, one for each core by default; 1 stays in this process."""
+    """A runner with `count` processes, one for each core by default; with 1 in this process."""
     count = count or cores()
     if count == 1:
         yield Jobs(None)
@@ -58,7 +58,7 @@ def workers(count: int | None) -> Iterator[Jobs]:
     context = get_context("spawn")
     with (
         _environment(WORKER_ENVIRONMENT),
-        ProcessPoolExecutor(count, context, initializer=_leave_interrupts) as pool,
+        ProcessPoolExecutor(count, context, initializer=_ignore_interrupts) as pool,
     ):
         try:
             yield Jobs(pool)
@@ -67,8 +67,8 @@ def workers(count: int | None) -> Iterator[Jobs]:
             raise
 
 
-def _leave_interrupts() -> None:
-    """Ctrl-C reaches every process of the terminal; only the one that asked shall answer it."""
+def _ignore_interrupts() -> None:
+    """Ignore Ctrl-C, which reaches every process of the terminal: the parent handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -81,7 +81,7 @@ def cores() -> int:
 
 @contextmanager
 def _environment(changes: dict[str, str]) -> Iterator[None]:
-    """Environment variables that processes started meanwhile inherit."""
+    """Environment variables for processes that are started within the block."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
     try:

@@ -1,8 +1,8 @@
-"""Which exceptions are a user's to act on, and the one line each becomes."""
+"""Exceptions that a user can act on, and the one line that each becomes."""
 
 import sys
 
-# package -> the extra that installs it; the extras are pyproject's
+# package -> the extra of pyproject.toml that installs it
 EXTRAS = {
     "torch": "train",
     "snntorch": "train",
@@ -27,7 +27,7 @@ EXPECTED = (
 
 
 def one_line(error: Exception) -> str | None:
-    """The line for a user, or None where the exception is a bug that deserves its traceback."""
+    """The line for the user; None where the exception is a bug, whose traceback is needed."""
     if isinstance(error, ModuleNotFoundError):
         return _missing(error.name or "")
     if isinstance(error, OSError) and error.filename is not None:
@@ -36,13 +36,13 @@ def one_line(error: Exception) -> str | None:
 
 
 def _missing(module: str) -> str | None:
-    """What to install for a module that is not there; None when it is none of the extras'."""
+    """How to install a missing module; None where no extra has it."""
     package = module.partition(".")[0]
     extra = EXTRAS.get(package)
     return extra and f'this needs {package}, which is not installed: pip install ".[{extra}]"'
 
 
 def _expected(error: Exception) -> bool:
-    """Whether it is of an announced kind; a kind whose module never loaded cannot be raised."""
+    """Whether it is one of EXPECTED; a class whose module is not loaded cannot have been raised."""
     modules = ((sys.modules.get(module), name) for module, name in EXPECTED)
     return any(module and isinstance(error, getattr(module, name)) for module, name in modules)

@@ -1,11 +1,11 @@
-"""What processes are sent for in tests."""
+"""Functions that tests run as jobs in processes of their own."""
 
 import os
 import signal
 import time
 from pathlib import Path
 
-from spikedeploy.experiments.lock import alone
+from spikedeploy.experiments.lock import exclusive
 from spikedeploy.runtime.errors import ConfigError
 
 
@@ -44,7 +44,7 @@ def linger(path):
 
 def turn(path):
     """Work alone, and note when."""
-    with alone(Path(path).with_name("lock")):
+    with exclusive(Path(path).with_name("lock")):
         Path(path).write_text(f"{time.time()}")
         time.sleep(0.5)
         Path(path).write_text(f"{Path(path).read_text()} {time.time()}")

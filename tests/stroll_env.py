@@ -1,4 +1,4 @@
-"""A world of twenty steps, and small policies that stroll in it."""
+"""An environment of twenty steps with two continuous actions, and small policies for it."""
 
 from dataclasses import replace
 

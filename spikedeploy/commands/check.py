@@ -14,7 +14,6 @@ from spikedeploy.commands.options import (
     Reset,
     Spikes,
     State,
-    reading,
 )
 
 
@@ -41,11 +40,12 @@ def check(
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits.
     """
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.design_report import ALL
-    from spikedeploy.emulation.design_report import check as judged
+    from spikedeploy.emulation.design_report import ALL, design_report
     from spikedeploy.reports.check_tables import print_report
 
-    read = reading(
+    report = design_report(
+        file,
+        chip or [ALL],
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -54,11 +54,6 @@ def check(
         floor=floor,
         state=state,
         like=like,
-    )
-    report = judged(
-        file,
-        chip or [ALL],
-        **read,
     )
     if json:
         print_json(report.as_json())

@@ -9,13 +9,10 @@ from spikedeploy import seeds
 from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
-    Granularity,
     Headroom,
     Json,
     LimitsOption,
-    LimitsSwitch,
     Quantise,
-    Room,
     Rounding,
     Seed,
     Thresholds,
@@ -46,10 +43,10 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
-    limits: LimitsOption = LimitsSwitch.on,
-    quantise: Quantise = Granularity.layer,
+    limits: LimitsOption = "on",
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     json: Json = False,
@@ -58,7 +55,7 @@ def compare(
     from dataclasses import replace
 
     from spikedeploy.comparison.lineup import line_up
-    from spikedeploy.comparison.rounds import compare as play
+    from spikedeploy.comparison.rounds import compare_policies
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
@@ -68,8 +65,8 @@ def compare(
 
     tables = energy_tables(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    entries = line_up(env, files or (), listed(chips), limits is LimitsSwitch.on, rounded)
-    comparison = play(
+    entries = line_up(env, files or (), listed(chips), limits == "on", rounded)
+    comparison = compare_policies(
         env, entries, range(seed, seed + episodes), workers, parse_options(set_ or ())
     )
     document = report.document(replace(comparison, tables=tables))

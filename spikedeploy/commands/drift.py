@@ -11,16 +11,13 @@ from spikedeploy.commands.options import (
     Dt,
     EnvOptions,
     Floor,
-    Granularity,
     Headroom,
     Integrator,
     Json,
     Like,
     LimitsOption,
-    LimitsSwitch,
     Quantise,
     Reset,
-    Room,
     Rounding,
     Seed,
     Spikes,
@@ -28,7 +25,6 @@ from spikedeploy.commands.options import (
     Thresholds,
     WeightShift,
     quantisation,
-    reading,
 )
 
 
@@ -51,9 +47,9 @@ def drift(
     steps: Annotated[int, typer.Option(min=1, help="Control steps kept of them.")] = 200,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
-    quantise: Quantise = Granularity.layer,
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     calibrate: Annotated[
@@ -65,7 +61,7 @@ def drift(
     tau: Annotated[
         float, typer.Option(min=0.01, help="Time constant of the spike distance, in timesteps.")
     ] = 5.0,
-    limits: LimitsOption = LimitsSwitch.on,
+    limits: LimitsOption = "on",
     dt: Dt = None,
     reset: Reset = None,
     integrator: Integrator = None,
@@ -81,7 +77,7 @@ def drift(
 ) -> None:
     """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.drift_inputs import chosen, path_of
+    from spikedeploy.emulation.drift_inputs import choose_inputs, path_of
     from spikedeploy.emulation.drift_report import drift_report
     from spikedeploy.make_env import parse_options
     from spikedeploy.reports import drift_tables
@@ -90,7 +86,8 @@ def drift(
     from spikedeploy.runtime.chips.chip import chip as datasheet
 
     path = path_of(file)
-    read = reading(
+    artifact = load(
+        path,
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -100,10 +97,9 @@ def drift(
         state=state,
         like=like,
     )
-    artifact = load(path, **read)
     options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)
-    inputs = chosen(artifact, path, input_, random, env, numbers, steps, options)
+    inputs = choose_inputs(artifact, path, input_, random, env, numbers, steps, options)
     report = drift_report(
         file,
         artifact,
@@ -113,7 +109,7 @@ def drift(
         calibrate,
         tune,
         tau,
-        limits is LimitsSwitch.on,
+        limits == "on",
     )
     if json:
         print_json(report.as_json())

@@ -10,23 +10,19 @@ from spikedeploy.commands.options import (
     Dt,
     Energy,
     Floor,
-    Granularity,
     Headroom,
     Integrator,
     Json,
     Like,
     LimitsOption,
-    LimitsSwitch,
     Quantise,
     Reset,
-    Room,
     Rounding,
     Spikes,
     State,
     Thresholds,
     WeightShift,
     quantisation,
-    reading,
 )
 
 
@@ -55,7 +51,7 @@ def emulate(
             help="What computes a chip: auto, numpy, numba or interpreter.", show_default="numpy"
         ),
     ] = None,
-    limits: LimitsOption = LimitsSwitch.on,
+    limits: LimitsOption = "on",
     energy: Energy = None,
     dt: Dt = None,
     reset: Reset = None,
@@ -65,9 +61,9 @@ def emulate(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
-    quantise: Quantise = Granularity.layer,
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     json: Json = False,
@@ -76,12 +72,20 @@ def emulate(
     from dataclasses import replace
 
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.open_loop import emulate as play
+    from spikedeploy.emulation.open_loop import emulate_file
     from spikedeploy.emulation.rasters import read_rasters
     from spikedeploy.reports.terminal import print_emulation
     from spikedeploy.runtime.metrics.energy import energy_tables
 
-    read = reading(
+    tables = energy_tables(energy or ())
+    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
+    result = emulate_file(
+        file,
+        chip,
+        read_rasters(input_),
+        backend,
+        limits == "on",
+        rounded,
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -90,17 +94,6 @@ def emulate(
         floor=floor,
         state=state,
         like=like,
-    )
-    tables = energy_tables(energy or ())
-    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    result = play(
-        file,
-        chip,
-        read_rasters(input_),
-        backend,
-        limits is LimitsSwitch.on,
-        rounded,
-        **read,
     )
     result = replace(result, tables=tables)
     result.save(output)

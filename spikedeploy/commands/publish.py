@@ -30,9 +30,9 @@ def publish(
     """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
     from spikedeploy import zoo
     from spikedeploy.console import print_json
-    from spikedeploy.shipping.publish_run import publish as write
+    from spikedeploy.shipping.publish_run import publish_run
 
-    files = write(run, name, episodes, output or zoo.FOLDER, workers, note, control)
+    files = publish_run(run, name, episodes, output or zoo.FOLDER, workers, note, control)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:

@@ -14,10 +14,10 @@ def verify(
 ) -> None:
     """Replay traces; say equal or the first difference, and exit 1 if any is not equal."""
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.trace_replay import replay
+    from spikedeploy.emulation.trace_replay import replay_trace
     from spikedeploy.reports.terminal import print_replays
 
-    replays = [replay(path) for path in traces]
+    replays = [replay_trace(path) for path in traces]
     if json:
         print_json([each.as_json() for each in replays])
     else:

@@ -1,4 +1,4 @@
-"""One policy in one environment, closed loop, with or without a film of it."""
+"""One policy in one environment, closed loop, with or without a video of it."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,16 +13,14 @@ from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import make_env
-from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import Frame, Pace, captioned, mp4
 
-DEFAULT_CHIP = "loihi1"
 
-
-def run(
+def run_policy(
     reference: str,
     env: str | None,
     chip: str | None,
@@ -33,9 +31,9 @@ def run(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
 ) -> Comparison:
-    """Play the policy on every seed.
+    """One row: the policy on every seed.
 
-    reference  of spikedeploy.policies.find
+    reference  as registry.find takes it
     env        short name or id; None is the one that the policy was made for
     chip       a chip or "float"; None is DEFAULT_CHIP for a file that spikes
     seeds      (n,)
@@ -76,7 +74,7 @@ def _default_chip(candidate: Candidate) -> str | None:
 
 @contextmanager
 def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Frame], None] | None]:
-    """What `rollout` gives its frames to; None without a path."""
+    """What `rollout` calls with each frame; None without a path."""
     if path is None:
         yield None
         return

@@ -1,4 +1,4 @@
-"""Paired comparison: every row of a line-up plays the same seeds, in processes side by side."""
+"""Every entry of a line-up on the same seeds, in parallel, references before their dependants."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
 
 
-def compare(
+def compare_policies(
     env: str,
     entries: Sequence[Entry],
     seeds: Sequence[int],
@@ -31,9 +31,9 @@ def compare(
     """Play every entry on every seed.
 
     env        short name or id of the environment
-    entries    of spikedeploy.lineup; an entry's reference is an entry too
-    seeds      (n,) from EVALUATION up, which no training sees
-    processes  that play, one for each core by default
+    entries    of lineup.line_up; the reference of an entry is an entry too
+    seeds      (n,) from EVALUATION up, which no training uses
+    processes  one for each core by default
     options    of the environment
     """
     _check(env, options, entries, seeds)
@@ -44,9 +44,9 @@ def compare(
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
         plan = Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder))
-        for wave in plan.waves():
-            episodes = jobs.run(play, [job for entry in wave for job in plan.jobs(entry)], done)
-            for place, entry in enumerate(wave):
+        for group in plan.rounds():
+            episodes = jobs.run(play, [job for entry in group for job in plan.jobs(entry)], done)
+            for place, entry in enumerate(group):
                 played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
     rows = [Row(entry, played[entry]) for entry in entries]
     return Comparison(envs.spec(env).id, seeds, rows)
@@ -54,13 +54,12 @@ def compare(
 
 @dataclass(frozen=True)
 class Plan:
-    """Which jobs a comparison needs, and in which order.
+    """The jobs of a comparison, in rounds.
 
     env      short name or id
     options  of the environment, as JSON
-    entries  all of them
     seeds    (n,)
-    folder   where the rollouts lie that others are measured against
+    folder   for the rollouts of entries that are references
     """
 
     env: str
@@ -69,13 +68,13 @@ class Plan:
     seeds: Sequence[int]
     folder: Path
 
-    def waves(self) -> list[list[Entry]]:
+    def rounds(self) -> list[list[Entry]]:
         """The entries, references before those that refer to them."""
         ranks = range(1 + max(entry.rank for entry in self.entries))
         return [[entry for entry in self.entries if entry.rank == rank] for rank in ranks]
 
     def jobs(self, entry: Entry) -> list[EpisodeJob]:
-        """An entry's jobs, one a seed."""
+        """The jobs of an entry, one for each seed."""
         referred = any(entry is other.reference for other in self.entries)
         return [
             EpisodeJob(
@@ -97,7 +96,7 @@ class Plan:
 def _check(
     env: str, options: Mapping[str, Any], entries: Sequence[Entry], seeds: Sequence[int]
 ) -> None:
-    """Refuse training seeds, strangers' policies and unknown chips before anything is played."""
+    """Refuse training seeds, policies of other environments and unknown chips at once."""
     if min(seeds) < EVALUATION:
         raise ConfigError(
             f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
@@ -106,5 +105,5 @@ def _check(
     for entry in entries:
         check_fit(entry.candidate, world)
         if entry.chip not in (None, FLOAT):
-            chip(entry.chip)  # refuses a name that it does not know
+            chip(entry.chip)  # raises on an unknown name
     world.close()

@@ -1,4 +1,4 @@
-"""A network file against the design rules of chips: does it fit, and if not, why not."""
+"""A network file against the design rules of chips: whether it fits, and if not, why not."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -9,24 +9,24 @@ from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.compiler.check import COMPILE, DesignCheck
-from spikedeploy.runtime.compiler.check import check as judged
+from spikedeploy.runtime.compiler.check import check as check_on
 from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
 from spikedeploy.runtime.design_rules.result import RuleResult, Status
 from spikedeploy.runtime.design_rules.table import RULES
 from spikedeploy.runtime.errors import ConfigError
 
 ALL = "all"
-# what a rule says of a network, by the worst that it says of a node
+# statuses of a rule on several nodes: the first of these that occurs counts
 ORDER: tuple[Status, ...] = ("fail", "pass", "unknown", "not applicable")
 
 
 @dataclass(frozen=True)
-class Report:
+class DesignReport:
     """A network on several chips.
 
-    file      as it was asked for
+    file      as the user named it
     artifact  the network and its convention
-    checks    one a chip
+    checks    one for each chip
     any_does  whether one chip that passes is enough, as for "all"
     """
 
@@ -37,13 +37,13 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """All chips that were asked for; of "all" one that has limits, which "ideal" has not."""
+        """Whether all named chips pass; of "all", at least one that has limits."""
         if self.any_does:
             return any(each.passed for each in self.checks if each.chip.limits is not None)
         return all(each.passed for each in self.checks)
 
     def as_json(self) -> dict[str, Any]:
-        """Every ruling and mapping."""
+        """Every rule result and mapping, as plain data."""
         return {
             "file": self.file,
             "convention": self.artifact.convention.to_record(),
@@ -52,28 +52,28 @@ class Report:
         }
 
 
-def check(reference: str, chips: Sequence[str], **convention: Any) -> Report:  # noqa: ANN401
-    """Judge a file.
+def design_report(reference: str, chips: Sequence[str], **convention: Any) -> DesignReport:  # noqa: ANN401
+    """The design rules of chips on a file.
 
     reference   a .nir file, or the name of a shipped policy that spikes
     chips       names, or "all"
-    convention  options of runtime.artifact.load: go before what the file says
+    convention  options of artifact.load; they take precedence over the file
     """
     artifact = load(_path(reference), **convention)
     names = tuple(CHIPS) if ALL in chips else tuple(dict.fromkeys(chips))
-    checks = [judged(artifact, chip(name)) for name in names]
-    return Report(reference, artifact, checks, ALL in chips)
+    checks = [check_on(artifact, chip(name)) for name in names]
+    return DesignReport(reference, artifact, checks, ALL in chips)
 
 
 def statuses(found: DesignCheck) -> dict[str, Status]:
-    """Rule -> the worst that it says; rules that say nothing of this chip are not applicable."""
+    """Rule -> its worst status; rules without a result on this chip are not applicable."""
     return {rule: worst(found.of(rule)).status for rule in (*RULES, COMPILE)}
 
 
 def worst(rulings: Sequence[RuleResult]) -> RuleResult:
-    """The first failure; else the fullest that passes, what is unknown, what does not apply."""
-    silent = RuleResult("", None, "not applicable")
-    return min(rulings, key=_rank, default=silent)
+    """The first failure, else the pass with the largest count, else unknown, or not applicable."""
+    absent = RuleResult("", None, "not applicable")
+    return min(rulings, key=_rank, default=absent)
 
 
 def _rank(ruling: RuleResult) -> tuple[int, float]:

@@ -1,4 +1,4 @@
-"""Spikes to compare a network with itself on: a raster, or what a policy observed on its way."""
+"""Inputs for a drift: a raster file, random spikes, or the observations of a policy, encoded."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,31 +25,31 @@ Raster = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class Inputs:
-    """Inferences that a network hears.
+class DriftInputs:
+    """Input spikes of B inferences.
 
     raster  (B, T, M)
-    source  where it comes from, in words
+    source  where they come from, in words
     """
 
     raster: Raster
     source: str
 
-    def halves(self) -> "tuple[Inputs, Inputs]":
+    def halves(self) -> "tuple[DriftInputs, DriftInputs]":
         """Every other inference, for calibration, and the rest; a single one is both."""
         if len(self.raster) < 2:
             return self, self
         parts = (self.raster[::2], self.raster[1::2])
-        first, second = (Inputs(part, f"{self.source}, {len(part)} of them") for part in parts)
+        first, second = (DriftInputs(part, f"{self.source}, {len(part)} of them") for part in parts)
         return first, second
 
 
 def path_of(reference: str) -> Path:
-    """The .nir file at a path, or of a shipped policy."""
+    """The .nir file at a path, or of a shipped policy; the path as given where neither exists."""
     return zoo.resolve(reference) or Path(reference)
 
 
-def chosen(
+def choose_inputs(
     artifact: Artifact,
     path: Path,
     raster: Path | None,
@@ -58,25 +58,25 @@ def chosen(
     seeds: Sequence[int],
     steps: int,
     options: Mapping[str, Any] = MappingProxyType({}),
-) -> Inputs:
-    """Inputs from a raster's file, or drawn at a rate, or else as in `observed`."""
+) -> DriftInputs:
+    """Inputs from a raster file, or random at a rate, or else `observed_inputs`."""
     _check_one_input(artifact)
     if raster is not None:
-        return from_file(artifact, raster)
+        return raster_inputs(artifact, raster)
     if random is not None:
-        return at_random(artifact, random, steps, seeds[0])
+        return random_inputs(artifact, random, steps, seeds[0])
     if artifact.codec is None:
         raise ConfigError(
             f"{path} has no codec (observation to spikes), so it cannot be played: give a raster "
             "with --input, or draw spikes with --random RATE"
         )
-    return observed(artifact, find(str(path)), env, seeds, steps, options)
+    return observed_inputs(artifact, find(str(path)), env, seeds, steps, options)
 
 
-def from_file(artifact: Artifact, path: Path) -> Inputs:
+def raster_inputs(artifact: Artifact, path: Path) -> DriftInputs:
     """The raster (T, *shape) of a file, as one inference."""
     (rows,) = named(ports(artifact.graph.inputs), in_batch(read_rasters(path))).values()
-    return Inputs(rows.reshape(*rows.shape[:2], -1), str(path))
+    return DriftInputs(rows.reshape(*rows.shape[:2], -1), str(path))
 
 
 def _check_one_input(artifact: Artifact) -> None:
@@ -88,25 +88,25 @@ def _check_one_input(artifact: Artifact) -> None:
         )
 
 
-def at_random(artifact: Artifact, rate: float, timesteps: int, seed: int) -> Inputs:
+def random_inputs(artifact: Artifact, rate: float, timesteps: int, seed: int) -> DriftInputs:
     """Independent spikes at this rate [1/timestep], as one inference."""
     (node,) = artifact.graph.inputs.values()
     width = int(np.prod(node.input_type["input"]))
     raster = np.random.default_rng(seed).random((1, timesteps, width)) < rate
-    return Inputs(raster.astype(np.uint8), f"spikes drawn at a rate of {rate:g}, seed {seed}")
+    return DriftInputs(raster.astype(np.uint8), f"spikes drawn at a rate of {rate:g}, seed {seed}")
 
 
-def observed(
+def observed_inputs(
     artifact: Artifact,
     candidate: Candidate,
     env: str | None,
     seeds: Sequence[int],
     steps: int,
     options: Mapping[str, Any] = MappingProxyType({}),
-) -> Inputs:
-    """What the float twin of a policy heard in its environment, as the codec put it.
+) -> DriftInputs:
+    """Encoded observations of episodes that the float twin of a policy plays.
 
-    env      short name or id; None is the one that the policy was made for
+    env      short name or id; None takes the one that the policy was made for
     seeds    of the episodes that it plays
     steps    control steps that are kept: the first ones where states are kept from one to the next,
              else spread evenly over the episodes
@@ -128,15 +128,15 @@ def observed(
         raster = rows[:kept]
     else:
         raster = rows[np.linspace(0, len(rows) - 1, kept).round().astype(int)]
-    source = f"{kept} of {len(rows)} control steps of the float twin in {where}, {_all(seeds)}"
-    return Inputs(raster, source)
+    source = f"{kept} of {len(rows)} control steps of the float twin in {where}, {_seeds(seeds)}"
+    return DriftInputs(raster, source)
 
 
 def _encoded(codec: Codec, observations: NDArray[np.float64], seed: int) -> Raster:
-    """Spikes (S, T, M) of an episode's observations, with the dice of the episode."""
+    """Spikes (S, T, M) of an episode's observations, with the random generator of the episode."""
     rng = Xorshift(seed, codec.encoder.width)
     return np.concatenate([codec.encode(row[None], rng) for row in observations])
 
 
-def _all(seeds: Sequence[int]) -> str:
+def _seeds(seeds: Sequence[int]) -> str:
     return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"

@@ -1,9 +1,9 @@
-"""Drift of a policy on a chip: calibrate if asked to, measure on recorded inputs, say on which."""
+"""Drift of a chip from the float twin, with or without calibration before it."""
 
 from dataclasses import dataclass
 from typing import Any
 
-from spikedeploy.emulation.drift_inputs import Inputs
+from spikedeploy.emulation.drift_inputs import DriftInputs
 from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import TAU, Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
@@ -15,13 +15,13 @@ from spikedeploy.runtime.convention import Convention
 
 @dataclass(frozen=True)
 class DriftReport:
-    """A drift with what it was measured on.
+    """A drift, and what it was measured on.
 
-    policy      as it was asked for
+    policy      as the user named it
     convention  of the file
     inputs      where they come from
-    calibrated  on what; empty where nothing was
-    drift       what was found
+    calibrated  inputs of the calibration, in words; empty without one
+    drift       the measurement
     """
 
     policy: str
@@ -31,7 +31,7 @@ class DriftReport:
     drift: Drift
 
     def as_json(self) -> dict[str, Any]:
-        """The fields, plain."""
+        """The fields as plain data."""
         return {
             "policy": self.policy,
             "convention": self.convention.to_record(),
@@ -45,7 +45,7 @@ def drift_report(
     policy: str,
     artifact: Artifact,
     on: Chip,
-    inputs: Inputs,
+    inputs: DriftInputs,
     quantisation: Quantisation = PLAIN,
     headroom: bool = False,
     tune: bool = False,
@@ -54,9 +54,9 @@ def drift_report(
 ) -> DriftReport:
     """Calibrate on every other inference and measure on the rest; without calibration on all.
 
-    headroom  choose scales at which nothing overflows on the inputs
-    tune      choose reach and thresholds that bring each layer nearest to the float twin
-    tau       [timesteps] of the distance of van Rossum
+    headroom  choose scales at which nothing overflows on the calibration inputs
+    tune      choose clipping and thresholds that bring each layer nearest to the float twin
+    tau       [timesteps] time constant of the van Rossum distance
     limits    refuse what breaks a design rule of the chip
     """
     calibrated = ""

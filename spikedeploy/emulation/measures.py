@@ -1,4 +1,4 @@
-"""What is measured of an inference: events, NeuroBench's numbers, memory, time."""
+"""Measurements of an inference: events, NeuroBench's numbers, memory traffic, latency."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -24,13 +24,13 @@ from spikedeploy.runtime.metrics.xylo_clocks import xylo_time
 
 @dataclass(frozen=True)
 class Measures:
-    """What is measured.
+    """Measurements of one inference.
 
-    neurobench  its numbers
-    events      layer -> event -> how many
-    memory      layer -> what it reads and writes
-    latencies   table -> [s]; of a Xylo its clocks
-    static      table -> [J] that the chip draws besides in that time, where that is known
+    neurobench  NeuroBench's metrics
+    events      layer -> event -> count
+    memory      layer -> words read and written
+    latencies   energy table -> [s]; for a Xylo from its clock cycles
+    static      energy table -> [J] of static power in that time, where it is known
     """
 
     neurobench: NeuroBench
@@ -40,7 +40,7 @@ class Measures:
     static: Mapping[str, float]
 
     def as_json(self) -> dict[str, Any]:
-        """All of it as plain data."""
+        """All measurements as plain data."""
         return {
             "neurobench": self.neurobench.as_json(),
             "events": {name: dict(each) for name, each in self.events.items()},
@@ -54,7 +54,7 @@ class Measures:
 def measured(
     artifact: Artifact, machine: Machine, raster: NDArray[Any], ledger: Ledger
 ) -> Measures:
-    """Of the last inference of a machine with a trace, which was of the raster (B, T, M)."""
+    """Measures of the last inference, on the raster (B, T, M), of a machine with a trace."""
     program, seen = machine.program, machine.recordings
     spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
     membranes = {name: rows.membrane for name, rows in seen.items()}
@@ -69,10 +69,10 @@ def measured(
     )
 
 
-def measured_again(
+def measured_by_replay(
     artifact: Artifact, program: Program, raster: NDArray[Any], ledger: Ledger
 ) -> Measures:
-    """Of a program that ran where nothing recorded its membranes, as the float twin does."""
+    """Measures of a program that ran without a trace, as in the float twin: it is run once more."""
     machine = Machine(program, len(raster), ledger="none", trace=True)
     machine.infer(raster)
     return measured(artifact, machine, raster, ledger)

@@ -1,4 +1,4 @@
-"""Open loop: rasters into a network, and everything that it did out of it."""
+"""Open loop: rasters into a network; spikes, outputs, events and costs out of it."""
 
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.measures import Measures, measured, measured_again
+from spikedeploy.emulation.measures import Measures, measured, measured_by_replay
 from spikedeploy.emulation.rasters import Raster, in_batch
 from spikedeploy.files import replacing
 from spikedeploy.policies.costs import priced_by
@@ -26,7 +26,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationEr
 from spikedeploy.runtime.graph.ports import Port, named, parted, ports
 from spikedeploy.runtime.metrics.energy import EnergyEstimate, energy_estimate, energy_table
 
-# bytes that a neuron takes in a timestep: current, membrane and spike, while running and recorded
+# bytes of a neuron in a timestep: current, membrane and spike, while running and recorded
 STATE = 48
 LARGEST = 1 << 32
 UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
@@ -34,17 +34,17 @@ UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for 
 
 @dataclass(frozen=True)
 class Emulation:
-    """What a network did with a raster of T timesteps.
+    """One inference over a raster of T timesteps.
 
     artifact  the network and its convention
     chip      it ran on, or "float"
     spikes    node -> (T, *N) spikes, or how many where a neuron may send several in a timestep
-    outputs   Output node -> (T, *act) of what it hears; where there is one it is called "output"
-    ledger    of this one inference; None where `uncounted` says why
+    outputs   Output node -> (T, *act); a single one is called "output"
+    ledger    of this inference; None where `uncounted` says why
     uncounted why the events could not be counted
-    remarks   of the compiler, on what the chip does otherwise than the file says
+    remarks   of the compiler, on where the chip departs from the file
     measures  NeuroBench's numbers, memory and time; None likewise
-    tables    energy tables to price by; none are those of the chip
+    tables    energy tables to price by; empty for those of the chip
     """
 
     artifact: Artifact
@@ -58,7 +58,7 @@ class Emulation:
     tables: Sequence[str] = ()
 
     def save(self, path: Path) -> None:
-        """Write a .npz with the spikes under each node's name, and the outputs under theirs."""
+        """Write a .npz: spikes and outputs, each under the name of its node."""
         with (
             replacing(path) as part,
             zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive,
@@ -73,7 +73,7 @@ class Emulation:
         return len(next(iter(self.outputs.values())))
 
     def layers(self) -> dict[str, dict[str, Any]]:
-        """Of each spiking node neurons, spikes, rate [per neuron and timestep] and SOPs."""
+        """Spiking node -> neurons, spikes, rate [1 per neuron and timestep] and SOPs."""
         sops = self.ledger.by_layer("sop") if self.ledger else {}
         return {
             name: {
@@ -110,14 +110,14 @@ class Emulation:
 
     @property
     def energies(self) -> dict[str, EnergyEstimate]:
-        """[J] by each table, with the interval that it lies in."""
+        """Energy table -> [J] with its interval."""
         if self.ledger is None:
             return {}
         names = self.tables or priced_by(None if self.chip == FLOAT else datasheet(self.chip))
         return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
 
 
-def emulate(
+def emulate_file(
     path: Path,
     chip: str,
     rasters: Raster | Mapping[str, Raster],
@@ -126,19 +126,19 @@ def emulate(
     quantisation: Quantisation = PLAIN,
     **convention: Any,  # noqa: ANN401
 ) -> Emulation:
-    """Play the raster (T, *shape), or one for each Input node, into the network from zero states.
+    """The network of a file on a raster (T, *shape), or one for each Input node, from zero states.
 
-    A chip takes spikes; in float the numbers may be any.
+    A chip takes spikes only; in float any numbers will do.
 
-    backend     of runtime.backend; None takes the one that a Machine takes by itself
+    backend     as Machine takes it; None for its default
     limits      refuse what breaks a design rule of the chip
     quantisation  on a chip
-    convention  options of runtime.artifact.load: go before what the file says, None leaves it
+    convention  options of artifact.load, which take precedence over the file where not None
     """
-    return played(load(path, **convention), chip, rasters, backend, limits, quantisation)
+    return emulate_artifact(load(path, **convention), chip, rasters, backend, limits, quantisation)
 
 
-def played(
+def emulate_artifact(
     artifact: Artifact,
     chip: str,
     rasters: Raster | Mapping[str, Raster],
@@ -146,7 +146,7 @@ def played(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
 ) -> Emulation:
-    """The same with a network that is loaded already."""
+    """The same with a loaded network."""
     rows = named(ports(artifact.graph.inputs), in_batch(rasters))
     if chip != FLOAT:
         found = datasheet(chip)
@@ -169,7 +169,7 @@ def _in_float(artifact: Artifact, rows: Mapping[str, Raster]) -> Emulation:
     spikes = {name: seen[0] for name, seen in machine.spikes.items()}
     try:
         raster = machine.program.joined(rows)
-        measures = measured_again(artifact, machine.program, raster, machine.ledger)
+        measures = measured_by_replay(artifact, machine.program, raster, machine.ledger)
         return Emulation(artifact, FLOAT, spikes, outputs, machine.ledger, measures=measures)
     except RuleError as error:  # a graph or a raster that no chip could take
         return Emulation(artifact, FLOAT, spikes, outputs, None, str(error))
@@ -188,7 +188,7 @@ def _on_chip(
                 f"the raster of node {name!r} holds {seen.dtype} values; a chip takes spikes, 0 "
                 "or 1. Encode them, or play them into --chip float."
             )
-    _check_room(program, rows)
+    _check_memory(program, rows)
     # the machine refuses names that it does not know
     given: dict[str, Any] = {} if backend is None else {"backend": backend}
     machine = Machine(program, trace=True, **given)
@@ -204,8 +204,8 @@ def _on_chip(
     return Emulation(artifact, chip, spikes, outputs, machine.ledger, "", program.remarks, measures)
 
 
-def _check_room(program: Program, rows: Mapping[str, Raster]) -> None:
-    """Refuse a raster over which currents, membranes and spikes would fill the memory."""
+def _check_memory(program: Program, rows: Mapping[str, Raster]) -> None:
+    """Refuse a raster over which the recorded states would exceed LARGEST bytes."""
     timesteps = next(iter(rows.values())).shape[1]
     found = STATE * sum(program.sizes.values()) * program.steps(timesteps)
     if found > LARGEST:
@@ -216,6 +216,6 @@ def _check_room(program: Program, rows: Mapping[str, Raster]) -> None:
 
 
 def _outputs(all_: tuple[Port, ...], rows: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """What each Output node put out (T, *act), of (1, T, act) side by side."""
+    """Output node -> (T, *act), from (1, T, act) with the nodes side by side."""
     found = parted(all_, rows)
     return {"output" if len(found) == 1 else name: each[0] for name, each in found.items()}

@@ -1,4 +1,4 @@
-"""Rasters: recorded input of a network, one array a timestep, in a .npy or a .npz file."""
+"""Rasters: recorded input of a network, a row for each timestep, in a .npy or a .npz file."""
 
 import zipfile
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from spikedeploy.runtime.errors import ObservationError
 
 Raster = NDArray[Any]
 
-# bytes of all arrays together; an archive may claim any number
+# bytes of all arrays together; a small archive may unpack to any number
 LARGEST = 1 << 31
 
 
@@ -24,11 +24,11 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
     try:
         if zipfile.is_zipfile(path):
             return {name: _checked(f"{path}: {name}", a) for name, a in _archive(path).items()}
-        # mapped, a file that claims more than it holds takes no memory
+        # memory-mapped: a header that claims more than the file holds takes no memory
         return _checked(str(path), np.lib.format.open_memmap(path, mode="r"))
     except ObservationError:
         raise
-    # zipfile, zlib and numpy each have their own for a broken file
+    # zipfile, zlib and numpy raise their own exceptions for a broken file
     except Exception as error:
         raise ObservationError(
             f"{path} is not a .npy or .npz file with plain arrays: {error}. Write it with numpy."
@@ -40,10 +40,10 @@ def _archive(path: Path) -> dict[str, Raster]:
         claimed = sum(member.file_size for member in archive.infolist())
     if claimed > LARGEST:
         raise ObservationError(
-            f"{path} would be {claimed} bytes when unpacked; the limit is {LARGEST}. Play a part "
-            "of it after the other."
+            f"{path} would be {claimed} bytes when unpacked; the limit is {LARGEST}. Split it, "
+            "and play the parts one by one."
         )
-    # a file of our own, which numpy leaves open where the archive is broken
+    # opened here, because numpy leaves it open where the archive is broken
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
 
@@ -62,7 +62,7 @@ def _checked(where: str, found: object) -> Raster:
 
 
 def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raster]:
-    """The same as a batch of one."""
+    """The rasters as a batch of one, (1, T, *shape)."""
     if isinstance(rasters, Mapping):
         return {name: rows[None] for name, rows in rasters.items()}
     return rasters[None]

@@ -1,4 +1,4 @@
-"""Trace files one after another: a broken one is said to be broken and does not stop the others."""
+"""Recorded traces against the emulator; a file that cannot be replayed is reported as such."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from spikedeploy.user_errors import one_line
 
 @dataclass(frozen=True)
 class ReplayedTrace:
-    """What became of a file.
+    """The result of replaying a trace file.
 
     verdict  None where it could not be replayed
     error    why not
@@ -23,7 +23,7 @@ class ReplayedTrace:
 
     @property
     def equal(self) -> bool:
-        """Whether it was replayed and every number is as recorded."""
+        """Whether it was replayed and every number equals the recorded one."""
         return self.verdict is not None and self.verdict.equal
 
     def as_json(self) -> dict[str, Any]:
@@ -33,7 +33,7 @@ class ReplayedTrace:
         return {"file": str(self.path), **self.verdict.as_json(), "error": None}
 
     def describe(self) -> str:
-        """What was found, in words."""
+        """The result in one line."""
         if self.verdict is None:
             return f"not replayed: {self.error}"
         found = self.verdict
@@ -43,7 +43,7 @@ class ReplayedTrace:
         return f"equal on {found.chip}: {what}; recorded by {found.source}"
 
     def remarks(self) -> list[str]:
-        """What a reader must know to judge the verdict."""
+        """What was not compared, and why."""
         if self.verdict is None:
             return []
         found, remarks = self.verdict, []
@@ -54,7 +54,7 @@ class ReplayedTrace:
         return remarks
 
 
-def replay(path: Path) -> ReplayedTrace:
+def replay_trace(path: Path) -> ReplayedTrace:
     """Replay one file."""
     try:
         return ReplayedTrace(path, verdict_of(path))

@@ -1,4 +1,4 @@
-"""Greedy episodes of one policy, or of a player that is built in, on seeds that no training saw."""
+"""Greedy evaluation episodes of a policy file or a built-in policy."""
 
 import json
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.rounds import compare
+from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, write_text
 from spikedeploy.policies.interface import FLOAT
 from spikedeploy.policies.registry import find
@@ -16,22 +16,22 @@ from spikedeploy.seeds import EVALUATION
 Rows = list[dict[str, Any]]
 
 
-def drive(
+def evaluate(
     env: str, options: Mapping[str, Any], policy: str, episodes: int, chip: str | None
 ) -> Rows:
-    """Rows of a report: the policy, or if it spikes its float twin and then itself on the chip."""
+    """Rows of a report: the policy; if it spikes, its float twin and the chip."""
     candidate = find(policy)
     entries = [Entry(candidate)]
     if candidate.kind == "snn":
         twin = Entry(candidate, FLOAT)
         entries = [twin, Entry(candidate, chip, twin)]
     seeds = range(EVALUATION, EVALUATION + episodes)
-    return compare(env, entries, seeds, processes=1, options=options).as_json()
+    return compare_policies(env, entries, seeds, processes=1, options=options).as_json()
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A player that is built in, evaluated in an environment.
+class BuiltInEvaluation:
+    """The evaluation of a built-in policy in an environment.
 
     env       short name
     policy    "random" or "gap"
@@ -51,12 +51,12 @@ class Drive:
 
     @property
     def file(self) -> Path:
-        """What it leaves behind."""
+        """The file with the result."""
         return Path(self.folder) / f"{self.name}.json"
 
     @property
     def evaluation(self) -> dict[str, Any] | None:
-        """What evaluating it found; None where that is missing, or of other episodes."""
+        """The result; None where it is missing, or has another number of episodes."""
         if not self.file.is_file():
             return None
         found: dict[str, Any] = json.loads(self.file.read_text(encoding="utf-8"))
@@ -68,13 +68,13 @@ class Drive:
         return self.evaluation is not None
 
     def arguments(self) -> dict[str, Any]:
-        """Itself as the arguments of `perform`."""
+        """The fields as arguments of `perform`."""
         return asdict(self)
 
 
 def perform(**arguments: Any) -> bool:  # noqa: ANN401
-    """Evaluate the built-in player with these fields."""
-    job = Drive(**arguments)
-    rows = drive(job.env, {}, job.policy, job.episodes, None)
+    """Evaluate the built-in policy with these fields."""
+    job = BuiltInEvaluation(**arguments)
+    rows = evaluate(job.env, {}, job.policy, job.episodes, None)
     write_text(job.file, as_text({"of": {"episodes": job.episodes}, "rows": rows}))
     return True

@@ -1,4 +1,4 @@
-"""One process at a time: a lock that ends with the process that holds it, however that ends."""
+"""One process at a time: a file lock, which the system releases when its process ends."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,13 +6,13 @@ from pathlib import Path
 
 try:
     import fcntl
-except ImportError:  # Windows: there, two experiments in one folder must be avoided by hand
+except ImportError:  # Windows: two experiments in one folder must be avoided by hand
     fcntl = None  # type: ignore[assignment]
 
 
 @contextmanager
-def alone(path: Path) -> Iterator[None]:
-    """Wait until no other process is within a block of the same path."""
+def exclusive(path: Path) -> Iterator[None]:
+    """Wait until no other process is inside a block with the same path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
         if fcntl is not None:

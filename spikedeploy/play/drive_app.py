@@ -14,13 +14,12 @@ from spikedeploy.play.drivers import BothHands, Commanded, Driver, Hand, Watched
 from spikedeploy.play.env_picture import is_kart, stage
 from spikedeploy.play.session import Session
 from spikedeploy.play.theme import GREEN, RED, banner
-from spikedeploy.policies.interface import Candidate
+from spikedeploy.policies.interface import DEFAULT_CHIP, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 
 HEIGHT = 800
 SIZES = {True: (HEIGHT, HEIGHT), False: (HEIGHT * 4 // 3, HEIGHT)}  # of a track, of a camera's view
-DEFAULT_CHIP = "loihi1"
 
 
 class Driving:

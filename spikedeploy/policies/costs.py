@@ -1,4 +1,4 @@
-"""What an inference costs: spikes, operations, energy; a mean over the inferences of an episode.
+"""Costs of an inference: spikes, operations, energy; means over the inferences of an episode.
 
 sparsity             1 - spikes / (neurons x T), over the spiking layers; NeuroBench's activation
                      sparsity with one inference as the sample; none where a chip's neurons
@@ -14,10 +14,8 @@ effective_acs, effective_macs, dense
 footprint, footprint_packed
                      NeuroBench's Footprint [bytes] of the file; the weights in the chip's bits
 connection_sparsity  NeuroBench's, of the file
-energy_j, latency_s  by each table that prices the events, with the interval that it lies in;
-                     latency as if one core did everything
-
-The costs of a spiking network, from the ledger of what it did.
+energy_j, latency_s  by each energy table, with an interval; latency as if one core did
+                     everything
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,7 +36,7 @@ from spikedeploy.runtime.metrics.energy import (
 
 @dataclass(frozen=True)
 class Costs:
-    """Means per inference; None where a kind of policy has no such thing."""
+    """Means per inference, as listed above; None where a kind of policy has no such cost."""
 
     sparsity: float | None = None
     spikes: float | None = None
@@ -60,7 +58,7 @@ NOTHING = Costs(effective_acs=0.0, effective_macs=0.0, dense=0.0)
 
 
 def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
-    """The costs of several episodes, weighted by their inferences; saturations are summed."""
+    """Mean costs of several episodes, weighted by their inferences; saturations are summed."""
 
     def average(values: Sequence[float | None]) -> float | None:
         known = [value for value in values if value is not None]
@@ -78,7 +76,7 @@ def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
 def _by_table(
     prices: Sequence[Mapping[str, EnergyEstimate]], weights: Sequence[int]
 ) -> dict[str, EnergyEstimate]:
-    """The weighted mean of each table's price, and of its bounds."""
+    """Table -> weighted mean of its estimates and of their bounds."""
     found = {}
     for table in prices[0]:
         of = [price[table] for price in prices]
@@ -103,7 +101,7 @@ _MEANS = (
 
 
 def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
-    """The mean inference of the ledger; `chip` None is the float twin."""
+    """Costs of a spiking network from its ledger; `chip` None is the float twin."""
     sops = ledger.per_inference("sop")
     return Costs(
         sparsity=ledger.sparsity,
@@ -112,10 +110,10 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         sops=sops,
         bias_sops=ledger.per_inference("bias_sop"),
         effective_acs=sops + _readout_acs(ledger, program),
-        effective_macs=0.0,  # every weight matrix hears spikes
+        effective_macs=0.0,  # every weight matrix takes spikes
         dense=_weights(program) * ledger.timesteps / ledger.inferences,
         saturations=ledger.total("saturation") if chip else None,
-        # by all of them, so that a report can choose
+        # by every table, so that a report can choose
         energy_j={name: energy_estimate(ledger, table) for name, table in TABLES.items()},
         latency_s={
             n: latency_estimate(ledger, table) for n, table in TABLES.items() if table.timed
@@ -124,7 +122,7 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
 
 
 def priced_by(chip: Chip | None) -> tuple[str, ...]:
-    """The chip's own energy tables, and the one that a float network of its precision has too."""
+    """The chip's own energy tables, and the one shared with float networks of its precision."""
     if chip is None or chip.arithmetic is None:
         return ("horowitz45",)
     return (*chip.energy_tables, "horowitz45-int8")

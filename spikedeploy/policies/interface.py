@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     Floats: TypeAlias = NDArray[np.float64]
 
 BASELINES = ("gait", "random")  # kinds without a trained policy: the zero of a normalised score
+DEFAULT_CHIP = "loihi1"  # of spiking policies where none is named
 FLOAT = "float"  # in place of a chip: the float twin of a spiking policy
 
 

@@ -1,4 +1,4 @@
-"""What a run folder says of itself, read without torch."""
+"""The records of a run folder: configuration, versions, checkpoint; read without torch."""
 
 import json
 from datetime import datetime, timezone
@@ -17,18 +17,18 @@ def settings(run: Path) -> dict[str, Any]:
 
 
 def versions(run: Path) -> dict[str, str | None]:
-    """The versions that a run was made with, and the commit."""
+    """The package versions of a run, and its commit."""
     return _read(run / "versions.json")
 
 
 def checkpoint(run: Path) -> dict[str, Any]:
-    """The record of the checkpoint that is deployed: the best, else the last."""
+    """The record of the deployed checkpoint: the best, else the last."""
     best, last = (run / "checkpoints" / f"{name}.json" for name in ("best", "last"))
     return _read(best if best.is_file() else last)
 
 
 def origin(run: Path) -> Provenance:
-    """Who made the run's policy, for the header of an exported file."""
+    """The provenance of the run's policy, for an exported file."""
     config = settings(run)
     return Provenance(
         env=env_id(config["env"]["name"]) or "",

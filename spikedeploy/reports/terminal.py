@@ -15,14 +15,14 @@ from spikedeploy.reports.columns import bounded, scaled, tables
 
 
 def print_checks(checks: Iterable[ParityCheck]) -> None:
-    """Write a line for each check: ✓ or ✗, what was compared, the numbers behind it."""
+    """Print a line for each check: ✓ or ✗, what was compared, the numbers."""
     for check in checks:
         mark = "[green]✓[/]" if check.passed else "[red]✗[/]"
         console().print(f"{mark} {check.name}: {check.detail}")
 
 
 def print_replays(replays: Iterable[ReplayedTrace]) -> None:
-    """Write a line for each trace: ✓ or ✗, what was found, and what was passed over."""
+    """Print a line for each trace: ✓ or ✗, the result, and what was not compared."""
     for replay in replays:
         print(f"{'✓' if replay.equal else '✗'} {replay.path}: {replay.describe()}")
         for remark in replay.remarks():
@@ -30,7 +30,7 @@ def print_replays(replays: Iterable[ReplayedTrace]) -> None:
 
 
 def print_comparison(document: Mapping[str, Any]) -> None:
-    """Write the tables of a comparison, and what they mean."""
+    """Print the tables of a comparison and its summary."""
     rows = document["rows"]
     console().print(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
     for title, columns in tables(rows).items():
@@ -47,7 +47,7 @@ def print_comparison(document: Mapping[str, Any]) -> None:
 
 
 def print_emulation(emulation: Emulation) -> None:
-    """Write how the network was stepped, what it did, and what that costs."""
+    """Print the convention, the counts, the costs and the layers of an emulation."""
     found = emulation.as_json()
     energies = {
         f"energy, {name}": bounded(f"{scaled(each.value)}J", each.value, each.low, each.high)
@@ -82,7 +82,7 @@ def print_emulation(emulation: Emulation) -> None:
 
 
 def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
-    """Those of NeuroBench's numbers that are one each, by its names."""
+    """NeuroBench's scalar metrics, by its names."""
     if measures is None:
         return {}
     flat = {**measures, **measures["SynapticOperations"]}
@@ -90,6 +90,6 @@ def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
 
 
 def print_drift(report: DriftReport) -> None:
-    """Write where a chip leaves the float twin, and what makes the difference."""
+    """Print the tables of a drift."""
     for title, heads, rows in drift_tables.tables(report):
         print_table(title, heads, rows)

@@ -1,4 +1,4 @@
-"""The demo: shipped policies on three tasks, a report of each, films of a hexapod and a kart."""
+"""The demo: shipped policies on three tasks, a report of each, videos of a hexapod and a kart."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.closed_loop import DEFAULT_CHIP
 from spikedeploy.comparison.lineup import Entry, line_up
-from spikedeploy.comparison.rounds import compare
+from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import progress, say
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.policies.registry import open_policy
 from spikedeploy.reports import report
 from spikedeploy.reports.terminal import print_comparison
@@ -23,41 +23,41 @@ KINDS = {"ann": "float ANN", "snn": "spiking network"}
 
 
 @dataclass(frozen=True)
-class Act:
+class DemoTask:
     """What the demo shows of a task.
 
     episodes  of its report
-    seconds   of its film; 0 for none. Drawing a hexapod without a graphics card takes 0.2 s a frame
+    seconds   of its video; 0 for none. A frame of the hexapod takes 0.2 s without a GPU
     """
 
     episodes: int
     seconds: float = 0.0
 
 
-ACTS = {
-    "hexapod": Act(episodes=4, seconds=5.0),
-    "hexapod-command": Act(episodes=3),
-    "kart-steer": Act(episodes=10, seconds=15.0),
+TASKS = {
+    "hexapod": DemoTask(episodes=4, seconds=5.0),
+    "hexapod-command": DemoTask(episodes=3),
+    "kart-steer": DemoTask(episodes=10, seconds=15.0),
 }
 
 
-def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
-    """Compare the shipped policies of every task; the reports as data.
+def write_demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
+    """Compare the shipped policies of every task; return the reports as data.
 
-    folder  report.json, report.html, plots and film of the first task; the others' in folders of
-            their own inside it
+    folder  for report.json, report.html, plots and video of the first task; the other tasks get
+            folders inside it
     quiet   write nothing to stdout
     """
     documents: list[dict[str, Any]] = []
-    for env, act in ACTS.items():
+    for env, task in TASKS.items():
         if not zoo.policies(env):
             say(f"{env}: no policies are shipped yet")
             continue
         into = folder if not documents else folder / env
         entries = line_up(env, (), (DEFAULT_CHIP,))
-        seeds = range(EVALUATION, EVALUATION + act.episodes)
-        document = report.document(compare(env, entries, seeds))
-        video = _film(env, entries, into / "film.mp4", act.seconds) if act.seconds else None
+        seeds = range(EVALUATION, EVALUATION + task.episodes)
+        document = report.document(compare_policies(env, entries, seeds))
+        video = _film(env, entries, into / "film.mp4", task.seconds) if task.seconds else None
         files = report.write(document, into, video)
         documents.append(document)
         if not quiet:
@@ -67,7 +67,7 @@ def demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
 
 
 def _film(env: str, entries: Sequence[Entry], path: Path, seconds: float) -> Path | None:
-    """The float ANN beside the SNN on the chip, on the same seed; None where nothing can draw."""
+    """A video of the float ANN beside the SNN on the chip; None where nothing can render."""
     ann = next((e for e in entries if e.candidate.kind == "ann"), None)
     snn = next((e for e in entries if e.chip == DEFAULT_CHIP), None)
     if ann is None or snn is None:
@@ -86,7 +86,7 @@ def _film(env: str, entries: Sequence[Entry], path: Path, seconds: float) -> Pat
 
 
 def _action(action: Any) -> Any:  # noqa: ANN401
-    """An action as environments take it: one of several as an int."""
+    """An action as environments take it: a choice as an int."""
     return action if action.shape else int(action)
 
 
@@ -98,7 +98,7 @@ def _pace(env: str) -> Pace:
 
 
 def _together(left: Iterator[Frame], right: Iterator[Frame]) -> Iterator[tuple[Frame, Frame]]:
-    """Pairs of frames until both have ended; whose episode ends first keeps its last frame."""
+    """Pairs of frames until both have ended; the shorter episode keeps its last frame."""
     kept: tuple[Frame | None, Frame | None] = (None, None)
     for new in zip_longest(left, right):
         kept = (kept[0] if new[0] is None else new[0], kept[1] if new[1] is None else new[1])
@@ -107,7 +107,7 @@ def _together(left: Iterator[Frame], right: Iterator[Frame]) -> Iterator[tuple[F
 
 
 def _frames(env: str, entry: Entry) -> Iterator[Frame]:
-    """Frames of an entry's episode."""
+    """Frames of one episode of an entry."""
     world: Any = envs.make(env, render_mode="rgb_array")
     player = open_policy(entry.candidate, entry.chip, world)
     pace, caption = _pace(env), f"{KINDS[entry.candidate.kind]}: {entry.label}"

@@ -1,4 +1,4 @@
-"""Export with proof: the written file is read back and compared with the policy it came from."""
+"""Export of a run's policy: the file is read back and compared with the policy."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from spikedeploy.trainers.policies import Policy
 
 OBSERVATIONS = 1000
-SPIKING = ("popsan", "spiking-mlp")  # kinds of policies, which NIR describes
+SPIKING = ("popsan", "spiking-mlp")  # kinds of policies that are exported as NIR
 
 
 @dataclass(frozen=True)
-class Exported:
-    """A written file, and what comparing it with its policy has shown.
+class ExportedPolicy:
+    """A written file, and its comparison with the policy.
 
     path    of the file
-    kind    "ann", "snn" or "control", as comparisons will call it
-    checks  in the order in which they were made
+    kind    "ann", "snn" or "control", for comparisons
+    checks  in their order
     """
 
     path: Path
@@ -45,22 +45,22 @@ class Exported:
         return all(each.passed for each in self.checks)
 
 
-def export(
+def export_run(
     run: str,
     to: str,
     path: Path | None = None,
     observations: int = OBSERVATIONS,
     control: bool = False,
     state: "State" = "reset",
-) -> Exported:
+) -> ExportedPolicy:
     """Write a run's policy as a file.
 
     run           run folder, its name under runs/, or "last"
     to            key of exporters.EXPORTERS
     path          of the file; by default policy.<to> in the run folder
-    observations  recorded from the policy's own episodes, on which the file is compared with it
-    control       whether comparisons shall show a float network as a control
-    state         "kept" carries the membranes of a spiking policy on from inference to inference
+    observations  number of recorded observations on which file and policy are compared
+    control       whether comparisons show a float network as a control
+    state         of a spiking policy between inferences: "reset", or "kept"
     """
     if state != "reset" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
@@ -71,11 +71,11 @@ def export(
     kind = kind_of(policy, control)
     options: dict[str, dict[str, str]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
     exporter(to)(policy, run_record.origin(folder), path, **options.get(to, {}))
-    return Exported(path, kind, check(policy, path, recorded(folder, observations)))
+    return ExportedPolicy(path, kind, check(policy, path, recorded(folder, observations)))
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:
-    """What comparisons call the policy: a float network that sees less than all is a control."""
+    """The kind for comparisons; a float network on part of the observation is a control."""
     if policy.kind in SPIKING:
         return "snn"
     spec = policy.spec()
@@ -84,7 +84,7 @@ def kind_of(policy: "Policy", control: bool = False) -> str:
 
 
 def recorded(run: Path, count: int) -> NDArray[np.float64]:
-    """Observations (count, obs) that the run's policy makes in its environment."""
+    """Observations (count, obs) from episodes of the run's policy."""
     world = run_record.settings(run)["env"]
     env = envs.make(world["name"], **world["options"])
     controller = TorchController(str(run))

@@ -1,4 +1,4 @@
-"""Publishing: a run becomes a shipped policy, with a card: how it was made, and how it does."""
+"""Publishing: a run becomes a shipped policy, with a card on its training and evaluation."""
 
 import shutil
 from collections.abc import Mapping
@@ -7,25 +7,24 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.closed_loop import DEFAULT_CHIP
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.rounds import compare
+from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.policies import run_record
-from spikedeploy.policies.interface import FLOAT
+from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
 from spikedeploy.policies.registry import find
 from spikedeploy.reports.card import markdown
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.shipping.export_run import SPIKING, Exported, export
+from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
 from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import algorithm
 
 
-def publish(
+def publish_run(
     run: str,
     name: str,
     episodes: int,
@@ -34,18 +33,18 @@ def publish(
     note: str = "",
     control: bool = False,
 ) -> list[Path]:
-    """Put a run's policy into the zoo, with its card and its learning curve; the files written.
+    """Put a run's policy into the zoo, with card and learning curve; return the files.
 
     run       run folder, its name under runs/, or "last"
     name      of the policy in the zoo, such as "popsan"
-    episodes  of its evaluation, on each chip that its card names
+    episodes  of its evaluation, on each chip of the card
     folder    of the zoo
-    note      what a reader should know that the run folder does not say
-    control   whether comparisons shall show it as a control, such as a network that is kept small
+    note      for the card
+    control   whether comparisons show it as a control, such as a small network
     """
     source = RunFolder.find(run).path
     target = folder / envs.spec(run_record.settings(source)["env"]["name"]).short
-    with TemporaryDirectory() as stage:  # so that a failure leaves the zoo as it was
+    with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
         exported = _exported(source, Path(stage) / name, control)
         record = describe(source, exported, episodes, processes) | {"note": note}
         file = _copied(exported.path, target / exported.path.name)
@@ -59,9 +58,9 @@ def publish(
 
 
 def describe(
-    source: Path, exported: Exported, episodes: int, processes: int | None
+    source: Path, exported: ExportedPolicy, episodes: int, processes: int | None
 ) -> dict[str, Any]:
-    """The card as data: how the policy was made, and how it does."""
+    """The card as data: training, parity and evaluation."""
     origin = run_record.origin(source)
     record = {
         "file": exported.path.name,
@@ -82,15 +81,15 @@ def describe(
 
 
 def _overrides(source: Path) -> list[str]:
-    """What was set beside the recipe."""
+    """Settings that differ from the recipe."""
     kind = algorithm(run_record.settings(source)["algorithm"])
     return differences(RunFolder(source).config(kind.Config))
 
 
-def _exported(source: Path, path: Path, control: bool) -> Exported:
-    """The run's policy as a file that does what the policy does."""
+def _exported(source: Path, path: Path, control: bool) -> ExportedPolicy:
+    """The run's policy as a file that passes its parity checks."""
     to = "nir" if run_record.settings(source)["policy"]["kind"] in SPIKING else "onnx"
-    exported = export(str(source), to, path.with_suffix(f".{to}"), control=control)
+    exported = export_run(str(source), to, path.with_suffix(f".{to}"), control=control)
     failed = [check.name for check in exported.checks if not check.passed]
     if failed:
         raise SpikedeployError(f"the file does not do what {source} does: {', '.join(failed)}")
@@ -98,7 +97,7 @@ def _exported(source: Path, path: Path, control: bool) -> Exported:
 
 
 def _portable(data: Any) -> Any:  # noqa: ANN401
-    """Settings with paths inside this folder as they look from it, such as a teacher's."""
+    """Settings in which paths below the current folder are relative, such as a teacher's."""
     if isinstance(data, dict):
         return {key: _portable(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
@@ -109,7 +108,7 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
 def _evaluation(
     path: Path, source: Path, episodes: int, processes: int | None
 ) -> list[Mapping[str, Any]]:
-    """Rows of the policy alone: as a float network, and on the default chip if it spikes."""
+    """Rows of the policy: in float, and on the default chip if it spikes."""
     candidate = find(str(path))
     entries = [Entry(candidate)]
     if candidate.kind == "snn":
@@ -117,7 +116,7 @@ def _evaluation(
         entries = [twin, Entry(candidate, DEFAULT_CHIP, twin)]
     world = run_record.settings(source)["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
-    rows = compare(world["name"], entries, seeds, processes, world["options"]).as_json()
+    rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
     return [{**row, "file": path.name} for row in rows]
 
 

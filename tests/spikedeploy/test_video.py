@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from spikedeploy.comparison.closed_loop import run
+from spikedeploy.comparison.closed_loop import run_policy
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.shipping import demo_reports
@@ -62,7 +62,7 @@ def test_frames_stand_side_by_side():
 
 
 def test_run_films_the_first_episode_only(stroll):
-    run("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
+    run_policy("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
     assert len(frames(stroll / "film.mp4")) == 1 + 10  # the start, and every second of its 20 steps
 
 

@@ -11,7 +11,7 @@ from spikedeploy.comparison.agreement import (
     pooled_rmse,
 )
 from spikedeploy.comparison.lineup import Entry, line_up
-from spikedeploy.comparison.rounds import compare
+from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
@@ -75,14 +75,16 @@ def test_without_shipped_policies_a_line_says_what_to_do(stroll, monkeypatch, tm
 
 def test_every_row_plays_every_seed_and_the_same_seeds_give_the_same_rows(stroll):
     entries = line_up("stroll", (), ("loihi1",))
-    first, second = (compare("stroll", entries, SEEDS, processes=1).as_json() for _ in range(2))
+    first, second = (
+        compare_policies("stroll", entries, SEEDS, processes=1).as_json() for _ in range(2)
+    )
     assert first == second
     assert {row["episodes"] for row in first} == {3}
     assert {len(row["returns"]) for row in first} == {3}
 
 
 def test_rows_hold_what_the_robot_did(stroll):
-    rows = by_label(compare("stroll", line_up("stroll", (), ()), SEEDS, processes=1))
+    rows = by_label(compare_policies("stroll", line_up("stroll", (), ()), SEEDS, processes=1))
     gait = rows["gait"]
     assert gait["return_mean"] == pytest.approx(np.mean(gait["returns"]))
     assert gait["speed"] == 0.25
@@ -97,7 +99,7 @@ def test_rows_hold_what_the_robot_did(stroll):
 
 def test_the_ideal_chip_agrees_with_the_float_twin_in_every_action(stroll):
     entries = line_up("stroll", (), ("ideal", "loihi1"))
-    rows = by_label(compare("stroll", entries, SEEDS, processes=1))
+    rows = by_label(compare_policies("stroll", entries, SEEDS, processes=1))
     ideal, loihi = rows["popsan · ideal"], rows["popsan · loihi1"]
     assert ideal["action_rmse"] < 1e-9
     assert ideal["first_divergence"] is None
@@ -109,7 +111,7 @@ def test_the_ideal_chip_agrees_with_the_float_twin_in_every_action(stroll):
 
 def test_action_rmse_asks_both_policies_on_what_the_reference_saw(stroll):
     ann, gait = Entry(find(str(stroll / "sac.onnx"))), find("gait")
-    row = compare("stroll", [ann, Entry(gait, None, ann)], SEEDS, processes=1).as_json()[1]
+    row = compare_policies("stroll", [ann, Entry(gait, None, ann)], SEEDS, processes=1).as_json()[1]
     world = envs.make("stroll")
     player = open_policy(ann.candidate, None, world)
     actions = np.concatenate([rollout(world, player, seed).action for seed in SEEDS])
@@ -119,24 +121,26 @@ def test_action_rmse_asks_both_policies_on_what_the_reference_saw(stroll):
 
 def test_training_seeds_are_refused(stroll):
     with pytest.raises(ConfigError, match="seed 9999 may have been trained on"):
-        compare("stroll", [Entry(find("gait"))], range(9_999, 10_001), processes=1)
+        compare_policies("stroll", [Entry(find("gait"))], range(9_999, 10_001), processes=1)
 
 
 def test_an_unknown_chip_is_refused_before_anything_is_played(stroll):
     entries = line_up("stroll", (), ("loihi9",))
     with pytest.raises(SpikedeployError, match=r"did you mean .*'loihi1'"):
-        compare("stroll", entries, SEEDS, processes=1)
+        compare_policies("stroll", entries, SEEDS, processes=1)
 
 
 def test_a_policy_of_another_environment_is_refused_before_anything_is_played(stroll):
     with pytest.raises(SpikedeployError, match=r"made for test/Stroll-v0, not for .*Hexapod-v0"):
-        compare("hexapod", [Entry(find(str(stroll / "sac.onnx")))], SEEDS, processes=1)
+        compare_policies("hexapod", [Entry(find(str(stroll / "sac.onnx")))], SEEDS, processes=1)
 
 
 def test_processes_find_what_one_process_finds(tmp_path):
     entry = Entry(find("gait"))
     seeds = range(10_000, 10_002)
-    alone, together = (compare("hexapod", [entry], seeds, count).as_json() for count in (1, 2))
+    alone, together = (
+        compare_policies("hexapod", [entry], seeds, count).as_json() for count in (1, 2)
+    )
     assert alone == together
 
 

@@ -10,7 +10,7 @@ from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.shipping.export_run import kind_of, recorded
-from spikedeploy.shipping.publish_run import publish
+from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig, SacConfig
 from spikedeploy.trainers.features import Features
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
@@ -32,7 +32,7 @@ def _stroll(monkeypatch):
 def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chips, tmp_path):
     files = [f"small{each}" for each in (suffix, ".json", ".md", ".png", ".csv")]
     run = stroll_env.run_folder(tmp_path / "runs", policy)
-    written = publish(str(run), "small", episodes=2, folder=tmp_path / "zoo", processes=1)
+    written = publish_run(str(run), "small", episodes=2, folder=tmp_path / "zoo", processes=1)
     assert [path.relative_to(tmp_path / "zoo/stroll").name for path in written] == files
     card = json.loads((tmp_path / "zoo/stroll/small.json").read_text())
     assert (card["recipe"], card["seed"], card["steps"], card["env"]) == (
@@ -50,7 +50,7 @@ def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chip
 def test_the_page_says_how_to_make_the_policy_again(tmp_path):
     run = stroll_env.run_folder(tmp_path / "runs", SPIKING)
     zoo = tmp_path / "zoo"
-    publish(str(run), "small", episodes=2, folder=zoo, processes=1, note="grown in a pot")
+    publish_run(str(run), "small", episodes=2, folder=zoo, processes=1, note="grown in a pot")
     page = (tmp_path / "zoo/stroll/small.md").read_text()
     assert "spikedeploy train smoke --seed 0 --set 'env.name=\"stroll\"'" in page
     assert "- note: grown in a pot" in page
@@ -68,7 +68,7 @@ def test_a_card_names_no_folder_of_the_machine_that_made_it(monkeypatch, tmp_pat
     monkeypatch.setattr(RunFolder, "config", lambda *_: SacConfig(algorithm="sac", recipe="smoke"))
     monkeypatch.setattr("spikedeploy.shipping.export_run.recorded", lambda *_: np.zeros((2, 3)))
     monkeypatch.chdir(tmp_path)
-    publish(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
+    publish_run(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
     card = (tmp_path / "zoo/stroll/small.json").read_text()
     assert str(tmp_path) not in card
     assert f'"teacher": "runs/{run.name}"' in card
@@ -81,7 +81,7 @@ def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_p
         lambda *_: [ParityCheck("spikes", False, "3 differ")],
     )
     with pytest.raises(SpikedeployError, match=r"does not do what .*: spikes"):
-        publish(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
+        publish_run(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
     assert not (tmp_path / "zoo").exists()
 
 
