@@ -20,10 +20,10 @@ def draw(
 ) -> None:
     """Draw or edit a track; what no kart could drive is kept as a draft."""
     from spikedeploy.console import print_json
-    from spikedeploy.play.track_editor import Drawing
+    from spikedeploy.play.track_editor import TrackEditor
     from spikedeploy.play.window import show
 
-    app = Drawing(file, copy)
+    app = TrackEditor(file, copy)
     try:
         show(app)
     finally:

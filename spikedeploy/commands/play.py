@@ -30,12 +30,12 @@ def play(
     """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
-    from spikedeploy.play.drive_app import Driving, session
+    from spikedeploy.play.drive_app import DriveApp, open_session
     from spikedeploy.play.window import show
 
     options = parse_options(set_ or ()) | ({} if track is None else {"track": track})
-    drive = session(env, options, policy, chip, seed, record)
-    show(Driving(drive, env))
+    drive = open_session(env, options, policy, chip, seed, record)
+    show(DriveApp(drive, env))
     drive.close()
     if json:
         files = [str(path) for path in drive.files]

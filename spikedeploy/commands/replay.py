@@ -41,8 +41,8 @@ def replay(
     """Replay a training's episodes as ghosts, or a drive that `play --record` kept."""
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
-    from spikedeploy.play.replay_app import replay as open_replay
-    from spikedeploy.play.replay_film import film
+    from spikedeploy.play.replay_app import open_replay
+    from spikedeploy.play.replay_film import save_film
     from spikedeploy.play.window import show
 
     first, *beside = source
@@ -50,7 +50,7 @@ def replay(
     if video is None:
         show(app)
     else:
-        film(app, video, seconds)
+        save_film(app, video, seconds)
     told: dict[str, Any] = {"source": str(first), "batches": app.playback.batches}
     if beside:
         told["beside"] = [str(path) for path in beside]

@@ -20,6 +20,7 @@ ghost_group        many ghosts: where each is at a step
 ghost_picture      such a group, drawn
 playback           pause, speed, seek, next batch
 spike_recorder     spikes of a policy on recorded observations
+ghost_observations observations along the path of a ghost
 spike_panel        these spikes, drawn
 replay_film        a replay as MP4 or GIF
 

@@ -1,4 +1,4 @@
-"""Sketches as files: a track that the validator agrees to, and a draft of one until then."""
+"""Files of the track editor: a valid track, or a draft beside it."""
 
 import json
 from collections.abc import Sequence
@@ -10,19 +10,19 @@ from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import Track, load, parse
 from spikedeploy.envs.kart.track_rules import check
 from spikedeploy.files import write_text
-from spikedeploy.play.track_draft import Line, Point, Sketch
+from spikedeploy.play.track_draft import Line, Point, TrackDraft
 from spikedeploy.runtime.errors import ConfigError
 
 
 def draft_of(path: Path) -> Path:
-    """Where what is no track yet is kept."""
+    """The path of the draft of a track file."""
     return path.with_suffix(".draft.json")
 
 
-def opened(path: Path, copy: str | None = None) -> Sketch:
-    """The draft that was left, or else the track in a file, or else an empty sketch.
+def open_draft(path: Path, copy: str | None = None) -> TrackDraft:
+    """The unfinished draft of a file, else its track, else an empty draft.
 
-    copy  track that a new file begins with
+    copy  track to begin a new file with
     """
     if path.suffix != ".json" or path.stem.endswith(".draft"):
         raise ConfigError(
@@ -34,7 +34,7 @@ def opened(path: Path, copy: str | None = None) -> Sketch:
     if copy is not None:
         return _of_track(load(copy), path.stem)
     if here is None:
-        return Sketch(path.stem)
+        return TrackDraft(path.stem)
     try:
         tree = json.loads(here.read_text("utf-8"))
     except (OSError, ValueError) as error:
@@ -45,55 +45,55 @@ def opened(path: Path, copy: str | None = None) -> Sketch:
     return _of_draft(tree, here)
 
 
-def save(sketch: Sketch, path: Path) -> None:
-    """Write a track and drop its draft; raises EnvError with the reason why it is none."""
-    if sketch.start is None:
+def save(draft: TrackDraft, path: Path) -> None:
+    """Write a track and remove its draft; EnvError if the track is invalid."""
+    if draft.start is None:
         raise EnvError(f"{path.name}: there is no start; S places it at the pointer")
-    tree = json.loads(as_text(sketch))
+    tree = json.loads(as_text(draft))
     track = parse(tree, path.name)
     check(track, path.name)
-    write_text(path, as_text(sketch))
+    write_text(path, as_text(draft))
     draft_of(path).unlink(missing_ok=True)
 
 
-def save_draft(sketch: Sketch, path: Path) -> Path:
-    """Keep a sketch beside the file that it is to become; the draft's path."""
-    return write_text(draft_of(path), as_text(sketch))
+def save_draft(draft: TrackDraft, path: Path) -> Path:
+    """Write the draft of a track file; return its path."""
+    return write_text(draft_of(path), as_text(draft))
 
 
-def as_text(sketch: Sketch) -> str:
-    """The file of a sketch, a line for each line."""
-    position = None if sketch.start is None else _short(sketch.start)
+def as_text(draft: TrackDraft) -> str:
+    """The JSON text of a draft, a row for each line."""
+    position = None if draft.start is None else _short(draft.start)
     start = {
         "position": position,
-        "spread": _short([sketch.spread])[0],
-        "heading": _short(sketch.heading),
+        "spread": _short([draft.spread])[0],
+        "heading": _short(draft.heading),
     }
     rows = [
-        f'"name": {json.dumps(sketch.name)}',
-        f'"walls": {_rows(sketch.walls)}',
-        f'"gates": {_rows(sketch.gates)}',
+        f'"name": {json.dumps(draft.name)}',
+        f'"walls": {_rows(draft.walls)}',
+        f'"gates": {_rows(draft.gates)}',
         f'"start": {json.dumps(start)}',
     ]
-    if sketch.sway:
-        rows.append(f'"sway": {json.dumps(_short([sketch.sway])[0])}')
+    if draft.sway:
+        rows.append(f'"sway": {json.dumps(_short([draft.sway])[0])}')
     return "{\n  " + ",\n  ".join(rows) + "\n}\n"
 
 
 def _rows(lines: Sequence[Line]) -> str:
-    """A list of lines without those that are empty."""
+    """A JSON list of the non-empty lines."""
     rows = [json.dumps([_short(point) for point in line]) for line in lines if line]
     return "[\n    " + ",\n    ".join(rows) + "\n  ]" if rows else "[]"
 
 
 def _short(numbers: Sequence[float]) -> list[float]:
-    """Whole numbers without a point."""
+    """Numbers, integral ones as int."""
     return [int(number) if number == int(number) else number for number in numbers]
 
 
-def _of_track(track: Track, name: str) -> Sketch:
+def _of_track(track: Track, name: str) -> TrackDraft:
     low, high = track.heading
-    return Sketch(
+    return TrackDraft(
         name=name,
         walls=(*(_line(line.tolist()) for line in track.polylines), ()),
         gates=tuple(_line(gate) for gate in track.gates.tolist()),
@@ -104,12 +104,12 @@ def _of_track(track: Track, name: str) -> Sketch:
     )
 
 
-def _of_draft(tree: Any, path: Path) -> Sketch:  # noqa: ANN401
-    """What save_draft wrote."""
+def _of_draft(tree: Any, path: Path) -> TrackDraft:  # noqa: ANN401
+    """The draft from what save_draft wrote."""
     try:
         start = tree["start"]
         low, high = start["heading"]
-        return Sketch(
+        return TrackDraft(
             name=str(tree["name"]),
             walls=(*map(_line, tree["walls"]), ()),
             gates=tuple(map(_line, tree["gates"])),
@@ -135,5 +135,5 @@ def _point(numbers: Sequence[float]) -> Point:
 
 def _number(value: float) -> float:
     if not isfinite(value):
-        raise ValueError(f"{value} is no place")
+        raise ValueError(f"{value} is not a coordinate")
     return float(value)

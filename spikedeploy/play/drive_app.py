@@ -9,9 +9,15 @@ import pygame
 
 from spikedeploy import envs, zoo
 from spikedeploy.make_env import make_env
-from spikedeploy.play.drive_panel import WIDTH, draw_hud
-from spikedeploy.play.drivers import BothHands, Commanded, Driver, Hand, Watched
-from spikedeploy.play.env_picture import is_kart, stage
+from spikedeploy.play.drive_panel import WIDTH, draw_drive_panel
+from spikedeploy.play.drivers import (
+    CombinedKeysDriver,
+    CommandedPolicyDriver,
+    Driver,
+    KeyboardDriver,
+    PolicyDriver,
+)
+from spikedeploy.play.env_picture import env_picture, is_kart
 from spikedeploy.play.session import Session
 from spikedeploy.play.theme import GREEN, RED, banner
 from spikedeploy.policies.interface import DEFAULT_CHIP, Candidate
@@ -22,8 +28,8 @@ HEIGHT = 800
 SIZES = {True: (HEIGHT, HEIGHT), False: (HEIGHT * 4 // 3, HEIGHT)}  # of a track, of a camera's view
 
 
-class Driving:
-    """A session on the screen.
+class DriveApp:
+    """The app: a session and its panel.
 
     title, name, fps  as of a window.App
     """
@@ -38,7 +44,7 @@ class Driving:
         self._size = SIZES[is_kart(session.world)]
 
     def handle(self, event: pygame.Event) -> None:
-        """R begins anew; every other key is the driver's."""
+        """R restarts; any other key is passed to the driver."""
         if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
             self.session.restart()
         else:
@@ -49,11 +55,11 @@ class Driving:
         self.session.tick()
 
     def draw(self) -> pygame.Surface:
-        """The world, the panel, and how the episode ended."""
+        """The environment, the panel, and a banner at the end of an episode."""
         width, height = self._size
         surface = pygame.Surface((width + WIDTH, height))
-        seen = surface.blit(stage(self.session.world, self._size), (0, 0))
-        draw_hud(surface, pygame.Rect(width, 0, WIDTH, height), self.session, self._heading)
+        seen = surface.blit(env_picture(self.session.world, self._size), (0, 0))
+        draw_drive_panel(surface, pygame.Rect(width, 0, WIDTH, height), self.session, self._heading)
         if self.session.waiting:
             outcome = self.session.outcomes[-1]
             time = "" if outcome.seconds is None else f"  {outcome.seconds:.2f} s"
@@ -61,7 +67,7 @@ class Driving:
         return surface
 
 
-def session(
+def open_session(
     env: str,
     options: Mapping[str, Any],
     policy: str | None,
@@ -69,11 +75,11 @@ def session(
     seed: int,
     record: Path | None = None,
 ) -> Session:
-    """The session that `play` shows.
+    """The session of `spikedeploy play`.
 
     env      short name or id
     options  of the environment
-    policy   drives; None is a person where the world can be driven by keys, else a shipped policy
+    policy   None for a person where keys can drive, else for a shipped policy
     chip     of a spiking policy; None is DEFAULT_CHIP
     """
     if record is not None and record.suffix != ".npz":
@@ -83,7 +89,7 @@ def session(
 
 
 def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Driver:  # noqa: ANN401
-    """Who drives: a person where that is possible and no policy was named."""
+    """A person where keys can drive and no policy is named, else a policy."""
     if policy is None and hasattr(world.unwrapped, "ACTIONS"):
         if chip is not None:
             raise ConfigError("--chip is for a policy: name one with --policy")
@@ -93,20 +99,20 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
     player = open_policy(candidate, chip, world)
     name = f"{candidate.name} on {chip}" if chip else candidate.name
     if hasattr(world.unwrapped, "steer"):
-        return Commanded(player, name, world.unwrapped)
-    return Watched(player, name)
+        return CommandedPolicyDriver(player, name, world.unwrapped)
+    return PolicyDriver(player, name)
 
 
 def _person(env: gymnasium.Env[Any, Any]) -> Driver:
     """A person at the keys, one action at a time or several together."""
     world: Any = env.unwrapped
     if isinstance(env.action_space, gymnasium.spaces.Discrete):
-        return Hand(world.ACTIONS)
-    return BothHands(world.ACTIONS, world.EFFECTS)
+        return KeyboardDriver(world.ACTIONS)
+    return CombinedKeysDriver(world.ACTIONS, world.EFFECTS)
 
 
 def _shipped(env: str) -> Candidate:
-    """A policy for an environment that no keys drive: one that spikes, if there is one."""
+    """A shipped policy of the environment, a spiking one if there is one."""
     spec = envs.spec(env)
     found = [find(str(path)) for path in zoo.policies(spec.short)]
     spiking = [candidate for candidate in found if candidate.kind == "snn"]

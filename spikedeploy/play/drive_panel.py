@@ -1,4 +1,4 @@
-"""The panel beside a drive: how fast, how far, what the LIDAR sees, and what it is paid."""
+"""The panel beside a drive: speed, gates, LIDAR, rewards."""
 
 from typing import Any
 
@@ -29,8 +29,10 @@ PAD = 26
 TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
 
 
-def draw_hud(surface: pygame.Surface, place: pygame.Rect, session: Session, title: str) -> None:
-    """Draw the panel of a session into a place of a surface."""
+def draw_drive_panel(
+    surface: pygame.Surface, place: pygame.Rect, session: Session, title: str
+) -> None:
+    """Draw the panel of a session into a rectangle of a surface."""
     pygame.draw.rect(surface, PANEL, place)
     inner = place.inflate(-2 * PAD, -2 * PAD)
     write(surface, title, inner.topleft, 20, TEXT, "bold")
@@ -79,7 +81,7 @@ def _times(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session
 
 
 def _gates(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401
-    """A pip for each gate: passed, next, to come."""
+    """A mark for each gate: passed, next, to come."""
     count, passed = len(world.track.gates), int(world.next_gate)
     heading(surface, "gates", (inner.left, y))
     write(surface, f"{passed} / {count}", (inner.right, y - 3), 14, TEXT, "bold", "topright")
@@ -93,7 +95,7 @@ def _gates(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> i
 
 
 def _lidar(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401
-    """What the LIDAR sees, as the kart sees it: ahead is up."""
+    """The LIDAR scan in the frame of the kart: ahead is up."""
     radius = 78
     heading(surface, "lidar", (inner.left, y))
     write(surface, f"{world.lidar.range / 100:.1f} m", (inner.left, y + 18), 13, DIM)
@@ -118,14 +120,14 @@ def _lidar(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> i
 
 
 def _rewards(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
-    """Every term of the reward: its bar, and its sum over the episode."""
+    """Every reward term: its sum over the episode, as bar and number."""
     heading(surface, "reward so far", (inner.left, y))
     total = sum(session.sums.values())
     write(surface, f"{total:+.2f}", (inner.right, y - 4), 16, TEXT, "bold", "topright")
     y += 24
     largest = max((abs(value) for value in session.sums.values()), default=0.0) or 1.0
-    room = max(1, (inner.bottom - 66 - y) // 21)
-    for name, value in [*session.sums.items()][:room]:
+    rows = max(1, (inner.bottom - 66 - y) // 21)
+    for name, value in [*session.sums.items()][:rows]:
         write(surface, name.replace("_", " "), (inner.left, y), 13, DIM)
         place = pygame.Rect(inner.left + 130, y + 5, inner.width - 130 - 74, 6)
         signed_bar(surface, place, value / largest)

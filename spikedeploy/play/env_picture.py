@@ -1,4 +1,4 @@
-"""The picture of a world: a kart on its track, or what a camera sees."""
+"""The picture of an environment: a kart on its track, or the camera's frame."""
 
 from typing import Any
 
@@ -8,12 +8,12 @@ from spikedeploy.play.theme import NIGHT
 
 
 def is_kart(world: Any) -> bool:  # noqa: ANN401
-    """Whether a world is drawn from above, track and all."""
+    """Whether it is a kart, which is drawn on its track from above."""
     return hasattr(world, "track")
 
 
-def stage(world: Any, size: tuple[int, int]) -> pygame.Surface:  # noqa: ANN401
-    """A picture of this size; worlds that are no karts need render_mode="rgb_array"."""
+def env_picture(world: Any, size: tuple[int, int]) -> pygame.Surface:  # noqa: ANN401
+    """A picture of this size; other environments than karts need render_mode="rgb_array"."""
     if is_kart(world):
         from spikedeploy.envs.kart.picture import drawn
 

@@ -1,4 +1,4 @@
-"""A crowd of ghosts on their track."""
+"""A group of ghosts on their track."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,21 +8,21 @@ import pygame
 
 from spikedeploy.envs.kart.picture import draw_kart
 from spikedeploy.envs.kart.scene import Scene
-from spikedeploy.play.ghost_group import Crowd
+from spikedeploy.play.ghost_group import GhostGroup
 from spikedeploy.play.theme import AMBER, CYAN, DIM, GREEN, RED, Colour, write
 
-FEW = 40  # ghosts that are drawn as karts; more of them as dots; a larger crowd shows its ages
+FEW = 40  # more ghosts than this are drawn as dots, coloured by age
 AGES: tuple[Colour, ...] = ((150, 96, 208), (112, 118, 230), (76, 160, 240), (76, 211, 220))
 
 
 @dataclass(frozen=True)
-class Paint:
-    """The colours of a crowd.
+class GroupColours:
+    """The colours of a group.
 
-    driving   of those who drive, from the first to the last of the training
-    leader    of the best and of its path
-    finished  of the dots where they ended
-    crashed   of the dots where they ended
+    driving   of moving ghosts, from the start to the end of the training
+    leader    of the best ghost and its path
+    finished  of dots at the ends of finished episodes
+    crashed   of dots at the ends of crashed episodes
     """
 
     driving: tuple[Colour, ...]
@@ -31,27 +31,27 @@ class Paint:
     crashed: Colour = RED
 
 
-def alone(crowd: Crowd) -> Paint:
-    """The paint of the only crowd: by what happens to its ghosts, and of many by their age."""
-    return Paint(AGES if len(crowd.drives) > FEW else (CYAN,))
+def colours_by_age(group: GhostGroup) -> GroupColours:
+    """The colours of a single group: by outcome, and of many ghosts by age."""
+    return GroupColours(AGES if len(group.drives) > FEW else (CYAN,))
 
 
-def one_colour(colour: Colour) -> Paint:
-    """The paint of a crowd among others."""
-    return Paint((colour,), colour, colour, colour)
+def one_colour(colour: Colour) -> GroupColours:
+    """The colours of a group among others."""
+    return GroupColours((colour,), colour, colour, colour)
 
 
-def draw_crowd(
-    surface: pygame.Surface, place: Scene, crowd: Crowd, step: int, paint: Paint
+def draw_group(
+    surface: pygame.Surface, place: Scene, group: GhostGroup, step: int, colours: GroupColours
 ) -> None:
-    """Draw who drives and where others ended, over a track."""
-    poses = crowd.poses(step)
+    """Draw moving ghosts, and where the others ended, over a track."""
+    poses = group.poses(step)
     points = place.at(poses[:, :2])
-    for well, colour in ((False, paint.crashed), (True, paint.finished)):
-        _dots(surface, points[crowd.ended(step, well)], colour, 3, 120)
-    ages = np.minimum(crowd.age * len(paint.driving), len(paint.driving) - 1).astype(int)
-    driving = crowd.driving(step)
-    for age, colour in enumerate(paint.driving):
+    for well, colour in ((False, colours.crashed), (True, colours.finished)):
+        _dots(surface, points[group.ended(step, well)], colour, 3, 120)
+    ages = np.minimum(group.age * len(colours.driving), len(colours.driving) - 1).astype(int)
+    driving = group.driving(step)
+    for age, colour in enumerate(colours.driving):
         these = np.flatnonzero(driving & (ages == age))
         if driving.sum() > FEW:
             _dots(surface, points[these], colour, max(3, round(9 * place.scale)), 120)
@@ -61,29 +61,29 @@ def draw_crowd(
 
 
 def draw_leader(
-    surface: pygame.Surface, place: Scene, crowd: Crowd, step: int, colour: Colour
+    surface: pygame.Surface, place: Scene, group: GhostGroup, step: int, colour: Colour
 ) -> None:
-    """Draw the best of a crowd and its path."""
-    if crowd.leader is None:
+    """Draw the best ghost and its path."""
+    if group.leader is None:
         return
-    points = place.at(crowd.trail(step))
+    points = place.at(group.trail(step))
     if len(points) > 1:
         pygame.draw.aalines(surface, colour, False, [tuple(point) for point in points])
-    draw_kart(surface, place, _pose(crowd.poses(step)[crowd.leader]), colour)
+    draw_kart(surface, place, _pose(group.poses(step)[group.leader]), colour)
 
 
-def draw_legend(surface: pygame.Surface, paint: Paint) -> None:
-    """What the colours mean, in the lower left corner."""
+def draw_legend(surface: pygame.Surface, colours: GroupColours) -> None:
+    """Draw a legend in the lower left corner."""
     x, y = 20.0, surface.get_height() - 18.0
-    name = "driving" if len(paint.driving) == 1 else "driving, of early to late training"
+    name = "driving" if len(colours.driving) == 1 else "driving, of early to late training"
     entries: list[tuple[str, tuple[Colour, ...]]] = [
-        ("leader", (paint.leader,)),
-        ("finished", (paint.finished,)),
-        ("crashed", (paint.crashed,)),
-        (name, paint.driving),
+        ("leader", (colours.leader,)),
+        ("finished", (colours.finished,)),
+        ("crashed", (colours.crashed,)),
+        (name, colours.driving),
     ]
-    for text, colours in entries:
-        for colour in colours:
+    for text, shades in entries:
+        for colour in shades:
             pygame.draw.aacircle(surface, colour, (x, y), 5)
             x += 14
         x = write(surface, text, (x - 2, y), 12, DIM, anchor="midleft").right + 20

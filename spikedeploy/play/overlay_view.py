@@ -1,4 +1,4 @@
-"""Several sources over one another on one track: who is who, and whether they may be."""
+"""Several sources on one track, each in a colour of its own."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,13 +9,13 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.play.ghost_picture import draw_crowd, draw_leader, one_colour
+from spikedeploy.play.ghost_picture import draw_group, draw_leader, one_colour
 from spikedeploy.play.replay_source import Source
-from spikedeploy.play.replay_views import Facts, GhostReel
+from spikedeploy.play.replay_views import Facts, GhostView
 from spikedeploy.play.theme import Colour
 from spikedeploy.runtime.errors import ConfigError
 
-COLOURS: tuple[Colour, ...] = (  # of the sources, in their order; far apart in hue, alike in weight
+COLOURS: tuple[Colour, ...] = (  # of the sources, in order: far apart in hue
     (76, 201, 240),  # sky
     (255, 209, 102),  # sand
     (240, 128, 176),  # rose
@@ -25,53 +25,53 @@ COLOURS: tuple[Colour, ...] = (  # of the sources, in their order; far apart in 
 )
 
 
-class OverlayReel:
-    """A batch of each source, all started together.
+class OverlayView:
+    """A batch of each source, started together.
 
-    reels    of the sources
+    views    of the sources
     length   control steps of the longest
     seed     of the first source's leader
     legend   name of a source -> its colour
     """
 
-    def __init__(self, reels: Mapping[str, GhostReel]) -> None:
-        self.reels = reels
-        self._first = next(iter(reels.values()))
-        self.length = max(reel.length for reel in reels.values())
+    def __init__(self, views: Mapping[str, GhostView]) -> None:
+        self.views = views
+        self._first = next(iter(views.values()))
+        self.length = max(view.length for view in views.values())
         self.seed = self._first.seed
-        self.legend: Mapping[str, Colour] = dict(zip(reels, COLOURS, strict=False))
+        self.legend: Mapping[str, Colour] = dict(zip(views, COLOURS, strict=False))
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
-        """The first source's track with everybody on it, the leaders on top."""
+        """The first source's track with all ghosts, the leaders on top."""
         surface, place = self._first.ground(size), self._first.place(size)
-        for name, reel in self.reels.items():
-            draw_crowd(surface, place, reel.crowd, step, one_colour(self.legend[name]))
-        for name, reel in reversed([*self.reels.items()]):
-            draw_leader(surface, place, reel.crowd, step, self.legend[name])
+        for name, view in self.views.items():
+            draw_group(surface, place, view.group, step, one_colour(self.legend[name]))
+        for name, view in reversed([*self.views.items()]):
+            draw_leader(surface, place, view.group, step, self.legend[name])
         return surface
 
     def facts(self, step: int) -> Facts:
-        """The name of each source, how many of it do what, and its best."""
-        told: Facts = []
-        for name, reel in self.reels.items():
-            count = reel.crowd.count(step)
-            told.append((name, ""))
+        """For each source its name, counts and leader."""
+        facts: Facts = []
+        for name, view in self.views.items():
+            count = view.group.count(step)
+            facts.append((name, ""))
             numbers = f"{count.driving:,} / {count.finished:,} / {count.crashed:,}"
-            told.append(("driving / finished / crashed", numbers))
-            told.append(("leader", reel.led()))
-        return told
+            facts.append(("driving / finished / crashed", numbers))
+            facts.append(("leader", view.leader_result()))
+        return facts
 
     def observations(self) -> NDArray[np.float64]:
-        """What the first source's leader saw."""
+        """Observations of the first source's leader."""
         return self._first.observations()
 
     def action(self, step: int) -> int | None:
-        """The choice that the first source's leader made there."""
+        """The discrete action of the first source's leader."""
         return self._first.action(step)
 
 
-def distinct(paths: Sequence[Path]) -> list[str]:
-    """Names of sources that tell them apart: the end of each path, as long as that needs."""
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """Distinct names of sources: the shortest ends of their paths that differ."""
     whole = [path.resolve().with_suffix("") if path.is_file() else path.resolve() for path in paths]
     repeated = next((path for n, path in enumerate(paths) if whole[n] in whole[:n]), None)
     if repeated is not None:
@@ -84,13 +84,13 @@ def distinct(paths: Sequence[Path]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def check_alike(sources: Sequence[Source], options: Mapping[str, Any]) -> None:
-    """Refuse sources of different worlds, and more of them than there are colours.
+def check_same_world(sources: Sequence[Source], options: Mapping[str, Any]) -> None:
+    """Refuse sources of different environments or tracks, and more sources than colours.
 
-    What drivers saw and were paid may differ; where they drove may not.
+    Observations and rewards may differ.
     """
     if len(sources) > len(COLOURS):
-        raise ConfigError(f"{len(sources)} sources: at most {len(COLOURS)} can be told apart")
+        raise ConfigError(f"{len(sources)} sources: at most {len(COLOURS)} can be facts apart")
     first, *others = sources
     for other in others:
         ours, theirs = _world(first, options), _world(other, options)
@@ -102,7 +102,7 @@ def check_alike(sources: Sequence[Source], options: Mapping[str, Any]) -> None:
 
 
 def _world(source: Source, options: Mapping[str, Any]) -> str:
-    """The kind of kart and the track of a source, for people."""
+    """Environment and track of a source, in words."""
     short = envs.spec(source.env_id).short
     track = {"track": "big_S", **source.options, **options}["track"]
     place = Path(str(track))

@@ -1,4 +1,4 @@
-"""A replay as MP4 or GIF, drawn as in its window, without one."""
+"""A replay as MP4 or GIF, drawn as in its window."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -9,16 +9,16 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy.files import replacing
-from spikedeploy.play.replay_app import Replay
+from spikedeploy.play.replay_app import ReplayApp
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import mp4
 
-FPS = {".mp4": 30, ".gif": 20}  # a GIF counts in hundredths of a second
+FPS = {".mp4": 30, ".gif": 20}  # frame times of a GIF are whole hundredths of a second
 GIF_SCALE = 0.6
 
 
-def film(app: Replay, path: Path, seconds: float) -> Path:
-    """Film one round through the batches, or so many seconds of it; the path.
+def save_film(app: ReplayApp, path: Path, seconds: float) -> Path:
+    """Write one round through the batches, at most so many seconds; return the path.
 
     .mp4  as large as the window, 30 frames per second
     .gif  smaller, 20 frames per second
@@ -35,7 +35,7 @@ def film(app: Replay, path: Path, seconds: float) -> Path:
     return path
 
 
-def _frames(app: Replay, every: int) -> Iterator[pygame.Surface]:
+def _frames(app: ReplayApp, every: int) -> Iterator[pygame.Surface]:
     while not app.playback.rounds:
         yield app.draw()
         for _ in range(every):
@@ -52,9 +52,9 @@ def _gif(frames: Iterator[pygame.Surface], path: Path, fps: int) -> Path:
     from PIL import Image
 
     small = (pygame.transform.smoothscale_by(frame, GIF_SCALE) for frame in frames)
-    rare = Image.Quantize.MAXCOVERAGE  # keeps the colours of small things
+    method = Image.Quantize.MAXCOVERAGE  # keeps the colours of small objects
     pictures = (Image.fromarray(np.ascontiguousarray(_pixels(frame))) for frame in small)
-    images = (picture.quantize(method=rare) for picture in pictures)
+    images = (picture.quantize(method=method) for picture in pictures)
     with replacing(path) as part:
         next(images).save(
             part,

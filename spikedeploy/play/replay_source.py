@@ -1,4 +1,4 @@
-"""What a replay reads: batches of ghosts, or the record of one drive."""
+"""Sources of a replay: batches of ghosts, or one recorded rollout."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from spikedeploy.runtime.errors import ConfigError
 
 @dataclass(frozen=True)
 class Source:
-    """Batches of ghosts of one world.
+    """Batches of ghosts of one environment.
 
     name     for people
     env_id   gymnasium's identifier
     options  of the environment
-    files    (n,) of ghosts, batch after batch; none for a rollout
-    rollout  the recorded drive, where there is one
+    files    (n,) ghost files in order; empty for a rollout
+    rollout  the recorded rollout, where the source is one
     """
 
     name: str
@@ -34,7 +34,7 @@ class Source:
         return len(self.files) if self.rollout is None else 1
 
     def batch(self, index: int) -> Ghosts:
-        """The ghosts of one batch; only the batches in use are in memory."""
+        """The ghosts of one batch, cached."""
         if self.rollout is not None:
             return Ghosts.from_rollout(self.rollout)
         return _read(self.files[index])
@@ -76,9 +76,9 @@ def _read(path: Path) -> Ghosts:
 
 
 def _names(path: Path) -> list[str]:
-    """The arrays of a .npz file; none of any other, which its reader then refuses."""
+    """The array names of a .npz file; empty for any other file, which its reader then refuses."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             return list(getattr(archive, "files", []))
-    except Exception:  # zipfile, zlib and numpy each have their own for a broken file
+    except Exception:  # zipfile, zlib and numpy raise their own exceptions for a broken file
         return []

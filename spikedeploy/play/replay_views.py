@@ -1,4 +1,4 @@
-"""What a replay shows of one batch: ghosts on a track, or a robot that walks its walk again."""
+"""Views of one batch of a replay: ghosts on a track, or a robot's episode simulated again."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -12,9 +12,9 @@ from spikedeploy.envs.ghosts import Ghosts
 from spikedeploy.envs.kart.scene import Scene, scene
 from spikedeploy.envs.kart.track import Track
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.play.env_picture import stage
-from spikedeploy.play.ghost_group import Crowd
-from spikedeploy.play.spike_recorder import seen_by
+from spikedeploy.play.env_picture import env_picture
+from spikedeploy.play.ghost_group import GhostGroup
+from spikedeploy.play.ghost_observations import ghost_observations
 from spikedeploy.play.theme import Colour
 
 Facts = list[tuple[str, str]]
@@ -24,7 +24,7 @@ class ReplayView(Protocol):
     """One batch of a replay.
 
     length  control steps
-    seed    of the episode that is looked at most closely
+    seed    of the leader's episode
     legend  names of facts that are titles -> their colours
     """
 
@@ -36,20 +36,20 @@ class ReplayView(Protocol):
         """The picture of a step."""
 
     def facts(self, step: int) -> Facts:
-        """What a panel says of it: name and value."""
+        """Names and values for the panel."""
 
     def observations(self) -> NDArray[np.float64]:
-        """What the leader saw, (S + 1, obs)."""
+        """The observations of the leader (S + 1, obs)."""
 
     def action(self, step: int) -> int | None:
-        """The choice that the leader made there; None where actions are no choices."""
+        """The discrete action of the leader; None where actions are continuous."""
 
 
-class GhostReel:
+class GhostView:
     """Ghosts on their track.
 
-    crowd  the ghosts
-    seen   (S + 1, obs) what the only ghost saw, where it was recorded
+    group  the ghosts
+    seen   (S + 1, obs) recorded observations of a single ghost, if any
     """
 
     legend: Mapping[str, Colour] = {}
@@ -62,26 +62,31 @@ class GhostReel:
     ) -> None:
         self._seen = seen
         self._world: Any = env.unwrapped
-        self.crowd = Crowd(ghosts.drives, pushed=not env.get_wrapper_attr("TURNS"))
-        self.length = self.crowd.length
-        self._leader = None if self.crowd.leader is None else ghosts.drives[self.crowd.leader]
+        self.group = GhostGroup(ghosts.drives, pushed=not env.get_wrapper_attr("TURNS"))
+        self.length = self.group.length
+        self._leader = None if self.group.leader is None else ghosts.drives[self.group.leader]
         self.seed = self._leader.seed if self._leader else -1
-        self._enter()
+        self._reset()
         self._track: Track = env.get_wrapper_attr("track")
         self._steps = [ghost.env_step for ghost in ghosts.drives if ghost.env_step]
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
-        """The track with everybody on it."""
-        from spikedeploy.play.ghost_picture import alone, draw_crowd, draw_leader, draw_legend
+        """The track with all ghosts."""
+        from spikedeploy.play.ghost_picture import (
+            colours_by_age,
+            draw_group,
+            draw_leader,
+            draw_legend,
+        )
 
-        surface, place, paint = self.ground(size), self.place(size), alone(self.crowd)
-        draw_crowd(surface, place, self.crowd, step, paint)
-        draw_legend(surface, paint)
-        draw_leader(surface, place, self.crowd, step, paint.leader)
+        surface, place, colours = self.ground(size), self.place(size), colours_by_age(self.group)
+        draw_group(surface, place, self.group, step, colours)
+        draw_legend(surface, colours)
+        draw_leader(surface, place, self.group, step, colours.leader)
         return surface
 
     def ground(self, size: tuple[int, int]) -> pygame.Surface:
-        """The track with its gates and nobody on it."""
+        """The track with its gates, without ghosts."""
         from spikedeploy.envs.kart.picture import draw_gates
 
         surface = self.place(size).ground.copy()
@@ -93,36 +98,36 @@ class GhostReel:
         return scene(self._track, size)
 
     def facts(self, step: int) -> Facts:
-        """How many do what, and how the leader does."""
-        count = self.crowd.count(step)
+        """Counts of ghosts, and the state of the leader."""
+        count = self.group.count(step)
         facts = [
             ("driving", f"{count.driving:,}"),
             ("finished", f"{count.finished:,}"),
             ("crashed", f"{count.crashed:,}"),
-            ("ghosts", f"{len(self.crowd.drives):,}"),
+            ("ghosts", f"{len(self.group.drives):,}"),
         ]
         if self._steps:
             facts.append(("training steps", f"{min(self._steps):,} – {max(self._steps):,}"))
-        return facts + self._led(min(step, self._leader.steps) if self._leader else 0)
+        return facts + self._leader_facts(min(step, self._leader.steps) if self._leader else 0)
 
     def observations(self) -> NDArray[np.float64]:
-        """What the world showed the leader, or would have shown it."""
+        """Recorded observations of the leader, else reconstructed ones."""
         if self._seen is not None:
             return self._seen
         if self._leader is None:
             return np.zeros((0, 0))
-        self._enter()
-        return seen_by(self._leader, self._world)
+        self._reset()
+        return ghost_observations(self._leader, self._world)
 
     def action(self, step: int) -> int | None:
-        """The choice that the leader made there."""
+        """The discrete action of the leader."""
         ghost = self._leader
         if ghost is None or ghost.action.ndim != 1 or not ghost.steps:
             return None
         return int(ghost.action[min(step, ghost.steps - 1)])
 
-    def led(self) -> str:
-        """How the leader ended, and when."""
+    def leader_result(self) -> str:
+        """The outcome and time of the leader."""
         ghost = self._leader
         if ghost is None:
             return "nobody"
@@ -131,11 +136,11 @@ class GhostReel:
             return f"finish, {time}"
         return f"{ghost.gates} of {len(self._track.gates)} gates, {time}"
 
-    def _enter(self) -> None:
-        """Be on the leader's track, where tracks are drawn at random."""
+    def _reset(self) -> None:
+        """Reset with the leader's seed, which decides a random track."""
         self._world.reset(seed=max(self.seed, 0))
 
-    def _led(self, step: int) -> Facts:
+    def _leader_facts(self, step: int) -> Facts:
         ghost = self._leader
         if ghost is None:
             return []
@@ -148,13 +153,13 @@ class GhostReel:
         ]
 
 
-class WalkReel:
-    """A recorded episode, whose actions are played again in the same world.
+class RolloutView:
+    """A recorded episode, whose actions are simulated again.
 
-    Going back means to begin anew, which is quick because nothing is drawn on the way.
+    Seeking back restarts the episode, which is fast because nothing is rendered on the way.
 
-    world   it walks in
-    newest  what it observes now (obs,)
+    world   the environment
+    newest  the last observation (obs,)
     """
 
     legend: Mapping[str, Colour] = {}
@@ -167,27 +172,27 @@ class WalkReel:
         self._begin()
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
-        """What the camera sees after so many steps."""
+        """The camera picture after that many steps."""
         self.go(min(step, self.length))
-        return stage(self.world, size)
+        return env_picture(self.world, size)
 
     def facts(self, step: int) -> Facts:
-        """The numbers of the step infos."""
+        """Numbers of the step infos."""
         at = min(max(step - 1, 0), self.length - 1)
         names = ("speed", "command_speed", "command_turn", "distance", "cot", "episode_return")
         found = [(name, self._played.info[name][at]) for name in names if name in self._played.info]
         return [(name.replace("_", " "), f"{value:.2f}") for name, value in found]
 
     def observations(self) -> NDArray[np.float64]:
-        """What was recorded."""
+        """The recorded observations."""
         return self._played.observation
 
     def action(self, step: int) -> int | None:
-        """Robots do not choose."""
+        """None: actions are continuous."""
         return None
 
     def go(self, step: int) -> None:
-        """Be where the robot was after so many steps."""
+        """Simulate up to a step."""
         if step < self._at:
             self._begin()
         for at in range(self._at, step):
@@ -200,16 +205,16 @@ class WalkReel:
         self._at = 0
 
     def _command(self, at: int) -> None:
-        """Command what was commanded then, if that was a person's wish."""
+        """Repeat a command that a person gave."""
         info = self._played.info
         if "command_speed" not in info:
             return
-        wish = float(info["command_speed"][at]), float(info["command_turn"][at])
-        if wish != self.world.command:  # the world's own commands come by themselves
-            self.world.steer(*wish)
+        command = float(info["command_speed"][at]), float(info["command_turn"][at])
+        if command != self.world.command:  # commands of the environment itself recur
+            self.world.steer(*command)
 
 
 def action_names(world: Any, scores: int) -> Sequence[str]:  # noqa: ANN401
-    """Names of the numbers that a policy puts out."""
+    """Names of a policy's scores."""
     names: tuple[str, ...] = getattr(world, "ACTIONS", ())
     return names if len(names) == scores else [str(index) for index in range(scores)]

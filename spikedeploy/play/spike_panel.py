@@ -1,4 +1,4 @@
-"""The spikes of a policy, drawn: this inference, and how active everything was of late."""
+"""The panel of a policy's spikes: the current inference, and recent rates."""
 
 from collections.abc import Sequence
 
@@ -23,16 +23,16 @@ from spikedeploy.play.theme import (
 
 WIDTH = 400
 PAD = 24
-GAP = 14  # between an inference and the past
-WINDOW = 120  # control steps of the past
+GAP = 14  # between inference and history
+WINDOW = 120  # control steps of history
 SHARE = 0.3  # of the width for one inference
 
 
-def draw_thoughts(
+def draw_inference(
     surface: pygame.Surface,
     place: pygame.Rect,
     name: str,
-    thoughts: InferenceTrace,
+    inferences: InferenceTrace,
     step: int,
     actions: Sequence[str],
     taken: int | None,
@@ -40,9 +40,9 @@ def draw_thoughts(
     """Draw the panel of an inference.
 
     name     of the policy and its chip
-    step     which inference
+    step     index of the inference
     actions  names of the scores
-    taken    index of the action that the ghost took, which may be another policy's
+    taken    index of the ghost's own action, which another policy may have chosen
     """
     pygame.draw.rect(surface, PANEL, place)
     pygame.draw.line(surface, LINE, place.topleft, place.bottomleft)
@@ -52,14 +52,19 @@ def draw_thoughts(
     write(surface, note, (inner.left, inner.top + 24), 12, DIM)
     below = inner.bottom - 34 - 24 * len(actions)
     y = inner.top + 56
-    rasters = list(thoughts.rasters.items())
+    rasters = list(inferences.rasters.items())
     height = (below - y - 34 * len(rasters)) // len(rasters)
     for (layer, raster), colour in zip(rasters, _colours(len(rasters)), strict=True):
         box = pygame.Rect(inner.left, y, inner.width, height + 20)
         _layer(surface, box, layer, raster, step, colour)
         y += height + 34
     _scores(
-        surface, pygame.Rect(inner.left, below + 8, inner.width, 0), thoughts, step, actions, taken
+        surface,
+        pygame.Rect(inner.left, below + 8, inner.width, 0),
+        inferences,
+        step,
+        actions,
+        taken,
     )
 
 
@@ -75,7 +80,7 @@ def _layer(
     step: int,
     colour: Colour,
 ) -> None:
-    """One layer: (S, T, N) spikes, of which those of one inference one by one."""
+    """One layer (S, T, N): the spikes of one inference, and the mean rates of the last ones."""
     heading(surface, f"{name} · {raster.shape[2]}", place.topleft)
     share = f"{100 * raster[step].mean():.0f} % spike"
     write(surface, share, (place.right, place.top - 2), 12, DIM, anchor="topright")
@@ -104,17 +109,17 @@ def _image(
 def _scores(
     surface: pygame.Surface,
     place: pygame.Rect,
-    thoughts: InferenceTrace,
+    inferences: InferenceTrace,
     step: int,
     actions: Sequence[str],
     taken: int | None,
 ) -> None:
-    """A bar for each action: what the readout says, what was chosen, what the ghost did."""
-    scores = thoughts.scores[step]
+    """A bar for each action score; the largest and the ghost's own action are marked."""
+    scores = inferences.scores[step]
     chosen = int(scores.argmax())
     heading(surface, "action scores", place.topleft)
     write(surface, "● the ghost's", (place.right, place.top - 2), 12, DIM, anchor="topright")
-    largest = max(float(np.abs(thoughts.scores).max()), 1e-9)
+    largest = max(float(np.abs(inferences.scores).max()), 1e-9)
     for index, name in enumerate(actions):
         y = place.top + 24 + 24 * index
         colour = AMBER if index == chosen else DIM

@@ -1,4 +1,4 @@
-"""A sketch of a track, drawn, and the panel beside it."""
+"""The picture of a track editor: the draft, and the panel beside it."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,14 +23,14 @@ from spikedeploy.play.theme import (
     keycaps,
     write,
 )
-from spikedeploy.play.track_draft import Line, Point, Sketch
+from spikedeploy.play.track_draft import Line, Point, TrackDraft
 
 HEIGHT = 800
 WIDTH = 340
 PAD = 26
 GRID: Colour = (24, 28, 39)
 METRE = 100.0  # [px]
-VIEW = 1000.0  # [px] that are seen of an empty sketch
+VIEW = 1000.0  # [px] shown of an empty draft
 KEYS = [
     ("CLICK", "point"),
     ("RIGHT", "remove"),
@@ -50,9 +50,9 @@ KEYS = [
 
 @dataclass(frozen=True)
 class View:
-    """Which part of the world is seen.
+    """The visible part of the world.
 
-    corner  in the upper left [px]
+    corner  upper left [px]
     scale   [screen px / px]
     """
 
@@ -72,41 +72,41 @@ class View:
         )
 
     def zoomed(self, factor: float, place: Point) -> "View":
-        """Larger or smaller; what is under a screen point stays there."""
+        """Zoomed about a screen point."""
         scale = min(max(self.scale * factor, 0.1), 8.0)
         x, y = self.under(place)
         return View((x - place[0] / scale, y - place[1] / scale), scale)
 
 
-def view_of(sketch: Sketch) -> View:
-    """The whole sketch with a metre around it."""
-    if not sketch.points:
+def view_of(draft: TrackDraft) -> View:
+    """A view of the whole draft with a margin of one metre."""
+    if not draft.points:
         return View((0.0, 0.0), HEIGHT / VIEW)
-    low, high = np.min(sketch.points, axis=0) - METRE, np.max(sketch.points, axis=0) + METRE
+    low, high = np.min(draft.points, axis=0) - METRE, np.max(draft.points, axis=0) + METRE
     side = float((high - low).max())
     x, y = ((low + high - side) / 2).tolist()
     return View((x, y), HEIGHT / side)
 
 
-def draw_sketch(sketch: Sketch, view: View, target: Point, moving: bool) -> pygame.Surface:
-    """Walls, gates and start, and the line to where a click would be."""
+def draw_draft(draft: TrackDraft, view: View, target: Point, moving: bool) -> pygame.Surface:
+    """Walls, gates, start, and the line to the point that a click would set."""
     surface = pygame.Surface((HEIGHT + WIDTH, HEIGHT))
     surface.fill(NIGHT)
     _grid(surface, view)
-    _start(surface, view, sketch)
-    for number, gate in enumerate(sketch.gates, 1):
-        _gate(surface, view, gate, number, number == len(sketch.gates))
-    for wall in sketch.walls:
+    _start(surface, view, draft)
+    for number, gate in enumerate(draft.gates, 1):
+        _gate(surface, view, gate, number, number == len(draft.gates))
+    for wall in draft.walls:
         for a, b in pairwise(wall):
             thick_line(surface, WALL, view.at(a), view.at(b), 4)
-    for point in sketch.points:
+    for point in draft.points:
         pygame.draw.aacircle(surface, NIGHT, tuple(view.at(point)), 5)
         pygame.draw.aacircle(surface, WALL, tuple(view.at(point)), 5, 2)
-    colour = AMBER if moving or sketch.gating else CYAN
-    if sketch.growing and not moving:
-        ends = tuple(view.at(sketch.growing[-1])), tuple(view.at(target))
+    colour = AMBER if moving or draft.adding_gates else CYAN
+    if draft.open_line and not moving:
+        ends = tuple(view.at(draft.open_line[-1])), tuple(view.at(target))
         pygame.draw.aaline(surface, colour, *ends, 2)
-    if target in sketch.points:
+    if target in draft.points:
         pygame.draw.aacircle(surface, colour, tuple(view.at(target)), 10, 2)
     pygame.draw.aacircle(surface, colour, tuple(view.at(target)), 4)
     return surface
@@ -115,12 +115,12 @@ def draw_sketch(sketch: Sketch, view: View, target: Point, moving: bool) -> pyga
 def draw_panel(
     surface: pygame.Surface,
     file: str,
-    sketch: Sketch,
+    draft: TrackDraft,
     target: Point,
     moving: bool,
     message: tuple[Colour, str],
 ) -> None:
-    """What is drawn, what the next click does, what was said last, and the keys."""
+    """Draw the panel: the next click, facts, the last message, and the keys."""
     place = pygame.Rect(HEIGHT, 0, WIDTH, HEIGHT)
     pygame.draw.rect(surface, PANEL, place)
     inner = place.inflate(-2 * PAD, -2 * PAD)
@@ -128,11 +128,11 @@ def draw_panel(
     write(surface, "draw a track", (inner.left, inner.top + 28), 12, DIM)
     y = inner.top + 66
     heading(surface, "next click", (inner.left, y))
-    does = "puts the point down" if moving else _next(sketch)
-    colour = AMBER if moving or sketch.gating else CYAN
+    does = "puts the point down" if moving else _next(draft)
+    colour = AMBER if moving or draft.adding_gates else CYAN
     write(surface, does, (inner.left, y + 17), 19, colour, "bold")
     y += 62
-    for name, value in _facts(sketch, target):
+    for name, value in _facts(draft, target):
         write(surface, name, (inner.left, y), 14, DIM)
         write(surface, value, (inner.right, y), 14, TEXT, "plain", "topright")
         y += 26
@@ -143,18 +143,18 @@ def draw_panel(
     keycaps(surface, KEYS, (inner.left, inner.bottom - 134), inner.width)
 
 
-def _next(sketch: Sketch) -> str:
-    if sketch.gating:
-        return "ends the gate" if sketch.growing else "begins a gate"
-    return "goes on with the wall" if sketch.growing else "begins a wall"
+def _next(draft: TrackDraft) -> str:
+    if draft.adding_gates:
+        return "ends the gate" if draft.open_line else "begins a gate"
+    return "goes on with the wall" if draft.open_line else "begins a wall"
 
 
-def _facts(sketch: Sketch, target: Point) -> list[tuple[str, str]]:
-    walls = [wall for wall in sketch.walls if wall]
+def _facts(draft: TrackDraft, target: Point) -> list[tuple[str, str]]:
+    walls = [wall for wall in draft.walls if wall]
     return [
         ("walls", f"{len(walls)}, of {sum(map(len, walls))} points"),
-        ("gates", f"{len(sketch.gates)}, the last is the finish" if sketch.gates else "none"),
-        ("start", "none" if sketch.start is None else _metres(sketch.start)),
+        ("gates", f"{len(draft.gates)}, the last is the finish" if draft.gates else "none"),
+        ("start", "none" if draft.start is None else _metres(draft.start)),
         ("pointer", _metres(target)),
     ]
 
@@ -164,7 +164,7 @@ def _metres(point: Point) -> str:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    """The text in rows that are no wider than that."""
+    """The text wrapped to a width [px]."""
     rows = [""]
     for word in text.split():
         longer = f"{rows[-1]} {word}".strip()
@@ -176,7 +176,7 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def _grid(surface: pygame.Surface, view: View) -> None:
-    """A line at each metre."""
+    """A grid with a line at each metre."""
     for axis in (0, 1):
         first = np.ceil(view.corner[axis] / METRE) * METRE
         for value in np.arange(first, view.corner[axis] + HEIGHT / view.scale, METRE):
@@ -198,18 +198,18 @@ def _gate(surface: pygame.Surface, view: View, gate: Line, number: int, finish: 
     write(surface, str(number), middle, 12, colour, "bold", "center")
 
 
-def _start(surface: pygame.Surface, view: View, sketch: Sketch) -> None:
-    """A kart, the square that its middle is drawn from, and the fan that it looks into."""
-    if sketch.start is None:
+def _start(surface: pygame.Surface, view: View, draft: TrackDraft) -> None:
+    """A kart at the start, the square of start positions, and the sector of headings."""
+    if draft.start is None:
         return
-    x, y = sketch.start
-    low, high = sketch.heading
+    x, y = draft.start
+    low, high = draft.heading
     angles = np.linspace(low, high, 24)
     rim = [(x + 70 * cos(angle), y + 70 * sin(angle)) for angle in angles]
     veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
     pygame.draw.polygon(veil, (*CYAN, 50), [tuple(view.at(p)) for p in ((x, y), *rim)])
     surface.blit(veil, (0, 0))
-    left, top = view.at((x - sketch.spread, y - sketch.spread)).tolist()
-    side = 2 * sketch.spread * view.scale
+    left, top = view.at((x - draft.spread, y - draft.spread)).tolist()
+    side = 2 * draft.spread * view.scale
     draw_kart(surface, view, (x, y, (low + high) / 2), KART)
     pygame.draw.rect(surface, CYAN, pygame.Rect(left, top, side, side), 1)

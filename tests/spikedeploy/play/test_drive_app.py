@@ -10,9 +10,9 @@ from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window
-from spikedeploy.play.drive_app import Driving, session
-from spikedeploy.play.drivers import Commanded, Hand, Watched
-from spikedeploy.play.keys import Keys, Sticks
+from spikedeploy.play.drive_app import DriveApp, open_session
+from spikedeploy.play.drivers import CommandedPolicyDriver, KeyboardDriver, PolicyDriver
+from spikedeploy.play.keys import CommandKeys, Keys
 from spikedeploy.runtime.errors import ConfigError
 from tests import stroll_env
 
@@ -67,7 +67,7 @@ class Script:
 
 
 def drive(env, **options):
-    return session(env, options, None, None, 10_000)
+    return open_session(env, options, None, None, 10_000)
 
 
 @pytest.mark.usefixtures("key_names")
@@ -80,7 +80,7 @@ def test_the_keys_of_kart_simulator_drive_every_kart(name):
         assert driven.world.ACTIONS[keys.action] == action
         keys.handle(up(cap))
         assert keys.action == 0
-    assert isinstance(driven.driver, Hand)
+    assert isinstance(driven.driver, KeyboardDriver)
 
 
 @pytest.mark.usefixtures("key_names")
@@ -116,16 +116,16 @@ def test_a_continuous_kart_takes_throttle_and_steering_at_once():
 
 @pytest.mark.usefixtures("key_names")
 def test_arrows_command_speed_and_turn_within_bounds():
-    sticks = Sticks()
+    keys = CommandKeys()
     for _ in range(9):
-        sticks.handle(key("up"))
-        sticks.handle(key("left"))
-    assert (sticks.speed, sticks.turn) == (0.45, 0.8)
-    sticks.handle(key("down"))
-    sticks.handle(key("right"))
-    assert (sticks.speed, sticks.turn) == (0.4, 0.6)
-    sticks.handle(key("space"))
-    assert (sticks.speed, sticks.turn) == (0.0, 0.0)
+        keys.handle(key("up"))
+        keys.handle(key("left"))
+    assert (keys.speed, keys.turn) == (0.45, 0.8)
+    keys.handle(key("down"))
+    keys.handle(key("right"))
+    assert (keys.speed, keys.turn) == (0.4, 0.6)
+    keys.handle(key("space"))
+    assert (keys.speed, keys.turn) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -134,9 +134,9 @@ def test_arrows_command_speed_and_turn_within_bounds():
     ids=["ESC", "close"],
 )
 def test_a_window_closes_cleanly(closing):
-    app = Script(Driving(drive("kart-grid"), "kart-grid"), f3=[closing])
+    app = Script(DriveApp(drive("kart-grid"), "kart-grid"), f3=[closing])
     window.show(app)
-    assert 3 <= app.frame <= 3 + window.MOST
+    assert 3 <= app.frame <= 3 + window.MAX_TICKS
     assert not pygame.display.get_init()
 
 
@@ -144,14 +144,14 @@ def test_a_key_held_in_the_window_drives_the_kart(tmp_path):
     driven = drive("kart-gazebo", start="fixed")
     start = driven.info["x"]
     press, leave = (pygame.Event(pygame.KEYDOWN, key=k) for k in (pygame.K_w, pygame.K_ESCAPE))
-    window.show(Script(Driving(driven, "kart-gazebo"), f1=[press], f12=[leave]), tmp_path)
+    window.show(Script(DriveApp(driven, "kart-gazebo"), f1=[press], f12=[leave]), tmp_path)
     moved = driven.info["x"] - start
-    assert moved == pytest.approx((driven.take.steps - 2) * 440 / 60, rel=0.1)
+    assert moved == pytest.approx((driven.episode.steps - 2) * 440 / 60, rel=0.1)
 
 
 def test_p_keeps_pictures_in_a_folder_that_is_made(tmp_path):
     picture, leave = (pygame.Event(pygame.KEYDOWN, key=k) for k in (pygame.K_p, pygame.K_ESCAPE))
-    app = Script(Driving(drive("kart-grid"), "kart-grid"), f1=[picture], f2=[picture], f4=[leave])
+    app = Script(DriveApp(drive("kart-grid"), "kart-grid"), f1=[picture], f2=[picture], f4=[leave])
     window.show(app, tmp_path / "screenshots")
     names = sorted(path.name for path in (tmp_path / "screenshots").iterdir())
     assert names == ["kart-grid-1.png", "kart-grid-2.png"]
@@ -170,12 +170,12 @@ def test_a_window_of_another_size_shows_the_whole_frame():
 
 def test_r_begins_the_next_episode():
     driven = drive("kart-grid")
-    app = Driving(driven, "kart-grid")
-    first = driven.take.observation
+    app = DriveApp(driven, "kart-grid")
+    first = driven.episode.observation
     app.tick()
     app.handle(pygame.Event(pygame.KEYDOWN, key=pygame.K_r))
-    assert driven.take.steps == 0
-    assert not np.array_equal(driven.take.observation, first)
+    assert driven.episode.steps == 0
+    assert not np.array_equal(driven.episode.observation, first)
     assert driven.outcomes == []
 
 
@@ -196,12 +196,12 @@ def test_the_end_is_shown_a_while_and_then_the_next_episode_begins():
         assert driven.waiting
         driven.tick()
     assert not driven.waiting
-    assert driven.take.steps == 0
+    assert driven.episode.steps == 0
 
 
 def test_a_crash_is_written_over_the_picture():
     driven = drive("kart-gazebo")
-    app = Driving(driven, "kart-gazebo")
+    app = DriveApp(driven, "kart-gazebo")
     before = pygame.surfarray.array3d(app.draw())
     crash(driven)
     after = pygame.surfarray.array3d(app.draw())
@@ -210,7 +210,7 @@ def test_a_crash_is_written_over_the_picture():
 
 def test_the_panel_shows_what_changes():
     driven = drive("kart-gazebo")
-    app = Driving(driven, "kart-gazebo")
+    app = DriveApp(driven, "kart-gazebo")
     before = pygame.surfarray.array3d(app.draw())[800:]
     driven.driver.handle(pygame.Event(pygame.KEYDOWN, key=pygame.K_w))
     for _ in range(10):
@@ -221,7 +221,9 @@ def test_the_panel_shows_what_changes():
 
 
 def test_a_recorded_drive_is_a_rollout_that_its_actions_repeat(tmp_path):
-    driven = session("kart-gazebo", {"track": "small_S"}, None, None, 10_003, tmp_path / "a/d.npz")
+    driven = open_session(
+        "kart-gazebo", {"track": "small_S"}, None, None, 10_003, tmp_path / "a/d.npz"
+    )
     crash(driven)
     driven.restart()
     crash(driven)
@@ -248,7 +250,7 @@ class Told:
 
 
 def test_leaving_in_the_middle_keeps_what_was_driven(tmp_path):
-    driven = session("kart-grid", {}, None, None, 10_000, tmp_path / "d.npz")
+    driven = open_session("kart-grid", {}, None, None, 10_000, tmp_path / "d.npz")
     for _ in range(7):
         driven.tick()
     driven.close()
@@ -257,8 +259,8 @@ def test_leaving_in_the_middle_keeps_what_was_driven(tmp_path):
 
 
 def test_a_policy_can_be_watched():
-    driven = session("kart-gazebo", {}, "gap", None, 10_000)
-    assert isinstance(driven.driver, Watched)
+    driven = open_session("kart-gazebo", {}, "gap", None, 10_000)
+    assert isinstance(driven.driver, PolicyDriver)
     assert driven.driver.name == "gap"
     for _ in range(60):
         driven.tick()
@@ -266,8 +268,8 @@ def test_a_policy_can_be_watched():
 
 
 def test_a_hexapod_walks_as_the_arrows_command():
-    driven = session("hexapod-command", {"terrain": 0.0}, None, None, 10_000)
-    assert isinstance(driven.driver, Commanded)
+    driven = open_session("hexapod-command", {"terrain": 0.0}, None, None, 10_000)
+    assert isinstance(driven.driver, CommandedPolicyDriver)
     assert driven.driver.name == "popsan on loihi1"
     for _ in range(2):
         driven.driver.handle(pygame.Event(pygame.KEYDOWN, key=pygame.K_LEFT))
@@ -278,8 +280,8 @@ def test_a_hexapod_walks_as_the_arrows_command():
 
 def test_worlds_that_are_no_karts_show_what_their_camera_sees(monkeypatch, tmp_path):
     stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    driven = session("stroll", {}, None, None, 10_000)
-    app = Driving(driven, "stroll")
+    driven = open_session("stroll", {}, None, None, 10_000)
+    app = DriveApp(driven, "stroll")
     for _ in range(5):
         app.tick()
     pixels = pygame.surfarray.array3d(app.draw())
@@ -337,12 +339,12 @@ def test_mistakes_are_one_line(words, line, command):
 def test_without_a_display_the_window_says_so(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "nonsense")
     with pytest.raises(ConfigError, match="no window can be opened here"):
-        window.show(Driving(drive("kart-grid"), "kart-grid"))
+        window.show(DriveApp(drive("kart-grid"), "kart-grid"))
 
 
 def test_the_record_needs_a_name_for_a_rollout(tmp_path):
     with pytest.raises(ConfigError, match=r"ends in \.npz"):
-        session("kart-grid", {}, None, None, 0, tmp_path / "drive")
+        open_session("kart-grid", {}, None, None, 0, tmp_path / "drive")
 
 
 def test_an_unknown_track_is_an_error_of_the_world():

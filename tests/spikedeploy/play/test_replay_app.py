@@ -15,13 +15,13 @@ from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.play import window
-from spikedeploy.play.ghost_group import Crowd
-from spikedeploy.play.overlay_view import COLOURS, distinct
+from spikedeploy.play.ghost_group import GhostGroup
+from spikedeploy.play.ghost_observations import gates_passed, ghost_observations
+from spikedeploy.play.overlay_view import COLOURS, distinct_names
 from spikedeploy.play.playback import Playback
-from spikedeploy.play.replay_app import replay
-from spikedeploy.play.replay_film import film
+from spikedeploy.play.replay_app import open_replay
+from spikedeploy.play.replay_film import save_film
 from spikedeploy.play.replay_source import open_source
-from spikedeploy.play.spike_recorder import gates_passed, seen_by
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
@@ -58,7 +58,7 @@ def drive(name, seed, steps, wild=0.2):
         if terminated or truncated:
             break
     recorder.end(0, env_step=seed)
-    return env, np.array(seen), recorder.take().drives[0]
+    return env, np.array(seen), recorder.episode().drives[0]
 
 
 @pytest.fixture(scope="module")
@@ -158,12 +158,14 @@ def straight(steps, x=0.0, **more):
 
 
 def test_a_crowd_knows_where_everybody_is_and_who_has_ended():
-    crowd = Crowd([straight(3, crash=True), straight(5, 100.0, finish=True), straight(9, 200.0)])
-    assert crowd.length == 9
-    assert crowd.poses(4)[:, 0].tolist() == [3, 104, 204]
-    assert crowd.driving(4).tolist() == [False, True, True]
-    assert vars(crowd.count(5)) == {"driving": 1, "finished": 1, "crashed": 1}
-    assert vars(crowd.count(0)) == {"driving": 3, "finished": 0, "crashed": 0}
+    group = GhostGroup(
+        [straight(3, crash=True), straight(5, 100.0, finish=True), straight(9, 200.0)]
+    )
+    assert group.length == 9
+    assert group.poses(4)[:, 0].tolist() == [3, 104, 204]
+    assert group.driving(4).tolist() == [False, True, True]
+    assert vars(group.count(5)) == {"driving": 1, "finished": 1, "crashed": 1}
+    assert vars(group.count(0)) == {"driving": 3, "finished": 0, "crashed": 0}
 
 
 @pytest.mark.parametrize(
@@ -176,14 +178,14 @@ def test_a_crowd_knows_where_everybody_is_and_who_has_ended():
     ids=["the fastest that finishes", "the farthest", "nobody"],
 )
 def test_the_leader_is(drives, leader):
-    assert Crowd(drives).leader == leader
+    assert GhostGroup(drives).leader == leader
 
 
 def test_a_kart_without_a_heading_looks_where_it_goes():
     down = straight(3)
     down.pose[:, 1], down.pose[:, 0] = down.pose[:, 0].copy(), 0.0
-    assert Crowd([down], pushed=True).poses(2)[0, 2] == pytest.approx(np.pi / 2)
-    assert Crowd([down]).poses(2)[0, 2] == 0.0
+    assert GhostGroup([down], pushed=True).poses(2)[0, 2] == pytest.approx(np.pi / 2)
+    assert GhostGroup([down]).poses(2)[0, 2] == 0.0
 
 
 def test_gates_count_in_their_order_from_the_first_touch_of_the_rim():
@@ -198,7 +200,7 @@ def test_gates_count_in_their_order_from_the_first_touch_of_the_rim():
 @pytest.mark.parametrize("name", KARTS)
 def test_what_a_ghost_saw_is_seen_again(name):
     env, seen, ghost = drive(name, 7, 150)
-    again = seen_by(ghost, env.unwrapped)
+    again = ghost_observations(ghost, env.unwrapped)
     # the last turn of a kart that is told before it moves is known to nobody
     np.testing.assert_allclose(again[:-1], seen[:-1], atol=2e-3)
 
@@ -229,7 +231,7 @@ def test_what_is_no_source_is_refused_in_a_line(tmp_path):
 
 
 def test_batches_come_one_after_the_other(run):
-    app = replay(run)
+    app = open_replay(run)
     assert (app.playback.batches, app.playback.length) == (3, 40)
     press(app, pygame.K_n)
     assert app.playback.length == 80
@@ -239,26 +241,26 @@ def test_batches_come_one_after_the_other(run):
 
 
 def test_all_shows_every_ghost_at_once(run):
-    app = replay(run, mode="all")
+    app = open_replay(run, mode="all")
     assert (app.playback.batches, app.playback.length) == (1, 120)
-    facts = dict(app.reel.facts(0))
+    facts = dict(app.view.facts(0))
     assert (facts["ghosts"], facts["driving"]) == ("7", "7")
     assert facts["training steps"] == "1 – 7"
 
 
 def test_ghosts_move_on_the_track(run):
-    app = replay(run, batch=3)
+    app = open_replay(run, batch=3)
     before = pygame.surfarray.array3d(app.draw())[:800]
     press(app, pygame.K_RIGHT)
     after = pygame.surfarray.array3d(app.draw())[:800]
     changed = np.argwhere((before != after).any(axis=2))
     assert len(changed) > 200
-    leader = app.reel.crowd.poses(60)[app.reel.crowd.leader]
-    assert np.hypot(*(changed - app.reel.place((800, 800)).at(leader[:2])).T).min() < 5
+    leader = app.view.group.poses(60)[app.view.group.leader]
+    assert np.hypot(*(changed - app.view.place((800, 800)).at(leader[:2])).T).min() < 5
 
 
 def test_a_window_replays_and_closes(run, tmp_path):
-    app = replay(run)
+    app = open_replay(run)
     app.fps = 1000.0
     frames = []
     tick = app.tick
@@ -279,24 +281,28 @@ def test_a_window_replays_and_closes(run, tmp_path):
 
 @pytest.mark.parametrize("chip", ["loihi1", "float"])
 def test_the_spikes_beside_a_ghost_are_those_of_its_policy(run, policy, chip):
-    app = replay(run, batch=2, spikes=str(policy), chip=chip)
-    thoughts = app.thoughts
+    app = open_replay(run, batch=2, spikes=str(policy), chip=chip)
+    inferences = app.inferences
     artifact = load(policy)
-    observations = app.reel.observations()
-    assert thoughts.scores.shape == (app.reel.crowd.drives[app.reel.crowd.leader].steps + 1, 4)
+    observations = app.view.observations()
+    assert inferences.scores.shape == (app.view.group.drives[app.view.group.leader].steps + 1, 4)
     spikes = artifact.codec.encode(observations)
-    np.testing.assert_array_equal(thoughts.rasters["input"], spikes)
+    np.testing.assert_array_equal(inferences.rasters["input"], spikes)
     from spikedeploy.runtime.chips.chip import chip as datasheet
 
     controller = SpikingController(artifact, None if chip == "float" else datasheet(chip))
     np.testing.assert_array_equal(
-        thoughts.scores.argmax(axis=1), controller.act_batch(observations)
+        inferences.scores.argmax(axis=1), controller.act_batch(observations)
     )
-    assert [rows.shape[2] for rows in thoughts.rasters.values()] == [observations.shape[1], 16, 12]
+    assert [rows.shape[2] for rows in inferences.rasters.values()] == [
+        observations.shape[1],
+        16,
+        12,
+    ]
 
 
 def test_the_panel_of_spikes_follows_the_time(run, policy):
-    app = replay(run, batch=3, spikes=str(policy))
+    app = open_replay(run, batch=3, spikes=str(policy))
     before = pygame.surfarray.array3d(app.draw())[800:1200]
     assert app.draw().get_width() == 800 + 400 + 340
     press(app, pygame.K_RIGHT)
@@ -306,12 +312,12 @@ def test_the_panel_of_spikes_follows_the_time(run, policy):
 
 def test_a_policy_of_another_world_shows_no_spikes_here(run):
     with pytest.raises(ConfigError, match=r"was made for spikedeploy/Hexapod-v0"):
-        replay(run, spikes="hexapod/popsan")
+        open_replay(run, spikes="hexapod/popsan")
 
 
 def test_a_float_policy_has_no_spikes_to_show(run):
     with pytest.raises(ConfigError, match=r"shows no spikes: give a \.nir file"):
-        replay(run, spikes="gap")
+        open_replay(run, spikes="gap")
 
 
 @pytest.mark.parametrize(
@@ -324,7 +330,7 @@ def test_a_float_policy_has_no_spikes_to_show(run):
 )
 def test_wrong_settings_are_named(run, given, line):
     with pytest.raises(ConfigError, match=line):
-        replay(run, **given)
+        open_replay(run, **given)
 
 
 # several sources
@@ -340,10 +346,10 @@ def tiny(folder, name="a", env_id="spikedeploy/KartGazebo-v0", steps=30, **optio
 
 
 def test_sources_are_laid_over_one_another_in_colours_of_their_own(run, tmp_path):
-    app = replay(run, beside=[tiny(tmp_path, steps=90)])
-    assert app.reel.legend == {run.name: COLOURS[0], "a": COLOURS[1]}
-    facts = app.reel.facts(50)
-    assert [name for name, _ in facts if name in app.reel.legend] == [run.name, "a"]
+    app = open_replay(run, beside=[tiny(tmp_path, steps=90)])
+    assert app.view.legend == {run.name: COLOURS[0], "a": COLOURS[1]}
+    facts = app.view.facts(50)
+    assert [name for name, _ in facts if name in app.view.legend] == [run.name, "a"]
     assert [value for name, value in facts if "driving" in name] == ["0 / 0 / 0", "1 / 0 / 0"]
     assert facts[-1] == ("leader", "finish, 1.50 s")
     frame = pygame.surfarray.array3d(app.draw())
@@ -353,12 +359,12 @@ def test_sources_are_laid_over_one_another_in_colours_of_their_own(run, tmp_path
 
 
 def test_of_a_source_with_fewer_batches_the_last_one_stays(run, tmp_path):
-    app = replay(tiny(tmp_path), batch=3, beside=[run])
+    app = open_replay(tiny(tmp_path), batch=3, beside=[run])
     assert app.playback.batches == 3
-    assert [len(reel.crowd.drives) for reel in app.reel.reels.values()] == [1, 2]
+    assert [len(view.group.drives) for view in app.view.views.values()] == [1, 2]
     assert app.playback.length == 120
-    together = replay(tiny(tmp_path), mode="all", beside=[run])
-    assert [len(reel.crowd.drives) for reel in together.reel.reels.values()] == [1, 7]
+    together = open_replay(tiny(tmp_path), mode="all", beside=[run])
+    assert [len(view.group.drives) for view in together.view.views.values()] == [1, 7]
 
 
 def test_colours_of_sources_can_be_told_apart():
@@ -371,8 +377,8 @@ def test_sources_of_one_name_are_told_apart_by_their_folders(tmp_path):
     for folder in ("ann/ghosts", "snn/ghosts"):
         tiny(tmp_path / folder)
     paths = [tmp_path / "ann/ghosts/a.npz", tmp_path / "snn/ghosts/a.npz"]
-    assert distinct(paths) == ["ann/a", "snn/a"]
-    assert distinct([tmp_path / "ann", tmp_path / "snn/ghosts"]) == ["ann", "snn"]
+    assert distinct_names(paths) == ["ann/a", "snn/a"]
+    assert distinct_names([tmp_path / "ann", tmp_path / "snn/ghosts"]) == ["ann", "snn"]
 
 
 @pytest.mark.parametrize(
@@ -385,27 +391,27 @@ def test_sources_of_one_name_are_told_apart_by_their_folders(tmp_path):
 )
 def test_sources_of_different_worlds_are_refused_in_a_line(other, line, tmp_path):
     with pytest.raises(ConfigError, match=line):
-        replay(tiny(tmp_path, "run"), beside=[tiny(tmp_path, **other)])
+        open_replay(tiny(tmp_path, "run"), beside=[tiny(tmp_path, **other)])
     assert "\n" not in line
 
 
 def test_what_was_seen_and_paid_may_differ(tmp_path):
     other = tiny(tmp_path, preset="classic", track="big_S")
-    assert replay(tiny(tmp_path, "run"), beside=[other]).playback.length == 30
+    assert open_replay(tiny(tmp_path, "run"), beside=[other]).playback.length == 30
 
 
 def test_a_source_counts_once_and_there_is_a_colour_for_each(tmp_path):
     files = [tiny(tmp_path, str(number)) for number in range(7)]
     with pytest.raises(ConfigError, match="7 sources: at most 6"):
-        replay(files[0], beside=files[1:])
+        open_replay(files[0], beside=files[1:])
     with pytest.raises(ConfigError, match=r"0\.npz is named twice"):
-        replay(files[0], beside=files[:1])
+        open_replay(files[0], beside=files[:1])
 
 
 def test_the_spikes_beside_several_sources_are_of_the_first_ones_leader(run, policy, tmp_path):
-    alone = replay(run, batch=2, spikes=str(policy)).thoughts
-    app = replay(run, batch=2, spikes=str(policy), beside=[tiny(tmp_path)])
-    np.testing.assert_array_equal(app.thoughts.scores, alone.scores)
+    alone = open_replay(run, batch=2, spikes=str(policy)).inferences
+    app = open_replay(run, batch=2, spikes=str(policy), beside=[tiny(tmp_path)])
+    np.testing.assert_array_equal(app.inferences.scores, alone.scores)
 
 
 def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
@@ -414,12 +420,12 @@ def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
             "spikedeploy/KartGazebo-v0", [straight(9, seed=seed)], {"track": "corridor"}
         )
         ghosts.save(tmp_path / f"ghosts/{seed}.npz")
-    app = replay(tmp_path)
-    before = pygame.surfarray.array3d(app.reel.ground((200, 200)))
+    app = open_replay(tmp_path)
+    before = pygame.surfarray.array3d(app.view.ground((200, 200)))
     press(app, pygame.K_n)
-    assert (pygame.surfarray.array3d(app.reel.ground((200, 200))) != before).any()
+    assert (pygame.surfarray.array3d(app.view.ground((200, 200))) != before).any()
     press(app, pygame.K_b)
-    np.testing.assert_array_equal(pygame.surfarray.array3d(app.reel.ground((200, 200))), before)
+    np.testing.assert_array_equal(pygame.surfarray.array3d(app.view.ground((200, 200))), before)
 
 
 class Left:
@@ -435,10 +441,10 @@ class Left:
 def test_a_recorded_drive_is_replayed_as_the_only_ghost(tmp_path):
     played = rollout(envs.make("kart-gazebo", track="small_S", max_steps=30), Left(), 10_005)
     played.save(tmp_path / "drive.npz")
-    app = replay(tmp_path / "drive.npz")
+    app = open_replay(tmp_path / "drive.npz")
     assert (app.playback.batches, app.playback.length) == (1, 30)
-    assert dict(app.reel.facts(30))["ghosts"] == "1"
-    np.testing.assert_array_equal(app.reel.observations(), played.observation)
+    assert dict(app.view.facts(30))["ghosts"] == "1"
+    np.testing.assert_array_equal(app.view.observations(), played.observation)
 
 
 class Waves:
@@ -454,36 +460,36 @@ def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_pa
     stroll_env.install(monkeypatch)
     played = rollout(envs.make("stroll"), Waves(), 10_005)
     played.save(tmp_path / "walk.npz")
-    app = replay(tmp_path / "walk.npz")
+    app = open_replay(tmp_path / "walk.npz")
     seen = []
     for step in (20, 3, 12):
         app.playback.step = step
         app.draw()
-        seen.append(app.reel.world._state.copy())
+        seen.append(app.view.world._state.copy())
     for state, step in zip(seen, (20, 3, 12), strict=True):
         np.testing.assert_array_equal(state, played.observation[step])
 
 
 def test_a_hexapod_that_was_steered_is_steered_again(tmp_path):
-    from spikedeploy.play.drive_app import session
+    from spikedeploy.play.drive_app import open_session
 
-    driven = session("hexapod-command", {}, "gait", None, 10_000, tmp_path / "walk.npz")
+    driven = open_session("hexapod-command", {}, "gait", None, 10_000, tmp_path / "walk.npz")
     for key in [pygame.K_UP] * 60 + [pygame.K_LEFT] * 60:
         driven.driver.handle(pygame.Event(pygame.KEYDOWN, key=key))
         driven.tick()
-    seen = driven.take.observation
+    seen = driven.episode.observation
     driven.close()
-    app = replay(tmp_path / "walk.npz")
-    app.reel.go(120)
-    np.testing.assert_array_equal(app.reel.newest, seen)
+    app = open_replay(tmp_path / "walk.npz")
+    app.view.go(120)
+    np.testing.assert_array_equal(app.view.newest, seen)
 
 
 # films
 
 
 def test_a_film_of_a_batch_lasts_as_long_as_it(run, tmp_path):
-    app = replay(run, batch=3, speed=2.0)
-    film(app, tmp_path / "new/film.mp4", seconds=60.0)
+    app = open_replay(run, batch=3, speed=2.0)
+    save_film(app, tmp_path / "new/film.mp4", seconds=60.0)
     with av.open(str(tmp_path / "new/film.mp4")) as file:
         frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
     assert frames[0].shape == (800, 1140, 3)
@@ -491,7 +497,7 @@ def test_a_film_of_a_batch_lasts_as_long_as_it(run, tmp_path):
 
 
 def test_a_film_is_no_longer_than_asked_for(run, tmp_path):
-    film(replay(run), tmp_path / "film.gif", seconds=0.5)
+    save_film(open_replay(run), tmp_path / "film.gif", seconds=0.5)
     with Image.open(tmp_path / "film.gif") as image:
         assert image.n_frames == 10
         assert image.info["duration"] == 50
@@ -500,7 +506,7 @@ def test_a_film_is_no_longer_than_asked_for(run, tmp_path):
 
 def test_a_film_needs_a_name_that_says_what_it_is(run, tmp_path):
     with pytest.raises(ConfigError, match=r"choose a name that ends in \.mp4 or \.gif"):
-        film(replay(run), tmp_path / "film.avi", seconds=1.0)
+        save_film(open_replay(run), tmp_path / "film.avi", seconds=1.0)
 
 
 def test_the_command_films_without_a_window(command, run, tmp_path):
