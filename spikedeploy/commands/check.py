@@ -35,7 +35,7 @@ def check(
     like: Like = None,
     json: Json = False,
 ) -> None:
-    """Say whether a network fits on chips, rule by rule and node by node.
+    """Check whether a network fits on chips, rule by rule and node by node.
 
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits.
     """

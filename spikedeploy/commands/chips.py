@@ -13,7 +13,7 @@ def chips(
         bool, typer.Option("--markdown", help="Print the table of docs/chips.md.")
     ] = False,
 ) -> None:
-    """List the chips: what they compute with, and how sure that is.
+    """List the chips: their arithmetic, and what it was compared with.
 
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
     """

@@ -1,4 +1,4 @@
-"""`spikedeploy demo`: the whole line on shipped policies, without arguments."""
+"""`spikedeploy demo`: shipped policies compared and filmed, without arguments."""
 
 from spikedeploy.commands.options import Json
 

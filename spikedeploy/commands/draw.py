@@ -18,7 +18,7 @@ def draw(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Draw or edit a track; what no kart could drive is kept as a draft."""
+    """Draw or edit a track; an invalid track is kept as a draft."""
     from spikedeploy.console import print_json
     from spikedeploy.play.track_editor import TrackEditor
     from spikedeploy.play.window import show
@@ -29,8 +29,8 @@ def draw(
     finally:
         draft = app.close()
     if json:
-        told = {"track": str(file) if app.saved else None, "draft": str(draft) if draft else None}
-        print_json(told)
+        result = {"track": str(file) if app.saved else None, "draft": str(draft) if draft else None}
+        print_json(result)
         return
     if app.saved:
         typer.echo(f"wrote {file}; drive it: spikedeploy play kart-grid --track {file}")

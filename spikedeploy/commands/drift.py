@@ -1,4 +1,4 @@
-"""`spikedeploy drift`: where a chip leaves the float twin, and which rounding it comes from."""
+"""`spikedeploy drift`: where a chip departs from the float twin, and by which rounding."""
 
 from pathlib import Path
 from typing import Annotated
@@ -44,7 +44,7 @@ def drift(
         typer.Option(help="Environment to observe.", show_default="the one it was made for"),
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to observe.")] = 1,
-    steps: Annotated[int, typer.Option(min=1, help="Control steps kept of them.")] = 200,
+    steps: Annotated[int, typer.Option(min=1, help="Control steps used of them.")] = 200,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
     quantise: Quantise = "layer",
@@ -75,7 +75,7 @@ def drift(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
+    """Compare a chip with the float twin spike by spike, and attribute differences to roundings."""
     from spikedeploy.console import print_json
     from spikedeploy.emulation.drift_inputs import choose_inputs, path_of
     from spikedeploy.emulation.drift_report import drift_report

@@ -68,7 +68,7 @@ def emulate(
     weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
-    """Play recorded spikes into any NIR network, and count what the chip does."""
+    """Run any NIR network on recorded spikes, and count what the chip does."""
     from dataclasses import replace
 
     from spikedeploy.console import print_json

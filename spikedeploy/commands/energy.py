@@ -13,7 +13,7 @@ def energy(
         bool, typer.Option("--markdown", help="Print the table of docs/energy.md.")
     ] = False,
 ) -> None:
-    """List the energy tables: what events cost, who says so, and how sure that is."""
+    """List the energy tables: prices of events, sources, uncertainty."""
     from spikedeploy.console import print_json, print_table
     from spikedeploy.reports import price_list
 

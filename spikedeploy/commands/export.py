@@ -26,7 +26,7 @@ def export(
     ] = "reset",
     json: Json = False,
 ) -> None:
-    """Write a trained policy as .nir or .onnx, and prove that the file does the same."""
+    """Write a trained policy as .nir or .onnx, and check the file against it."""
     from spikedeploy.console import print_json
     from spikedeploy.reports.terminal import print_checks
     from spikedeploy.shipping.export_run import export_run

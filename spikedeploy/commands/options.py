@@ -44,7 +44,7 @@ Energy = Annotated[
     typer.Option(
         "--energy",
         metavar="TABLE",
-        help="Energy table to price by, as often as you like; `energy` lists them.",
+        help="Energy table to price by, may be repeated; `energy` lists them.",
         show_default="the chip's own",
     ),
 ]
@@ -99,19 +99,22 @@ Like = Annotated[
     ),
 ]
 Quantise = Annotated[
-    Granularity, typer.Option("--quantise", help="A scale for each layer, or for each neuron.")
+    Granularity, typer.Option("--quantise", help="One scale for a layer, or for each neuron.")
 ]
 Rounding = Annotated[
     Fraction | None,
     typer.Option(
         "--rounding",
-        help="Of weights, thresholds and decays, to integers.",
+        help="Rounding of weights, thresholds and decays.",
         show_default="the chip's own",
     ),
 ]
 Headroom = Annotated[
     Room,
-    typer.Option("--headroom", help="Fill the weights, or leave what no spikes can overflow."),
+    typer.Option(
+        "--headroom",
+        help="Fill the range of weights, or leave enough that nothing overflows.",
+    ),
 ]
 Thresholds = Annotated[
     int | None,

@@ -14,9 +14,7 @@ def publish(
     ],
     name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
-    note: Annotated[
-        str, typer.Option(help="What the card should say beside what the run folder says.")
-    ] = "",
+    note: Annotated[str, typer.Option(help="Note for the card.")] = "",
     control: Annotated[
         bool, typer.Option("--control", help="Comparisons show it as a control.")
     ] = False,

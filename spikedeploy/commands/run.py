@@ -49,7 +49,7 @@ def run(
     weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
-    """Let one policy drive the robot, and say how it went and what it cost."""
+    """Run one policy in its environment: returns, successes and costs."""
     from dataclasses import replace
 
     from spikedeploy.comparison.closed_loop import run_policy

@@ -1,4 +1,4 @@
-"""`spikedeploy verify`: recorded runs of emulators and chips against our arithmetic."""
+"""`spikedeploy verify`: recorded traces of emulators and chips against the emulator."""
 
 from pathlib import Path
 from typing import Annotated

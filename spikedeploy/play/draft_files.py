@@ -120,7 +120,7 @@ def _of_draft(tree: Any, path: Path) -> TrackDraft:  # noqa: ANN401
         )
     except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise ConfigError(
-            f"{path}: not a draft that `draw` left ({error}); mend or remove it"
+            f"{path}: not a draft that `draw` left ({error}); repair or remove it"
         ) from error
 
 

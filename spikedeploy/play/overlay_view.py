@@ -97,7 +97,7 @@ def check_same_world(sources: Sequence[Source], options: Mapping[str, Any]) -> N
         if ours != theirs:
             raise ConfigError(
                 f"{other.name} was driven in {theirs}, {first.name} in {ours}: only sources of one "
-                "world can be laid over one another"
+                "environment and track can be shown together"
             )
 
 

@@ -193,8 +193,8 @@ class ReplayApp:
         bar(surface, place, play.now / max(play.length, 1), CYAN)
         y += 100
         heading(surface, "batch", (inner.left, y))
-        told = "all" if self._mode == "all" else f"{play.batch + 1} / {play.batches}"
-        write(surface, told, (inner.right, y - 4), 16, TEXT, "bold", "topright")
+        counter = "all" if self._mode == "all" else f"{play.batch + 1} / {play.batches}"
+        write(surface, counter, (inner.right, y - 4), 16, TEXT, "bold", "topright")
         share = 1.0 if self._mode == "all" else (play.batch + 1) / play.batches
         bar(surface, pygame.Rect(inner.left, y + 20, inner.width, 6), share, AMBER)
         return y + 50
@@ -230,7 +230,7 @@ def open_replay(
     first = sources[0]
     env = make_env(first.env_id, {**first.options, **(options or {})}, render_mode="rgb_array")
     if beside and not is_kart(env.unwrapped):
-        raise ConfigError(f"{first.name} is a walk: only drives of karts are laid over one another")
+        raise ConfigError(f"{first.name} is no kart: only karts can be shown together")
     named = dict(zip(distinct_names(paths), sources, strict=True))
     app = ReplayApp(named, env, mode, _recorder(spikes, chip, env), speed)
     if not 1 <= batch <= app.playback.batches:

@@ -58,7 +58,7 @@ def drive(name, seed, steps, wild=0.2):
         if terminated or truncated:
             break
     recorder.end(0, env_step=seed)
-    return env, np.array(seen), recorder.episode().drives[0]
+    return env, np.array(seen), recorder.take().drives[0]
 
 
 @pytest.fixture(scope="module")
