@@ -34,10 +34,11 @@ from benchmarks.drift_page import (
     section,
     summary,
 )
+from spikedeploy.emulation.drift_inputs import observed_inputs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.inputs import observed
-from spikedeploy.make_env import made
-from spikedeploy.policies.policies import Candidate, find
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.interface import Candidate
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime.analysis.activity import chip_activity
 from spikedeploy.runtime.analysis.calibration import tuned
 from spikedeploy.runtime.analysis.drift import drift
@@ -95,7 +96,7 @@ def subject(name: str, episodes: int, steps: int) -> Subject:
     candidate = find(name)
     artifact = load(candidate.path)
     tuning, measuring = (
-        observed(artifact, candidate, None, range(first, first + PLAYED), steps)
+        observed_inputs(artifact, candidate, None, range(first, first + PLAYED), steps)
         for first in (VALIDATION.start, EVALUATION)
     )
     seeds = range(EVALUATION, EVALUATION + episodes)
@@ -111,7 +112,7 @@ def closed_loop(
     seeds: Sequence[int],
 ) -> NDArray[np.float64]:
     """Returns (n,) of episodes on the chip, or of the float twin."""
-    world: Any = made(candidate.env or "", {})
+    world: Any = make_env(candidate.env or "", {})
     options: dict[str, Any] = {} if on is None else {"quantisation": quantisation}
     player = SpikingController(artifact, on, "none", **options)
     returns = [rollout(world, player, seed).total for seed in seeds]

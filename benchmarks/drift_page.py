@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.comparison.statistics import paired_difference
-from spikedeploy.inputs import Inputs
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.emulation.drift_inputs import DriftInputs
+from spikedeploy.policies.interface import Candidate
 from spikedeploy.reports import drift_tables
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -77,8 +77,8 @@ class Subject:
     name: str
     candidate: Candidate
     artifact: Artifact
-    tuning: Inputs
-    measuring: Inputs
+    tuning: DriftInputs
+    measuring: DriftInputs
     seeds: Sequence[int]
     returns: NDArray[np.float64]
 

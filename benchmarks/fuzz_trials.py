@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from spikedeploy.emulate import played
+from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.rasters import read_rasters
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart import track
-from spikedeploy.rasters import read_rasters
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.presets.preset import PRESETS
 from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -67,7 +67,7 @@ def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
     }
     for name, limits in _where(rng):
         with _ours(refused):
-            emulation = played(artifact, name, rasters, limits=limits)
+            emulation = emulate_artifact(artifact, name, rasters, limits=limits)
             emulation.as_json()
             emulation.save(path.with_suffix(".out"))
     for work in (_judged, _read_like, _kept, _driven):

@@ -1,7 +1,17 @@
-"""The exporters: a trained policy in, one portable file out.
+"""Exporters: a trained policy in, one portable file out, and the proof that both do the same.
 
 Each exporter is a function `(policy, origin, path, ...) -> Path`, named in the table below. A new
 format is one new file and one new line here.
+
+to_nir       a spiking policy as `.nir`
+from_nir     such a file as a torch policy again
+to_onnx      a float policy as `.onnx`
+onnx_graph   builds an ONNX graph node by node
+raster       input spikes of a policy in torch, drawn with the generator of the chip
+parity       a written file against its policy; the table of checks by format
+nir_parity   torch = NumPy float = compiled for `ideal`, spike by spike
+onnx_parity  torch = ONNX Runtime
+check        one line of a parity report, and its counters
 """
 
 from collections.abc import Callable

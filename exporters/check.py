@@ -1,4 +1,4 @@
-"""One check of an exported file, and the counting behind it."""
+"""One check of an exported file, and the counters behind it."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 250  # observations at a time: spikes of a PopSAN are a few kilobytes for each
+BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
 
 
 @dataclass(frozen=True)
 class ParityCheck:
     """One line of a parity report.
 
-    name: what was compared
-    passed: whether it is as it should be
-    detail: the numbers behind it
+    name    what was compared
+    passed  whether both agree
+    detail  the numbers
     """
 
     name: str
@@ -24,8 +24,8 @@ class ParityCheck:
 
 
 @dataclass
-class SpikeTally:
-    """Spikes, or other whole numbers, compared so far, and those among them that differ."""
+class MismatchCounter:
+    """Counts of compared integers, such as spikes, and of those that differ."""
 
     compared: int = 0
     differing: int = 0
@@ -33,7 +33,7 @@ class SpikeTally:
     def add(
         self, one: Mapping[str, NDArray[np.integer]], other: Mapping[str, NDArray[np.integer]]
     ) -> None:
-        """Compare the rasters (B, T, N) of every layer of `one` with their namesakes."""
+        """Compare the rasters (B, T, N) of every layer of `one` with those in `other`."""
         for name, raster in one.items():
             self.compared += raster.size
             self.differing += int(np.count_nonzero(raster != other[name]))
@@ -44,22 +44,22 @@ class SpikeTally:
 
 
 @dataclass
-class Gap:
-    """The largest difference of two numbers so far."""
+class LargestDifference:
+    """The largest absolute difference so far."""
 
     largest: float = 0.0
 
     def add(self, one: NDArray[np.floating], other: NDArray[np.floating]) -> None:
         """Compare two arrays of actions (B, act)."""
-        # written so that a NaN is a gap and not overlooked
+        # np.max passes NaN on, so that a NaN is a difference
         self.largest = float(np.max([self.largest, np.abs(one - other).max()]))
 
     def within(self, limit: float) -> bool:
-        """Whether no difference was larger than the limit."""
+        """Whether no difference exceeds the limit."""
         return self.largest <= limit
 
 
 def batches(observations: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the observations, a few hundred at a time."""
+    """Yield the observations in batches of BATCH."""
     for start in range(0, len(observations), BATCH):
         yield observations[start : start + BATCH]

@@ -1,4 +1,4 @@
-"""Reads a spiking policy back from its `.nir` file, to check the file or to train on."""
+"""A `.nir` file of `to_nir` as a torch policy, for checks or further training."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import SPIKING, discretise
 from spikedeploy.trainers.policies import PopsanPolicy, SpikingMlpPolicy
 
-DIGITS = 12  # of a decay; what dt / tau loses of it lies behind them
+DIGITS = 12  # of a decay; dt / tau loses precision beyond them
 
 Arrays = dict[str, NDArray[np.floating[Any]]]
 
@@ -48,7 +48,7 @@ def policy(artifact: Artifact) -> SpikingPolicy:
         **_encoder(artifact.codec),
         **_readout(artifact.graph.nodes["readout"], cuba),
     }
-    # the file's float64 numbers are float32 ones, so this loses nothing
+    # exact: the float64 numbers of the file were float32
     network.load_state_dict({name: torch.from_numpy(a).float() for name, a in arrays.items()})
     return network
 
@@ -92,7 +92,7 @@ def _layers(graph: nir.NIRGraph) -> list[nir.Affine]:
 
 
 def _neurons(artifact: Artifact) -> dict[str, Any]:
-    """Return the decays and the threshold that all neurons share."""
+    """Return the decays and the threshold shared by all neurons."""
     neuron = discretise("lif1", artifact.graph.nodes["lif1"], artifact.convention)
     if neuron.threshold is None:
         raise AttributeError("lif1 has no threshold")
@@ -121,7 +121,7 @@ def _readout(readout: nir.Affine, cuba: bool) -> Arrays:
 
 
 def _blocks(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the populations' own weights (act, P) of a block-diagonal readout (act, act·P)."""
+    """Return the weights (act, P) of the blocks of a block-diagonal readout (act, act·P)."""
     actions = np.arange(len(weight))
     own: NDArray[np.float64] = weight.reshape(len(weight), len(weight), -1)[actions, actions]
     return own

@@ -1,9 +1,9 @@
-"""Parity of a NIR file: torch, NumPy and the compiled program must spike alike, in float64.
+"""Parity of a NIR file: torch, NumPy and the compiled program must spike equally, in float64.
 
     torch policy  =  NumPy float of the file  =  its program on the chip `ideal`
 
-With float32 arithmetic, which training uses, a few spikes fall on the other side of a threshold;
-how many is reported, not judged. A random code throws the same dice on both sides.
+In float32, which training uses, a few membranes fall on the other side of a threshold; their number
+is reported, not checked. A random encoder uses the same generator on both sides.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.check import Gap, ParityCheck, SpikeTally, batches
+from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
 from spikedeploy.exporters.raster import raster as presynaptic
 from spikedeploy.exporters.to_nir import SpikingPolicy
 from spikedeploy.runtime.artifact.artifact import Artifact, load
@@ -29,14 +29,14 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.trainers.policies import Policy, PopsanPolicy
 
-TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in another order
+TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
 
 Spikes = dict[str, NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What one implementation made of a batch.
+    """Spikes and actions of one implementation on a batch.
 
     spikes: (B, T, N) of the input and of each layer
     actions: (B, act); scores where one of several is chosen
@@ -50,11 +50,11 @@ class _Outcome:
 
 @dataclass
 class _Rung:
-    """One implementation compared with another: every spike, and the actions."""
+    """Two implementations compared: every spike, and the actions."""
 
-    spikes: SpikeTally = field(default_factory=SpikeTally)
-    actions: Gap = field(default_factory=Gap)
-    choices: SpikeTally = field(default_factory=SpikeTally)
+    spikes: MismatchCounter = field(default_factory=MismatchCounter)
+    actions: LargestDifference = field(default_factory=LargestDifference)
+    choices: MismatchCounter = field(default_factory=MismatchCounter)
 
     def add(self, one: _Outcome, other: _Outcome) -> None:
         self.spikes.add(one.spikes, other.spikes)
@@ -95,7 +95,7 @@ def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) ->
 
 
 def _report(rung: _Rung) -> ParityCheck:
-    """Say how far float32 is away; nothing that it must reach."""
+    """Report the difference of float32, for information only."""
     detail = f"{rung.spikes}; largest difference of an action {rung.actions.largest:.1e}"
     if rung.choices.compared:
         detail += f"; choices: {rung.choices}"
@@ -114,12 +114,14 @@ def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
         spikes = policy.trace(observation)
         action = spikes.pop("action")
         return _Outcome(_arrays(spikes), _numbers(action), None)
-    spoken = presynaptic(policy, observation, Xorshift(0, policy.observations).draw)
-    spikes = policy.trace(observation, spoken.transpose(0, 1))
+    input_spikes = presynaptic(policy, observation, Xorshift(0, policy.observations).draw)
+    spikes = policy.trace(observation, input_spikes.transpose(0, 1))
     action = spikes.pop("action")
     if policy.head == "continuous":
         return _Outcome(_arrays(spikes), _numbers(action), None)
-    return _Outcome(_arrays(spikes), _numbers(policy.presynaptic(spoken).mean), action.numpy())
+    return _Outcome(
+        _arrays(spikes), _numbers(policy.presynaptic(input_spikes).mean), action.numpy()
+    )
 
 
 def _arrays(tensors: Mapping[str, torch.Tensor]) -> Spikes:

@@ -1,4 +1,4 @@
-"""An ONNX graph as it is being written, node after node."""
+"""An ONNX graph, built node by node."""
 
 import hashlib
 from collections.abc import Sequence
@@ -10,18 +10,18 @@ from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 17
-IR_VERSION = 8  # both are read by ONNX Runtime 1.17 and everything newer
+IR_VERSION = 8  # ONNX Runtime 1.17 and newer read both
 OBSERVATION = "observation"
 OUTPUTS = {"continuous": "action", "discrete": "logits"}  # by a policy's head
 
 
 class OnnxGraph:
-    """Nodes and constants on the way from the observation to the output, in float32."""
+    """Nodes and constants from the observation to the output, in float32."""
 
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
-        self._heard: list[onnx.ValueInfoProto] = []
+        self._presynaptic: list[onnx.ValueInfoProto] = []
 
     def constant(self, name: str, value: ArrayLike) -> str:
         """Add a constant, integers as int64 and anything else as float32; return its name."""
@@ -41,8 +41,10 @@ class OnnxGraph:
         return self.node("Gather", [OBSERVATION, place], name, axis=1)
 
     def presynaptic(self, name: str, width: int) -> None:
-        """Put out (B, width), what a weight matrix hears, too: its operations depend on it."""
-        self._heard.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width]))
+        """Make the input (B, width) of a weight matrix an output, to count effective operations."""
+        self._presynaptic.append(
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width])
+        )
 
     def sha256(self) -> str:
         """SHA-256 of the constants, in the order in which they were added."""
@@ -62,7 +64,7 @@ class OnnxGraph:
             [helper.make_tensor_value_info(OBSERVATION, TensorProto.FLOAT, ["B", observations])],
             [
                 helper.make_tensor_value_info(OUTPUTS[head], TensorProto.FLOAT, ["B", actions]),
-                *self._heard,
+                *self._presynaptic,
             ],
             self._constants,
         )

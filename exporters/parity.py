@@ -1,4 +1,4 @@
-"""Parity: a written file is read back and must do what the policy does when it sees the same."""
+"""Parity: a written file is read back and compared with the policy on the same observations."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,10 +20,10 @@ CHECKS: dict[str, Checks] = {".nir": nir_checks, ".onnx": onnx_checks}
 
 
 def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[ParityCheck]:
-    """Return what comparing the file with the policy on observations (n, obs) has shown."""
+    """Return the checks of the file against the policy on observations (n, obs)."""
     path = Path(path)
     if path.suffix not in CHECKS:
-        raise ConfigError(f"{path}: parity knows files that end in {' or '.join(CHECKS)}")
+        raise ConfigError(f"{path}: parity is defined for files that end in {' or '.join(CHECKS)}")
     recorded = np.asarray(observations, dtype=np.float64)
     if recorded.ndim != 2 or recorded.shape[1] != policy.observations or not len(recorded):
         raise ObservationError(

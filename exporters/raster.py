@@ -1,4 +1,4 @@
-"""What a spiking policy hears in torch, chance throwing the dice of a chip and not torch's own."""
+"""Input spikes of a policy in torch, drawn with the generator of the chip, not of torch."""
 
 from collections.abc import Callable
 
@@ -11,10 +11,10 @@ from spikedeploy.trainers.policies import SpikingMlpPolicy
 from spikedeploy.trainers.rate import TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
-Dice = Callable[[int, int], NDArray[np.uint8]]
+RandomBytes = Callable[[int, int], NDArray[np.uint8]]
 
 
-def raster(policy: SpikingMlpPolicy, observation: Tensor, rng: Dice) -> Tensor:
+def raster(policy: SpikingMlpPolicy, observation: Tensor, rng: RandomBytes) -> Tensor:
     """Return the input spikes (T, B, M) for the observations (B, obs)."""
     encoder = policy.encoder
     if not (isinstance(encoder, TorchRateEncoder) and encoder.mode == "bernoulli"):

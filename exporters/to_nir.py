@@ -1,9 +1,9 @@
-"""Writes a spiking policy as one `.nir` file: a standard NIR graph, and in its metadata the rest.
+"""A spiking policy as one `.nir` file: a standard NIR graph, with codec and convention as metadata.
 
     input (M) -> fc1 -> lif1 -> ... -> fcL -> lifL -> readout -> output (act)
 
-The nodes are built with nir itself. Exporters of training libraries lose the reset, the population
-code and the loop over timesteps, and fix a dt of their own.
+The nodes are built with nir directly: exporters of training libraries lose the reset, the
+population code and the loop over timesteps, and choose their own dt.
 """
 
 from copy import deepcopy
@@ -33,7 +33,7 @@ from spikedeploy.trainers.rate import TorchRateEncoder as TrainedRates
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 
-DT = 1e-3  # [s] one timestep; the policy knows no seconds, chips of today run near this one
+DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def to_nir(
 ) -> Path:
     """Write the policy to `path` and return it.
 
-    state: "reset" as policies are trained; "kept" carries membranes on to the next inference.
+    state: "reset", as policies are trained, or "kept" between inferences.
     """
     path = Path(path)
     save(artifact(policy, origin, dt, state), path)
@@ -58,7 +58,7 @@ def artifact(
     policy: Policy, origin: Provenance, dt: float = DT, state: State = "reset"
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
-    # deployment computes what the float32 weights mean, not what float32 arithmetic makes of them
+    # the file holds the float32 weights exactly; arithmetic on them is float64 from here on
     precise = deepcopy(spiking(policy)).double()
     convention = Convention(dt=dt, source="as trained")
     if state != convention.state:
@@ -93,7 +93,7 @@ def _affine(layer: nn.Module) -> nir.Affine:
 
 
 def _neurons(policy: SpikingPolicy, size: int, dt: float) -> nir.CubaLIF | nir.LIF:
-    """Return neurons whose gains are one, so that dt can be read from them."""
+    """Return neurons whose gains are 1, so that dt can be inferred from them."""
     # tau = dt / (1 - decay) ; r = tau_mem / dt ; w_in = tau_syn / dt
     tau_mem = dt / (1.0 - _below_one("beta", policy.beta))
     membrane = {
@@ -114,7 +114,7 @@ def _neurons(policy: SpikingPolicy, size: int, dt: float) -> nir.CubaLIF | nir.L
 
 
 def _readout(policy: SpikingPolicy) -> nir.Affine:
-    """Return the decoder as an affine map; PopSAN's actions hear their own population only."""
+    """Return the decoder as an affine map; of a PopSAN block-diagonal, a population per action."""
     if isinstance(policy, SpikingMlpPolicy):
         return _affine(policy.readout)
     actions, populations = policy.decoder_weight.shape
@@ -138,13 +138,13 @@ def _encoder(encoder: nn.Module) -> Encoder:
         return RateEncoder(_array(encoder.low), _array(encoder.high), encoder.mode)
     if isinstance(encoder, TrainedPopulations):
         return PopulationEncoder(_array(encoder.mean), _array(encoder.std), encoder.threshold)
-    raise ConfigError(f"{type(encoder).__name__} has no form in a file; teach it to {__name__}")
+    raise ConfigError(f"{type(encoder).__name__} has no form in a file; add it to {__name__}")
 
 
 def _below_one(name: str, decay: float) -> float:
     if not 0.0 <= decay < 1.0:
         raise ConfigError(
-            f"{name} is {decay}: NIR has a time constant for decays from 0 to below 1 only; "
+            f"{name} is {decay}: NIR has time constants only for decays in [0, 1); "
             "train with a decay in that range"
         )
     return decay

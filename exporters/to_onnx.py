@@ -1,12 +1,11 @@
-"""Writes a float policy as one ONNX file that carries its own normaliser and says who made it.
+"""A float policy as one ONNX file, with its normaliser and its provenance.
 
 observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
                                                                      -> Gemm -> logits
 
-The first output is the action, or where one of several is chosen the logit of each: the largest is
-the one to take, their softmax what training drew from. The others, in their order, are what each
-weight matrix hears; ONNX Runtime puts them out only when asked, and effective operations are
-counted from them.
+The first output is the action, or for discrete actions the logits: the largest is taken, while
+training sampled from their softmax. The other outputs are the inputs of the weight matrices, in
+order, from which effective operations are counted; ONNX Runtime computes them only on request.
 """
 
 from pathlib import Path
@@ -27,10 +26,10 @@ KINDS = ("ann", "control")
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
-    """Write the policy to `path` and return it; `kind` says what comparisons call it."""
+    """Write the policy to `path` and return it; `kind` is its kind in comparisons."""
     if not isinstance(policy, MlpPolicy):
         raise ConfigError(
-            f"a policy of kind {policy.kind!r} spikes, and an ONNX file would not say how: "
+            f"a policy of kind {policy.kind!r} spikes, which ONNX cannot describe: "
             "export it with --to nir"
         )
     if kind not in KINDS:
@@ -67,7 +66,7 @@ def _model(policy: MlpPolicy, origin: Provenance, name: str, kind: str) -> onnx.
 
 
 def _features(graph: OnnxGraph, features: Features) -> str:
-    """Add what the policy looks at; return its name."""
+    """Add the features of the policy; return their name."""
     if features.name == "all":
         return OBSERVATION
     if features.name == "phase":
@@ -75,7 +74,7 @@ def _features(graph: OnnxGraph, features: Features) -> str:
         return graph.node("Gather", [OBSERVATION, columns], "features", axis=1)
     if features.name == "bilinear":
         return _products(graph, features)
-    raise ConfigError(f"features {features.name!r} have no ONNX form; teach it to {__name__}")
+    raise ConfigError(f"features {features.name!r} have no ONNX form; add it to {__name__}")
 
 
 def _products(graph: OnnxGraph, features: Features) -> str:
@@ -100,7 +99,7 @@ def _waves(graph: OnnxGraph, sine_index: int, cosine_index: int) -> str:
 
 
 def _normalised(graph: OnnxGraph, policy: MlpPolicy, features: str) -> str:
-    """Add the normaliser; return the name of what it makes."""
+    """Add the normaliser; return the name of its output."""
     normalizer = policy.normalizer
     mean = graph.constant("mean", _array(normalizer.mean))
     std = graph.constant("std", _array(normalizer.std))

@@ -1,4 +1,4 @@
-"""The command line: a file a verb in `spikedeploy/commands`, a name a verb in the table here."""
+"""The command line: a table of commands, each a file of that name in `spikedeploy/commands`."""
 
 import os
 import sys
@@ -6,7 +6,7 @@ from importlib import import_module
 
 import typer
 
-from spikedeploy.failures import one_line
+from spikedeploy.user_errors import one_line
 
 COMMANDS = {
     "Deploy": ("demo", "compare", "run", "emulate", "check", "drift", "verify"),
@@ -42,8 +42,8 @@ for _panel, _verbs in COMMANDS.items():
 
 
 def main() -> None:
-    """Run the command line; an error that a user can act on is one line on stderr and exit 1."""
-    for name in THREADS:  # before numpy loads: small networks are faster on one thread
+    """Run the command line; an error that a user can act on becomes one line on stderr, exit 1."""
+    for name in THREADS:  # before numpy loads: small networks run faster on one thread
         os.environ.setdefault(name, "1")
     try:
         app()

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written under another name, then renamed."""
+"""Files written atomically: under a temporary name, then renamed."""
 
 import json
 import math
@@ -11,14 +11,14 @@ from spikedeploy.trainers import atomic
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A name to write to, which becomes `path` when the block ends well; its folder is made."""
+    """A temporary path, renamed to `path` when the block succeeds; its folder is created."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic.replacing(path) as part:
         yield part
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write the text; the path."""
+    """Write the text; return the path."""
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
     return path

@@ -11,8 +11,8 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 
 
-def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
-    """The environment with this short name or id; options that it does not have are refused."""
+def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
+    """The environment with this short name or id; unknown options are refused."""
     try:
         return envs.make(name, **options, **more)
     except TypeError as error:
@@ -26,8 +26,8 @@ def made(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[An
         ) from error
 
 
-def parsed(settings: Iterable[str]) -> dict[str, Any]:
-    """The options in texts such as `track=small_S`; values are JSON, or else plain text.
+def parse_options(settings: Iterable[str]) -> dict[str, Any]:
+    """Options from texts such as `track=small_S`; values are JSON, or else plain text.
 
     `lidar.noise=5` sets one of a group of options.
     """

@@ -1,4 +1,4 @@
-"""MP4 files through PyAV: frames in, one H.264 file out, complete or not there at all."""
+"""MP4 files through PyAV: frames in, one H.264 file out, written atomically."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 Frame = NDArray[np.uint8]
-FPS = 25  # about: drawing takes most of the time, and smoother pictures show nothing more
+FPS = 25  # nearest possible; rendering takes most of the time
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How often an environment is filmed, so that the film runs as fast as the world.
+    """The frame rate of a video that runs in real time.
 
     every  control steps between two frames
     fps    frames of a second
@@ -40,10 +40,10 @@ class Pace:
 
 @contextmanager
 def mp4(path: Path, fps: float) -> Iterator[Callable[[Frame], None]]:
-    """A function that takes frames (H, W, 3) uint8; `path` appears when the block ends well."""
+    """A function that takes frames (H, W, 3) uint8; `path` appears when the block succeeds."""
     import av
 
-    streams: list[VideoStream] = []  # made when the first frame tells the size
+    streams: list[VideoStream] = []  # created with the size of the first frame
     with (
         replacing(path) as part,
         av.open(part, "w", format="mp4", options={"movflags": "faststart"}) as file,
@@ -58,11 +58,11 @@ def mp4(path: Path, fps: float) -> Iterator[Callable[[Frame], None]]:
 
         yield write
         for stream in streams:
-            file.mux(stream.encode())  # what the encoder still holds
+            file.mux(stream.encode())  # frames still in the encoder
 
 
 def _stream(file: "OutputContainer", frame: Frame, fps: float) -> "VideoStream":
-    """A one-threaded H.264 stream of the frame's size that every player opens."""
+    """A one-threaded H.264 stream of the frame's size, in the most widely supported format."""
     rate = Fraction(fps).limit_denominator(1000)
     stream = file.add_stream("libx264", rate=rate, options={"crf": "23", "threads": "1"})
     stream.height, stream.width = frame.shape[:2]

@@ -1,4 +1,4 @@
-"""What a run was made with: versions of Python, of the packages and of this tree."""
+"""Installed versions, read from metadata without importing anything, and the commit."""
 
 import platform
 import subprocess
@@ -9,19 +9,25 @@ PACKAGES = ("spikedeploy", "torch", "numpy", "gymnasium", "mujoco", "snntorch", 
 
 
 def versions() -> dict[str, str | None]:
-    """Return name → version, None where it is not installed; `commit` is that of this tree."""
+    """What a run is made with: name -> version, None where it is not installed; and the commit."""
     return {
         "python": platform.python_version(),
-        **{package: _version(package) for package in PACKAGES},
+        **{package: installed(package) for package in PACKAGES},
         "commit": _commit(),
     }
 
 
-def _version(package: str) -> str | None:
+def installed(package: str) -> str | None:
+    """The version of a package, None where it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
         return None
+
+
+def own() -> str:
+    """The version of spikedeploy itself."""
+    return installed("spikedeploy") or "not installed"
 
 
 def _commit() -> str | None:

@@ -14,7 +14,6 @@ from spikedeploy.commands.options import (
     Reset,
     Spikes,
     State,
-    reading,
 )
 
 
@@ -36,16 +35,17 @@ def check(
     like: Like = None,
     json: Json = False,
 ) -> None:
-    """Say whether a network fits on chips, rule by rule and node by node.
+    """Check whether a network fits on chips, rule by rule and node by node.
 
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits.
     """
-    from spikedeploy.check import ALL
-    from spikedeploy.check import check as judged
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.design_report import ALL, design_report
     from spikedeploy.reports.check_tables import print_report
-    from spikedeploy.reports.terminal import print_json
 
-    read = reading(
+    report = design_report(
+        file,
+        chip or [ALL],
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -54,11 +54,6 @@ def check(
         floor=floor,
         state=state,
         like=like,
-    )
-    report = judged(
-        file,
-        chip or [ALL],
-        **read,
     )
     if json:
         print_json(report.as_json())

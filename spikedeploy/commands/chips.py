@@ -13,13 +13,13 @@ def chips(
         bool, typer.Option("--markdown", help="Print the table of docs/chips.md.")
     ] = False,
 ) -> None:
-    """List the chips: what they compute with, and how sure that is.
+    """List the chips: their arithmetic, and what it was compared with.
 
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
     """
+    from spikedeploy.console import print_json, print_table
     from spikedeploy.reports.datasheets import COLUMNS, rows
     from spikedeploy.reports.datasheets import markdown as as_markdown
-    from spikedeploy.reports.terminal import print_json, print_table
     from spikedeploy.runtime.chips.chip import CHIPS, chip
 
     known = [chip(name) for name in CHIPS]

@@ -9,13 +9,10 @@ from spikedeploy import seeds
 from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
-    Granularity,
     Headroom,
     Json,
     LimitsOption,
-    LimitsSwitch,
     Quantise,
-    Room,
     Rounding,
     Seed,
     Thresholds,
@@ -46,10 +43,10 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
     ] = None,
-    limits: LimitsOption = LimitsSwitch.on,
-    quantise: Quantise = Granularity.layer,
+    limits: LimitsOption = "on",
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     json: Json = False,
@@ -57,18 +54,21 @@ def compare(
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
     from dataclasses import replace
 
-    from spikedeploy.comparison.compare import compare as play
     from spikedeploy.comparison.lineup import line_up
-    from spikedeploy.make_env import parsed
+    from spikedeploy.comparison.rounds import compare_policies
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
-    from spikedeploy.reports.terminal import print_comparison, print_json
+    from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     tables = checked_table_names(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    entries = line_up(env, files or (), listed(chips), limits is LimitsSwitch.on, rounded)
-    comparison = play(env, entries, range(seed, seed + episodes), workers, parsed(set_ or ()))
+    entries = line_up(env, files or (), listed(chips), limits == "on", rounded)
+    comparison = compare_policies(
+        env, entries, range(seed, seed + episodes), workers, parse_options(set_ or ())
+    )
     document = report.document(replace(comparison, tables=tables))
     if output:
         report.write(document, output)

@@ -1,14 +1,13 @@
-"""`spikedeploy demo`: the whole line on shipped policies, without arguments."""
+"""`spikedeploy demo`: shipped policies compared and filmed, without arguments."""
 
 from spikedeploy.commands.options import Json
 
 
 def demo(json: Json = False) -> None:
     """Watch the shipped policies walk: float ANN, float SNN, and the SNN on an emulated Loihi."""
-    from spikedeploy.demo import FOLDER
-    from spikedeploy.demo import demo as show
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.demo_reports import FOLDER, write_demo
 
-    documents = show(quiet=json)
+    documents = write_demo(quiet=json)
     if json:
         print_json({"folder": str(FOLDER), "reports": documents})

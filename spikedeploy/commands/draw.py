@@ -18,19 +18,19 @@ def draw(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Draw or edit a track; what no kart could drive is kept as a draft."""
-    from spikedeploy.play.drawing import Drawing
+    """Draw or edit a track; an invalid track is kept as a draft."""
+    from spikedeploy.console import print_json
+    from spikedeploy.play.track_editor import TrackEditor
     from spikedeploy.play.window import show
-    from spikedeploy.reports.terminal import print_json
 
-    app = Drawing(file, copy)
+    app = TrackEditor(file, copy)
     try:
         show(app)
     finally:
         draft = app.close()
     if json:
-        told = {"track": str(file) if app.saved else None, "draft": str(draft) if draft else None}
-        print_json(told)
+        result = {"track": str(file) if app.saved else None, "draft": str(draft) if draft else None}
+        print_json(result)
         return
     if app.saved:
         typer.echo(f"wrote {file}; drive it: spikedeploy play kart-grid --track {file}")

@@ -1,4 +1,4 @@
-"""`spikedeploy drift`: where a chip leaves the float twin, and which rounding it comes from."""
+"""`spikedeploy drift`: where a chip departs from the float twin, and by which rounding."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,16 +11,13 @@ from spikedeploy.commands.options import (
     Dt,
     EnvOptions,
     Floor,
-    Granularity,
     Headroom,
     Integrator,
     Json,
     Like,
     LimitsOption,
-    LimitsSwitch,
     Quantise,
     Reset,
-    Room,
     Rounding,
     Seed,
     Spikes,
@@ -28,7 +25,6 @@ from spikedeploy.commands.options import (
     Thresholds,
     WeightShift,
     quantisation,
-    reading,
 )
 
 
@@ -48,12 +44,12 @@ def drift(
         typer.Option(help="Environment to observe.", show_default="the one it was made for"),
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to observe.")] = 1,
-    steps: Annotated[int, typer.Option(min=1, help="Control steps kept of them.")] = 200,
+    steps: Annotated[int, typer.Option(min=1, help="Control steps used of them.")] = 200,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
-    quantise: Quantise = Granularity.layer,
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     calibrate: Annotated[
@@ -65,7 +61,7 @@ def drift(
     tau: Annotated[
         float, typer.Option(min=0.01, help="Time constant of the spike distance, in timesteps.")
     ] = 5.0,
-    limits: LimitsOption = LimitsSwitch.on,
+    limits: LimitsOption = "on",
     dt: Dt = None,
     reset: Reset = None,
     integrator: Integrator = None,
@@ -79,17 +75,19 @@ def drift(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Compare a chip with the float twin, spike by spike, and say what makes the difference."""
-    from spikedeploy.drift import drift_report
-    from spikedeploy.inputs import chosen, path_of
-    from spikedeploy.make_env import parsed
+    """Compare a chip with the float twin spike by spike, and attribute differences to roundings."""
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.drift_inputs import choose_inputs, path_of
+    from spikedeploy.emulation.drift_report import drift_report
+    from spikedeploy.make_env import parse_options
     from spikedeploy.reports import drift_tables
-    from spikedeploy.reports.terminal import print_drift, print_json
+    from spikedeploy.reports.terminal import print_drift
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
 
     path = path_of(file)
-    read = reading(
+    artifact = load(
+        path,
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -99,10 +97,9 @@ def drift(
         state=state,
         like=like,
     )
-    artifact = load(path, **read)
-    options = parsed(set_ or ())
+    options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)
-    inputs = chosen(artifact, path, input_, random, env, numbers, steps, options)
+    inputs = choose_inputs(artifact, path, input_, random, env, numbers, steps, options)
     report = drift_report(
         file,
         artifact,
@@ -112,7 +109,7 @@ def drift(
         calibrate,
         tune,
         tau,
-        limits is LimitsSwitch.on,
+        limits == "on",
     )
     if json:
         print_json(report.as_json())

@@ -10,23 +10,19 @@ from spikedeploy.commands.options import (
     Dt,
     Energy,
     Floor,
-    Granularity,
     Headroom,
     Integrator,
     Json,
     Like,
     LimitsOption,
-    LimitsSwitch,
     Quantise,
     Reset,
-    Room,
     Rounding,
     Spikes,
     State,
     Thresholds,
     WeightShift,
     quantisation,
-    reading,
 )
 
 
@@ -55,7 +51,7 @@ def emulate(
             help="What computes a chip: auto, numpy, numba or interpreter.", show_default="numpy"
         ),
     ] = None,
-    limits: LimitsOption = LimitsSwitch.on,
+    limits: LimitsOption = "on",
     energy: Energy = None,
     dt: Dt = None,
     reset: Reset = None,
@@ -65,22 +61,31 @@ def emulate(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
-    quantise: Quantise = Granularity.layer,
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
-    """Play recorded spikes into any NIR network, and count what the chip does."""
+    """Run any NIR network on recorded spikes, and count what the chip does."""
     from dataclasses import replace
 
-    from spikedeploy.emulate import emulate as play
-    from spikedeploy.rasters import read_rasters
-    from spikedeploy.reports.terminal import print_emulation, print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.open_loop import emulate_file
+    from spikedeploy.emulation.rasters import read_rasters
+    from spikedeploy.reports.terminal import print_emulation
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
-    read = reading(
+    tables = checked_table_names(energy or ())
+    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
+    result = emulate_file(
+        file,
+        chip,
+        read_rasters(input_),
+        backend,
+        limits == "on",
+        rounded,
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -89,17 +94,6 @@ def emulate(
         floor=floor,
         state=state,
         like=like,
-    )
-    tables = checked_table_names(energy or ())
-    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    result = play(
-        file,
-        chip,
-        read_rasters(input_),
-        backend,
-        limits is LimitsSwitch.on,
-        rounded,
-        **read,
     )
     result = replace(result, tables=tables)
     result.save(output)

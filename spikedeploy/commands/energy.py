@@ -13,9 +13,9 @@ def energy(
         bool, typer.Option("--markdown", help="Print the table of docs/energy.md.")
     ] = False,
 ) -> None:
-    """List the energy tables: what events cost, who says so, and how sure that is."""
+    """List the energy tables: prices of events, sources, uncertainty."""
+    from spikedeploy.console import print_json, print_table
     from spikedeploy.reports import price_list
-    from spikedeploy.reports.terminal import print_json, print_table
 
     if json:
         print_json(price_list.price_list())

@@ -5,8 +5,8 @@ from spikedeploy.commands.options import Json
 
 def envs(json: Json = False) -> None:
     """List the environments."""
+    from spikedeploy.console import print_json, print_table
     from spikedeploy.envs import ENVS
-    from spikedeploy.reports.terminal import print_json, print_table
 
     rows = [(spec.short, spec.id, spec.summary) for spec in ENVS.values()]
     if json:

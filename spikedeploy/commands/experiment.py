@@ -16,7 +16,7 @@ def experiment(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Parts whose names begin so: kart-grid, kart-grid-snn-s0.",
+            help="Parts by prefix of their names: kart-grid, kart-grid-snn-s0.",
             show_default="all",
         ),
     ] = None,
@@ -39,16 +39,16 @@ def experiment(
         Path, typer.Option("-o", "--output", help="Where kart.md and kart/ are written.")
     ] = Path("results"),
     train: Annotated[
-        bool, typer.Option(help="Do what is missing; --no-train writes the page alone.")
+        bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
     ] = True,
     json: Json = False,
 ) -> None:
-    """Train, export and evaluate everything that an experiment needs; go on where it stopped."""
+    """Train, export and evaluate all parts of an experiment; resume where it stopped."""
     from importlib import import_module
 
+    from spikedeploy.console import print_json
     from spikedeploy.experiments import EXPERIMENTS
-    from spikedeploy.jobs import cores
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.parallel import cores
     from spikedeploy.runtime.errors import ConfigError
 
     if name not in EXPERIMENTS:
@@ -64,6 +64,6 @@ def experiment(
         print_json({**vars(outcome), "files": files})
     else:
         typer.echo(f"{outcome.done} of {outcome.of} parts are complete: {outcome.files[0]}")
-        for part, words in outcome.failed.items():
-            typer.echo(f"failed: {part}: {words}", err=True)
+        for part, line in outcome.failed.items():
+            typer.echo(f"failed: {part}: {line}", err=True)
     raise typer.Exit(130 if outcome.interrupted else 1 if outcome.failed else 0)

@@ -1,19 +1,11 @@
 """`spikedeploy export`: a run folder in, a portable file out, compared with the policy."""
 
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json
-
-
-class StateOption(str, Enum):
-    """What an inference begins with."""
-
-    reset = "reset"
-    kept = "kept"
+from spikedeploy.commands.options import Json, States
 
 
 def export(
@@ -29,16 +21,17 @@ def export(
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
     state: Annotated[
-        StateOption,
+        States,
         typer.Option(help="Membranes at an inference: reset as trained, or kept; nir only."),
-    ] = StateOption.reset,
+    ] = "reset",
     json: Json = False,
 ) -> None:
-    """Write a trained policy as .nir or .onnx, and prove that the file does the same."""
-    from spikedeploy.export import export as write
-    from spikedeploy.reports.terminal import print_checks, print_json
+    """Write a trained policy as .nir or .onnx, and check the file against it."""
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.terminal import print_checks
+    from spikedeploy.shipping.export_run import export_run
 
-    written = write(run, to, output, observations, state=state.value)
+    written = export_run(run, to, output, observations, state=state)
     if json:
         checks = [vars(check) for check in written.checks]
         print_json({"path": str(written.path), "passed": written.passed, "checks": checks})

@@ -1,7 +1,6 @@
-"""Options that several commands share, worded once."""
+"""Options that several commands share."""
 
-from enum import Enum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -9,36 +8,20 @@ if TYPE_CHECKING:
     from spikedeploy.runtime.compiler.quantisation import Quantisation
 
 
-class LimitsSwitch(str, Enum):
-    """Whether a chip refuses what breaks its design rules."""
-
-    on = "on"
-    off = "off"
-
-
-class Granularity(str, Enum):
-    """Which neurons share a scale."""
-
-    layer = "layer"
-    channel = "channel"
-
-
-class Fraction(str, Enum):
-    """What becomes of fractions."""
-
-    nearest = "nearest"
-    truncate = "truncate"
-
-
-class Room(str, Enum):
-    """What is left free of the registers."""
-
-    none = "none"
-    proven = "proven"
-
+# The choices of the runtime, which takes numpy to load; tests/spikedeploy/commands/test_options.py
+# holds them to the originals.
+Switch = Literal["on", "off"]
+Granularity = Literal["layer", "channel"]
+Fraction = Literal["nearest", "truncate"]
+Room = Literal["none", "proven"]
+AfterSpike = Literal["zero", "subtract"]
+Decays = Literal["euler", "exponential"]
+States = Literal["reset", "kept"]
+SpikeCount = Literal["above", "reached", "many"]
+LowestMembrane = Literal["none", "zero", "threshold"]
 
 LimitsOption = Annotated[
-    LimitsSwitch,
+    Switch,
     typer.Option(
         "--limits",
         help="Refuse what breaks a design rule of the chip; 'off' emulates its arithmetic alone.",
@@ -61,7 +44,7 @@ Energy = Annotated[
     typer.Option(
         "--energy",
         metavar="TABLE",
-        help="Energy table to price by, as often as you like; `energy` lists them.",
+        help="Energy table to price by, may be repeated; `energy` lists them.",
         show_default="the chip's own",
     ),
 ]
@@ -77,56 +60,17 @@ PolicyChip = Annotated[
     ),
 ]
 
-# what NIR leaves open: these go before what a file says
-
-
-class ResetChoice(str, Enum):
-    """What a spike does to the membrane."""
-
-    zero = "zero"
-    subtract = "subtract"
-
-
-class IntegratorChoice(str, Enum):
-    """How decays follow from time constants."""
-
-    euler = "euler"
-    exponential = "exponential"
-
-
-class StateChoice(str, Enum):
-    """Whether states go on from one inference to the next."""
-
-    reset = "reset"
-    kept = "kept"
-
-
-class SpikesChoice(str, Enum):
-    """How many spikes a neuron sends in a timestep, and when."""
-
-    above = "above"
-    reached = "reached"
-    many = "many"
-
-
-class FloorChoice(str, Enum):
-    """Below which no membrane stays."""
-
-    none = "none"
-    zero = "zero"
-    threshold = "threshold"
-
-
+# what NIR leaves open: these take precedence over the file
 FROM_FILE = "from the file"
 Dt = Annotated[float | None, typer.Option(help="Timestep [s].", show_default=FROM_FILE)]
 Reset = Annotated[
-    ResetChoice | None,
+    AfterSpike | None,
     typer.Option(
         help="Membrane after a spike: v_reset, or less that distance.", show_default=FROM_FILE
     ),
 ]
 Integrator = Annotated[
-    IntegratorChoice | None,
+    Decays | None,
     typer.Option(help="Decays: 1 - dt/tau, or exp(-dt/tau).", show_default=FROM_FILE),
 ]
 Delay = Annotated[
@@ -134,18 +78,18 @@ Delay = Annotated[
     typer.Option(min=0, max=1, help="Timesteps between layers.", show_default=FROM_FILE),
 ]
 State = Annotated[
-    StateChoice | None,
+    States | None,
     typer.Option(help="States at the next inference.", show_default=FROM_FILE),
 ]
 Spikes = Annotated[
-    SpikesChoice | None,
+    SpikeCount | None,
     typer.Option(
         help="One above the threshold, one when it is reached, or as many as fit.",
         show_default=FROM_FILE,
     ),
 ]
 Floor = Annotated[
-    FloorChoice | None,
+    LowestMembrane | None,
     typer.Option(help="Lowest membrane: none, 0, or -threshold.", show_default=FROM_FILE),
 ]
 Like = Annotated[
@@ -155,19 +99,22 @@ Like = Annotated[
     ),
 ]
 Quantise = Annotated[
-    Granularity, typer.Option("--quantise", help="A scale for each layer, or for each neuron.")
+    Granularity, typer.Option("--quantise", help="One scale for a layer, or for each neuron.")
 ]
 Rounding = Annotated[
     Fraction | None,
     typer.Option(
         "--rounding",
-        help="Of weights, thresholds and decays, to integers.",
+        help="Rounding of weights, thresholds and decays.",
         show_default="the chip's own",
     ),
 ]
 Headroom = Annotated[
     Room,
-    typer.Option("--headroom", help="Fill the weights, or leave what no spikes can overflow."),
+    typer.Option(
+        "--headroom",
+        help="Fill the range of weights, or leave enough that nothing overflows.",
+    ),
 ]
 Thresholds = Annotated[
     int | None,
@@ -187,18 +134,7 @@ def quantisation(
     thresholds: int | None,
     weight_shift: int,
 ) -> "Quantisation":
-    """What the five options ask for."""
+    """The quantisation that the five options ask for."""
     from spikedeploy.runtime.compiler.quantisation import Quantisation
 
-    return Quantisation(
-        quantise.value,
-        rounding.value if rounding else None,
-        headroom.value,
-        thresholds,
-        weight_shift=weight_shift,
-    )
-
-
-def reading(**options: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Options of how to read a file, by the names that runtime.artifact.load has for them."""
-    return {name: v.value if isinstance(v, Enum) else v for name, v in options.items()}
+    return Quantisation(quantise, rounding, headroom, thresholds, weight_shift=weight_shift)

@@ -28,14 +28,14 @@ def play(
     json: Json = False,
 ) -> None:
     """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
-    from spikedeploy.make_env import parsed
-    from spikedeploy.play.driving import Driving, session
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
+    from spikedeploy.play.drive_app import DriveApp, open_session
     from spikedeploy.play.window import show
-    from spikedeploy.reports.terminal import print_json
 
-    options = parsed(set_ or ()) | ({} if track is None else {"track": track})
-    drive = session(env, options, policy, chip, seed, record)
-    show(Driving(drive, env))
+    options = parse_options(set_ or ()) | ({} if track is None else {"track": track})
+    drive = open_session(env, options, policy, chip, seed, record)
+    show(DriveApp(drive, env))
     drive.close()
     if json:
         files = [str(path) for path in drive.files]

@@ -6,8 +6,8 @@ from spikedeploy.commands.options import Json
 def policies(json: Json = False) -> None:
     """List the shipped policies, by the names that the commands take."""
     from spikedeploy import zoo
-    from spikedeploy.policies.policies import BUILT_IN, find
-    from spikedeploy.reports.terminal import print_json, print_table
+    from spikedeploy.console import print_json, print_table
+    from spikedeploy.policies.registry import BUILT_IN, find
 
     rows = []
     for name in [*zoo.names(), *BUILT_IN]:

@@ -14,9 +14,7 @@ def publish(
     ],
     name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
-    note: Annotated[
-        str, typer.Option(help="What the card should say beside what the run folder says.")
-    ] = "",
+    note: Annotated[str, typer.Option(help="Note for the card.")] = "",
     control: Annotated[
         bool, typer.Option("--control", help="Comparisons show it as a control.")
     ] = False,
@@ -29,10 +27,10 @@ def publish(
 ) -> None:
     """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
     from spikedeploy import zoo
-    from spikedeploy.publish import publish as write
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.publish_run import publish_run
 
-    files = write(run, name, episodes, output or zoo.FOLDER, workers, note, control)
+    files = publish_run(run, name, episodes, output or zoo.FOLDER, workers, note, control)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:

@@ -5,7 +5,7 @@ from spikedeploy.commands.options import Json
 
 def recipes(json: Json = False) -> None:
     """List the training recipes."""
-    from spikedeploy.reports.terminal import print_json, print_table
+    from spikedeploy.console import print_json, print_table
     from spikedeploy.trainers.recipes import RECIPES
 
     rows = [(name, recipe.algorithm, recipe.summary) for name, recipe in RECIPES.items()]

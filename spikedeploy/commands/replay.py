@@ -1,4 +1,4 @@
-"""`spikedeploy replay`: what was driven, again."""
+"""`spikedeploy replay`: recorded episodes again."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,11 +13,11 @@ def replay(
         list[Path],
         typer.Argument(
             metavar="SOURCE...",
-            help="Run folder, ghost file, or recorded drive; several are laid over one another.",
+            help="Run folder, ghost file, or recorded drive; several are shown on one track.",
         ),
     ],
     mode: Annotated[
-        str, typer.Option(help="'batch': one batch of a training after the other; 'all': at once.")
+        str, typer.Option(help="'batch': batch by batch of a training; 'all': at once.")
     ] = "batch",
     batch: Annotated[int, typer.Option(min=1, help="Batch to begin with.")] = 1,
     spikes: Annotated[
@@ -38,23 +38,23 @@ def replay(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Replay a training's episodes as ghosts, or a drive that `play --record` kept."""
-    from spikedeploy.make_env import parsed
-    from spikedeploy.play.film import film
-    from spikedeploy.play.replaying import replay as open_replay
+    """Replay a training's episodes as ghosts, or an episode that `play --record` wrote."""
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
+    from spikedeploy.play.replay_app import open_replay
+    from spikedeploy.play.replay_film import save_film
     from spikedeploy.play.window import show
-    from spikedeploy.reports.terminal import print_json
 
     first, *beside = source
-    app = open_replay(first, mode, batch, spikes, chip, speed, parsed(set_ or ()), beside)
+    app = open_replay(first, mode, batch, spikes, chip, speed, parse_options(set_ or ()), beside)
     if video is None:
         show(app)
     else:
-        film(app, video, seconds)
-    told: dict[str, Any] = {"source": str(first), "batches": app.playback.batches}
+        save_film(app, video, seconds)
+    result: dict[str, Any] = {"source": str(first), "batches": app.playback.batches}
     if beside:
-        told["beside"] = [str(path) for path in beside]
+        result["beside"] = [str(path) for path in beside]
     if json:
-        print_json({**told, "video": str(video) if video else None})
+        print_json({**result, "video": str(video) if video else None})
     elif video:
         typer.echo(f"wrote {video}")

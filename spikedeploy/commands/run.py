@@ -9,14 +9,11 @@ from spikedeploy import seeds
 from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
-    Granularity,
     Headroom,
     Json,
     LimitsOption,
-    LimitsSwitch,
     PolicyChip,
     Quantise,
-    Room,
     Rounding,
     Seed,
     Thresholds,
@@ -43,36 +40,37 @@ def run(
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
-    limits: LimitsOption = LimitsSwitch.on,
+    limits: LimitsOption = "on",
     energy: Energy = None,
-    quantise: Quantise = Granularity.layer,
+    quantise: Quantise = "layer",
     rounding: Rounding = None,
-    headroom: Headroom = Room.none,
+    headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     json: Json = False,
 ) -> None:
-    """Let one policy drive the robot, and say how it went and what it cost."""
+    """Run one policy in its environment: returns, successes and costs."""
     from dataclasses import replace
 
-    from spikedeploy.make_env import parsed
+    from spikedeploy.comparison.closed_loop import run_policy
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
-    from spikedeploy.reports.terminal import print_comparison, print_json
-    from spikedeploy.run import run as play
+    from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     tables = checked_table_names(energy or ())
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    comparison = play(
+    comparison = run_policy(
         policy,
         env,
         chip,
         numbers,
         video,
         sampled,
-        parsed(set_ or ()),
-        limits is LimitsSwitch.on,
+        parse_options(set_ or ()),
+        limits == "on",
         rounded,
     )
     document = report.document(replace(comparison, tables=tables))

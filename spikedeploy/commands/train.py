@@ -40,7 +40,7 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
-    from spikedeploy.reports.terminal import print_json
+    from spikedeploy.console import print_json
     from spikedeploy.trainers.train import train as learn
 
     run = learn(

@@ -1,4 +1,4 @@
-"""`spikedeploy verify`: recorded runs of emulators and chips against our arithmetic."""
+"""`spikedeploy verify`: recorded traces of emulators and chips against the emulator."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,10 +13,11 @@ def verify(
     json: Json = False,
 ) -> None:
     """Replay traces; say equal or the first difference, and exit 1 if any is not equal."""
-    from spikedeploy.reports.terminal import print_json, print_replays
-    from spikedeploy.verify import replay
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.trace_replay import replay_trace
+    from spikedeploy.reports.terminal import print_replays
 
-    replays = [replay(path) for path in traces]
+    replays = [replay_trace(path) for path in traces]
     if json:
         print_json([each.as_json() for each in replays])
     else:

@@ -19,9 +19,9 @@ def visualize(
     json: Json = False,
 ) -> None:
     """Draw the learning curves of training runs into one PNG."""
+    from spikedeploy.console import print_json
     from spikedeploy.reports.curves import curve
     from spikedeploy.reports.plots import draw_curves
-    from spikedeploy.reports.terminal import print_json
 
     curves = [curve(run / "metrics.csv", run.resolve().name) for run in runs]
     picture = draw_curves(curves, output)

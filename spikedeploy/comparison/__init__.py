@@ -1,13 +1,14 @@
-"""Comparisons: policies on the same seeds, paired, with intervals.
+"""Comparisons: policies play the same seeds, and every row is paired with its reference.
 
-agreement        How far a policy agrees with another, asked the same question and left to itse
-compare          Paired comparison: every row of a line-up plays the same seeds, in processes s
-comparison       The comparison: what every row's episodes say, beside those of its reference
-costs            What an inference costs: spikes, operations, energy; a mean over the inference
-episodes         One episode of one row of a comparison, as a job: a pure function of its speci
-lineup           The line-up of a comparison: who plays, on which chip, and whom each is measur
-measures         What is measured of an inference: events, NeuroBench's numbers, memory, time
-metrics          What an episode's step infos say about the robot, one number a metric
-statistics       Statistics of few episodes: interquartile mean, bootstrap intervals, paired di
-summary          What a comparison means, in two or three sentences, for people who read nothin
+A comparison becomes rows of plain data (`Comparison.as_json`), which `reports` shows.
+
+lineup       which policies play, on which chip, and what each is measured against
+rounds       every entry on every seed, in parallel, references first
+closed_loop  one policy alone, with or without a video
+episodes     one episode as a job: played, measured, summarised
+comparison   the rows: returns, agreement, costs, metrics
+agreement    how far two policies act alike, on the same observations and in closed loop
+metrics      what the step infos of an episode say: speed, falls, lap time ...
+statistics   bootstrap and Wilson intervals, interquartile mean, paired differences
+summary      the result in two or three sentences
 """

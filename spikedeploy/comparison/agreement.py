@@ -1,4 +1,4 @@
-"""How far a policy agrees with another, asked the same question and left to itself."""
+"""How far two policies agree: on the same observations, and each in its own closed loop."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,23 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Player
+from spikedeploy.policies.interface import Player
 
-TOLERANCE = 0.01  # of an action in [-1, 1]: far below what a servo resolves
+TOLERANCE = 0.01  # of an action in [-1, 1]: far below the resolution of a servo
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """One episode's agreement with the other policy's episode of the same seed.
+    """Agreement of two episodes of the same seed.
 
     squared_error     sum over control steps and actions of the squared difference, both policies
-                      asked on the observations that the *other* recorded: so it measures the
-                      policy, not the worlds that drift apart
+                      on the observations that the *other* recorded, so that trajectories which
+                      drift apart do not count
     actions           terms in that sum
     first_divergence  first control step at which the two closed loops act differently by more than
                       TOLERANCE, or at which only one of them still acts; None if that never happens
-    equal             actions that were the same one of several; None where actions are numbers,
-                      as the squared error means nothing where they are not
+    equal             equal choices of one action of several, where the squared error means nothing;
+                      None where actions are numbers
     """
 
     squared_error: float
@@ -33,7 +33,7 @@ class Agreement:
 
 
 def agreement(player: Player, played: Rollout, other: Rollout) -> Agreement:
-    """The player, which acted in the one rollout, measured against the other rollout."""
+    """The player, which acted in `played`, against the policy of the other rollout."""
     player.reset(other.seed)
     error = player.replay(other.observation[:-1]) - other.action
     return Agreement(

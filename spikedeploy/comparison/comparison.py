@@ -1,4 +1,4 @@
-"""The comparison: what every row's episodes say, beside those of its reference."""
+"""The result of a comparison: every row beside its reference."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
-from spikedeploy.comparison import costs
 from spikedeploy.comparison.agreement import median_divergence, pooled_equality, pooled_rmse
-from spikedeploy.comparison.costs import priced_by
 from spikedeploy.comparison.episodes import Episode
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference, share
-from spikedeploy.policies.policies import BASELINES, FLOAT
+from spikedeploy.policies import costs
+from spikedeploy.policies.costs import priced_by
+from spikedeploy.policies.interface import BASELINES, FLOAT
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
@@ -22,7 +22,7 @@ from spikedeploy.runtime.metrics.energy import EnergyEstimate
 class Row:
     """One policy on one chip.
 
-    entry     who played
+    entry     policy and chip
     episodes  in the order of the seeds (n,)
     """
 
@@ -52,7 +52,7 @@ class Comparison:
     env    id of the environment
     seeds  (n,)
     rows   in the order of the line-up
-    tables energy tables to price by; none are those of each row's chip
+    tables energy tables to price by; empty for those of each row's chip
     """
 
     env: str
@@ -69,10 +69,10 @@ class Comparison:
         return next((row for row in self.rows if row.entry.candidate.kind in kinds), None)
 
     def as_json(self) -> list[dict[str, Any]]:
-        """The rows as a report has them."""
+        """The rows as plain data, for a report."""
         return [
             _identity(row)
-            | self._walk(row)
+            | self._performance(row)
             | self._agreement(row)
             | self._costs(row)
             | _metrics(row)
@@ -80,7 +80,7 @@ class Comparison:
         ]
 
     def _costs(self, row: Row) -> dict[str, Any]:
-        """What an inference takes, and what that costs by the tables."""
+        """Operations, memory and energy of an inference."""
         found = costs.mean([e.costs for e in row.episodes], [e.steps for e in row.episodes])
         tables = self.tables or _tables(row)
         energy, latency = _priced(found.energy_j, tables), _priced(found.latency_s, tables)
@@ -103,8 +103,8 @@ class Comparison:
             "saturations": found.saturations,
         }
 
-    def _walk(self, row: Row) -> dict[str, Any]:
-        """How well it walks or drives, alone and beside the float ANN and the baseline."""
+    def _performance(self, row: Row) -> dict[str, Any]:
+        """Returns and successes, alone and beside the float ANN and the baseline."""
         ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
         estimate, succeeded = bootstrap(row.returns, _rng()), share(row.successes)
         return {
@@ -120,7 +120,7 @@ class Comparison:
         }
 
     def _agreement(self, row: Row) -> dict[str, Any]:
-        """How it differs from its reference and from the float ANN."""
+        """Differences to the reference and to the float ANN."""
         reference = self.row(row.entry.reference) if row.entry.reference else None
         if reference is None:
             return dict.fromkeys(_AGREEMENT)
@@ -175,7 +175,7 @@ def _identity(row: Row) -> dict[str, Any]:
 
 
 def _score(row: Row, baseline: Row, ann: Row) -> float | None:
-    """0 for the baseline, 1 for the float ANN; None where the ANN is no better than that."""
+    """Normalised return: 0 for the baseline, 1 for the float ANN; None if the ANN is no better."""
     # score = (return - baseline) / (ANN - baseline)
     span = ann.mean - baseline.mean
     return (row.mean - baseline.mean) / span if span > 0 else None
@@ -184,19 +184,19 @@ def _score(row: Row, baseline: Row, ann: Row) -> float | None:
 def _priced(
     prices: Mapping[str, EnergyEstimate], tables: Sequence[str]
 ) -> dict[str, EnergyEstimate]:
-    """What the tables say; what nobody asked for is left out."""
+    """The estimates by the tables that are asked for."""
     return {name: prices[name] for name in tables if name in prices}
 
 
 def _tables(row: Row) -> tuple[str, ...]:
-    """The tables that belong to a row: those of its chip, or of a network without spikes."""
+    """The energy tables of a row: those of its chip, or those that price a float network."""
     if row.entry.chip is None:
         return tuple(row.episodes[0].costs.energy_j)
     return priced_by(None if row.entry.chip == FLOAT else datasheet(row.entry.chip))
 
 
 def _metrics(row: Row) -> dict[str, float]:
-    """Means of every metric over the episodes that have it."""
+    """Mean of every metric over the episodes that have it."""
     names = dict.fromkeys(name for episode in row.episodes for name in episode.metrics)
     return {
         name: float(np.mean([e.metrics[name] for e in row.episodes if name in e.metrics]))
@@ -205,5 +205,5 @@ def _metrics(row: Row) -> dict[str, float]:
 
 
 def _rng() -> np.random.Generator:
-    """A fresh generator, so that the same episodes give the same interval in any report."""
+    """A generator with a fixed seed: the same episodes give the same interval in any report."""
     return np.random.default_rng(0)

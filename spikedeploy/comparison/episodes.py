@@ -1,4 +1,4 @@
-"""One episode of one row of a comparison, as a job: a pure function of its specification."""
+"""One episode of a comparison as a job: a pure function of its specification."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -11,11 +11,12 @@ from typing import Any
 import gymnasium
 
 from spikedeploy.comparison.agreement import Agreement, agreement
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.comparison.metrics import measure
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.make_env import made
-from spikedeploy.policies.policies import Candidate, Player, open_policy, price
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import Candidate, Player
+from spikedeploy.policies.registry import open_policy, price
 
 
 @dataclass(frozen=True)
@@ -23,12 +24,12 @@ class EpisodeJob:
     """An episode to play.
 
     env        short name or id
-    options    of the environment, as JSON, so that jobs can be told apart
+    options    of the environment, as JSON, which can be a cache key
     candidate  the policy
     chip       as in lineup.Entry
     seed       of the episode
-    others     name -> file with the rollout of the same seed that it is measured against
-    record     where its own rollout is kept, None for nowhere
+    others     name -> file with the rollout of a reference on the same seed
+    record     file for its own rollout, None for none
     """
 
     env: str
@@ -42,15 +43,15 @@ class EpisodeJob:
 
 @dataclass(frozen=True)
 class Episode:
-    """What is kept of an episode: numbers, so that thousands fit in memory.
+    """The numbers that are kept of an episode.
 
     total      return
     steps      control steps, S
-    success    as the environment says
-    metrics    of spikedeploy.metrics
+    success    as the environment defines it
+    metrics    of metrics.measure
     costs      per inference
-    agreement  name -> with each of the job's `others`
-    remarks    on what a chip does otherwise than the file says
+    agreement  name -> agreement with each of the job's `others`
+    remarks    of the compiler, on where a chip departs from the file
     """
 
     total: float
@@ -78,13 +79,13 @@ def summarise(
     played: Rollout,
     others: Mapping[str, Rollout] = MappingProxyType({}),
 ) -> Episode:
-    """What is kept of a rollout that the player has just played."""
+    """The summary of a rollout that the player has just played."""
     return Episode(
         total=played.total,
         steps=played.steps,
         success=played.success,
         metrics=measure(played.info),
-        costs=price(candidate, player, played),  # first: agreement asks the player anew
+        costs=price(candidate, player, played),  # first: agreement runs the player again
         agreement={name: agreement(player, played, other) for name, other in others.items()},
         remarks=getattr(player, "remarks", ()),
     )
@@ -92,7 +93,7 @@ def summarise(
 
 @cache
 def _environment(name: str, options: str) -> gymnasium.Env[Any, Any]:
-    return made(name, json.loads(options))
+    return make_env(name, json.loads(options))
 
 
 @cache

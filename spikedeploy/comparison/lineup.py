@@ -1,24 +1,30 @@
-"""The line-up of a comparison: who plays, on which chip, and whom each is measured against."""
+"""The line-up of a comparison: which policies, on which chips, against which references."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spikedeploy import envs, zoo
-from spikedeploy.policies.policies import FLOAT, Candidate, find
+from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 
-CONTROLS = ("phase", "bilinear", "linear", "small")  # the well-known ones, in their order
+CONTROLS = (
+    "phase",
+    "bilinear",
+    "linear",
+    "small",
+)  # of the shipped recipes, in table order
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of a comparison to be.
+    """One row of a comparison, before it is played.
 
     candidate   the policy
     chip        a chip, "float" for the float twin of a spiking policy, None for what does not spike
-    reference   whom it is measured against: the float ANN, or its own float twin on a chip
+    reference   the entry it is measured against: the float ANN; on a chip its float twin
     """
 
     candidate: Candidate
@@ -27,14 +33,14 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Its name for people: `popsan · loihi1`."""
+        """The name in tables: `popsan · loihi1`."""
         if self.chip is None:
             return self.candidate.name
         return f"{self.candidate.name} · {self.chip}{'' if self.limits else ', limits off'}"
 
     @property
     def limits(self) -> bool:
-        """Whether nothing was emulated that its chip could not hold."""
+        """Whether the design rules of its chip were enforced."""
         return self.candidate.limits or self.chip in (None, FLOAT)
 
     @property
@@ -44,7 +50,7 @@ class Entry:
 
     @property
     def rank(self) -> int:
-        """How many must have played before it."""
+        """The number of entries that must be played before it."""
         return len(self.references)
 
 
@@ -93,14 +99,14 @@ def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _controls(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Controls without repetition, the well-known ones first and in their order."""
+    """Controls without repetition, those of CONTROLS first and in that order."""
     controls = dict.fromkeys(_of_kind("control", candidates))
     order = {name: place for place, name in enumerate(CONTROLS)}
     return sorted(controls, key=lambda control: order.get(control.name, len(order)))
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates, with the folder in the name of those that would else share it."""
+    """The candidates, with the folder in the name where names would be equal."""
     names = [candidate.name for candidate in candidates]
     return [
         replace(candidate, name=f"{Path(candidate.path).parent.name}/{candidate.name}")

@@ -1,4 +1,4 @@
-"""What an episode's step infos say about the robot, one number a metric.
+"""Metrics of an episode from its step infos.
 
 Adding a metric is one line in `WALKING` or `DRIVING`; a metric whose signal an environment does not
 report is left out of its rows.
@@ -22,9 +22,9 @@ class Metric:
     reduce    (S,) -> number
     title     head of its column, with its unit
     meaning   what it is, for a report
-    form      how a cell formats it
-    unless    a signal in whose presence the metric means nothing
-    after     a signal without which, at the last control step, the metric means nothing
+    form      format specification of a cell
+    unless    a signal in whose presence the metric does not apply
+    after     a signal that must be raised at the last control step for the metric to apply
     """
 
     name: str
@@ -36,7 +36,7 @@ class Metric:
     unless: str | None = None
     after: str | None = None
 
-    def found(self, infos: Mapping[str, Signal]) -> bool:
+    def applies(self, infos: Mapping[str, Signal]) -> bool:
         """Whether an episode with these infos, each (S,), has the metric."""
         present = self.signal in infos and self.unless not in infos
         return present and (self.after is None or bool(infos[self.after][-1]))
@@ -63,7 +63,7 @@ def root_mean_square(signal: Signal) -> float:
 
 
 def ever(signal: Signal) -> float:
-    """1 if the signal was raised at any control step, else 0."""
+    """1 if the signal is raised at any control step, else 0."""
     return float(signal.any())
 
 
@@ -126,5 +126,5 @@ def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
     return {
         metric.name: metric.reduce(np.asarray(infos[metric.signal], dtype=np.float64))
         for metric in (DRIVING if drives(infos) else WALKING)
-        if metric.found(infos)
+        if metric.applies(infos)
     }

@@ -1,9 +1,8 @@
 """Statistics of few episodes: interquartile mean, bootstrap intervals, paired differences.
 
-Why these: returns of a controller are skewed by the rare fall, so a mean needs its interval and an
-interquartile mean beside it (Agarwal et al. 2021, section 4.3); and two policies that play the same
-seeds share the terrain and the pushes, so their *paired* difference is far sharper than the
-difference of their means.
+Returns of a controller are skewed by rare falls, so a mean needs its interval and an interquartile
+mean beside it (Agarwal et al. 2021, section 4.3). Two policies on the same seeds share terrain and
+pushes, so their *paired* difference has a far smaller variance than the difference of their means.
 """
 
 from dataclasses import asdict, dataclass
@@ -51,14 +50,14 @@ def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
 def share(events: ArrayLike) -> Estimate:
     """The share of `events` (n,) that happened, with its Wilson interval (Wilson 1927).
 
-    Of 100 successes in 100, a bootstrap would know nothing but successes.
+    A bootstrap of 100 successes in 100 would have an interval of width 0.
     """
     happened = np.asarray(events, dtype=np.float64)
     n, p = happened.size, float(happened.mean())
     # (p + z^2/2n +- z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n)
     middle = (p + Z**2 / (2 * n)) / (1 + Z**2 / n)
-    reach = Z * float(np.sqrt(p * (1 - p) / n + Z**2 / (4 * n**2))) / (1 + Z**2 / n)
-    return Estimate(p, (max(0.0, middle - reach), min(1.0, middle + reach)))
+    half = Z * float(np.sqrt(p * (1 - p) / n + Z**2 / (4 * n**2))) / (1 + Z**2 / n)
+    return Estimate(p, (max(0.0, middle - half), min(1.0, middle + half)))
 
 
 def paired_difference(

@@ -1,17 +1,19 @@
-"""What a comparison means, in two or three sentences, for people who read nothing else."""
+"""The result of a comparison in two or three sentences."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from spikedeploy.comparison.metrics import drives
-from spikedeploy.policies.policies import BASELINES
-from spikedeploy.reports.columns import Row
+from spikedeploy.policies.interface import BASELINES
 
-NEEDED = 0.95  # of the ANN's return: a control that reaches it puts the network's worth in doubt
+Row = Mapping[str, Any]  # of Comparison.as_json
+
+NEEDED = 0.95  # of the ANN's return: a control that reaches this much is as good
 NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
 
 
-def meaning(rows: Sequence[Row]) -> str:
-    """The sentences: what the chip keeps, and what the network was worth in the first place."""
+def summary(rows: Sequence[Row]) -> str:
+    """What the chip keeps of the float twin, and what the network is worth beside controls."""
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
     racing = any(map(drives, rows))
     sentences = [_finishes(row) if racing else _on_chip(row) for row in on_chip]
@@ -35,7 +37,7 @@ def _share(row: Row) -> str:
 
 
 def _worth(rows: Sequence[Row]) -> str:
-    """What the baseline and the best control reach without a network."""
+    """What the baseline and the best control reach."""
     kinds = (*BASELINES, "control")
     plain = [r for r in rows if r["kind"] in kinds and r["ratio_to_float_ann"]]
     if not plain:

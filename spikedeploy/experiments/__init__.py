@@ -1,19 +1,21 @@
-"""Experiments: many trainings and their evaluations by one command.
-
-It can be stopped at any time, and goes on where it stopped.
-
-alone.py       one process at a time
-workers.py     jobs in processes of their own, which end politely
-worker.py      such a process
-trial.py       one training run, exported and evaluated
-drive.py       one built-in player, evaluated
-finishes.py    when a training finished for the nth time
-kart.py        the kart experiment: what belongs to it, and its order
-kart_tables.py what its results say, as CSV and Markdown tables
-kart_plot.py   the same as a picture
-kart_page.py   results/kart.md
+"""Experiments: many trainings and their evaluations by one command, resumed where it stopped.
 
 A new experiment is one file and one line in EXPERIMENTS.
+
+trial         one training run, exported and evaluated
+evaluation    greedy episodes of a policy on evaluation seeds
+finishes      environment steps at which training episodes finished
+workers       jobs in processes of their own, some at a time
+worker        the program that such a process runs
+lock          one process at a time in a block
+progress      progress bars of a running experiment
+kart          the kart experiment: which parts are missing, done in order
+kart_design   its trainings and controls
+kart_records  its results as records and CSV
+kart_tables   its results as Markdown tables
+kart_plot     finishes against environment steps
+kart_page     results/kart.md
+kart_peers    kart-simulator's own figures
 """
 
 EXPERIMENTS = {"kart": "spikedeploy.experiments.kart:experiment"}

@@ -1,4 +1,4 @@
-"""When a training finished: the environment steps at the end of each finished episode."""
+"""Environment steps at which episodes of a training finished."""
 
 import math
 from dataclasses import dataclass
@@ -21,18 +21,18 @@ def finishes(episodes: Path) -> Steps:
 
 
 def steps_to(count: int, steps: Steps) -> float:
-    """Environment steps to the finish number `count`; infinite where it never came."""
+    """Environment steps to the finish number `count`; infinite if it was never reached."""
     return float(steps[count - 1]) if len(steps) >= count else math.inf
 
 
-def by(steps: Steps, grid: Steps) -> NDArray[np.int64]:
-    """How many finishes there had been by each step of the grid (g,)."""
+def finished_by(steps: Steps, grid: Steps) -> NDArray[np.int64]:
+    """Finishes up to each step of the grid (g,)."""
     return np.searchsorted(steps, grid, side="right")
 
 
 @dataclass(frozen=True)
-class HowFar:
-    """How far a training is.
+class TrainingProgress:
+    """The progress of a training.
 
     steps     environment steps
     finishes  finished episodes
@@ -42,12 +42,12 @@ class HowFar:
     finishes: int
 
 
-def how_far(folder: Path, name: str) -> HowFar | None:
-    """What the newest run of this name has logged; None before its first line."""
+def progress_of(folder: Path, name: str) -> TrainingProgress | None:
+    """The last logged progress of the newest run of this name; None before the first line."""
     found = sorted(folder.glob(f"{name}-*/metrics.csv"))
     head, *lines = found[-1].read_text(encoding="utf-8").splitlines() if found else [""]
     names, values = head.split(","), (lines[-1] if lines else "").split(",")
     row = dict(zip(names, values, strict=False))
     if not row.get("env_steps") or not row.get("finishes"):
         return None
-    return HowFar(int(float(row["env_steps"])), int(float(row["finishes"])))
+    return TrainingProgress(int(float(row["env_steps"])), int(float(row["finishes"])))

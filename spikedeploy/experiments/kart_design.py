@@ -1,15 +1,15 @@
-"""What belongs to the kart experiment: ANN and SNN from scratch in three worlds, and controls.
+"""The design of the kart experiment: ANN and SNN from scratch in three environments, and controls.
 
-Every world trains the float network and the spiking one with each seed, and with fewer seeds two
-controls: a float network of the spiking one's size, and a linear policy. Beside them stand the
-players that are built in. All of them are then judged on the same starts, which no training saw.
+In every environment the float network and the spiking one are trained with each seed, and two
+controls with fewer seeds: a float network of the SNN's size, and a linear policy. With the built-in
+policies, all of them are evaluated on the same starts, which no training used.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from spikedeploy import envs
-from spikedeploy.experiments.drive import Drive
+from spikedeploy.experiments.evaluation import BuiltInEvaluation
 from spikedeploy.experiments.trial import Trial
 
 WORLDS = ("kart-grid", "kart-gazebo", "kart-steer")
@@ -19,15 +19,15 @@ CONTROLS = ("small", "linear")
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """What belongs to the experiment.
+    """The parts of the experiment.
 
     seeds      trainings of each network, from seed 0 up
     controls   trainings of each control
-    folder     where the trials lie
+    folder     of the trials
     overrides  settings of every training, as `--set` takes them
-    finishes   of training after which it ends; 0 for never
+    finishes   after which a training ends; 0 for never
     episodes   of every evaluation
-    chip       that spiking policies are evaluated on
+    chip       on which spiking policies are evaluated
     """
 
     seeds: int = 5
@@ -39,7 +39,7 @@ class ExperimentDesign:
     chip: str = "loihi1"
 
     def trials(self) -> list[Trial]:
-        """All trainings: seed by seed, so that every world is seen early, the controls last."""
+        """All trainings, seed by seed, so that results of every world come early; controls last."""
         return [
             self._trial(f"{world}-{policy}", seed)
             for policies, seeds in ((NETWORKS, self.seeds), (CONTROLS, self.controls))
@@ -48,10 +48,10 @@ class ExperimentDesign:
             for policy in policies
         ]
 
-    def drives(self) -> list[Drive]:
-        """All evaluations of players that are built in."""
+    def built_in(self) -> list[BuiltInEvaluation]:
+        """All evaluations of built-in policies."""
         return [
-            Drive(world, player, self.folder, self.episodes)
+            BuiltInEvaluation(world, player, self.folder, self.episodes)
             for world in WORLDS
             for player in envs.spec(world).controls
         ]
@@ -61,6 +61,6 @@ class ExperimentDesign:
         return Trial(recipe, seed, self.folder, settings, self.episodes, self.chip)
 
     @property
-    def parts(self) -> list[Drive | Trial]:
-        """Everything, the short evaluations first."""
-        return [*self.drives(), *self.trials()]
+    def parts(self) -> list[BuiltInEvaluation | Trial]:
+        """All parts, the short evaluations first."""
+        return [*self.built_in(), *self.trials()]

@@ -21,14 +21,14 @@ from spikedeploy.experiments.kart_tables import (
     share,
 )
 from spikedeploy.files import write_text
-from spikedeploy.versions import own
+from spikedeploy.trainers.versions import own
 
 NEAR = 0.95  # of the ANN's steps: what an SNN is asked to reach
 POINTS = 2  # of the finish rate that the chip may differ from the float twin
 
 
 def write(design: ExperimentDesign, results: Path) -> list[Path]:
-    """Write page, tables and picture of what is complete; the files."""
+    """Write page, tables and picture of the complete parts; return the files."""
     learned, driven = learning(design), driving(design)
     folder = results / "kart"
     files = [
@@ -103,7 +103,7 @@ def _missing(design: ExperimentDesign) -> list[str]:
 
 
 def _facts(design: ExperimentDesign, budgets: Mapping[tuple[str, str], int]) -> list[str]:
-    """What someone who makes it again should know."""
+    """What is needed to reproduce the experiment."""
     ends = f"with {design.finishes} finishes or" if design.finishes else "with"
     steps = ", ".join(f"{world} {policy} {count:,}" for (world, policy), count in budgets.items())
     return [
@@ -114,9 +114,9 @@ def _facts(design: ExperimentDesign, budgets: Mapping[tuple[str, str], int]) -> 
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(
             f"- ✗ {trial.name} was trained otherwise than its recipe says now: "
-            + ", ".join(trial.strayed)
+            + ", ".join(trial.changed_settings)
             for trial in design.trials()
-            if trial.strayed
+            if trial.changed_settings
         ),
         "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
         "[finishes.csv](kart/finishes.csv)",
@@ -124,7 +124,7 @@ def _facts(design: ExperimentDesign, budgets: Mapping[tuple[str, str], int]) -> 
 
 
 def verdicts(learned: Sequence[Record], driven: Sequence[Record]) -> list[str]:
-    """A line for each thing that was asked for: whether it was reached, and by what numbers."""
+    """A line for each target: whether it was reached, and the numbers."""
     lines = []
     for world in WORLDS:
         for place, policy in enumerate(NETWORKS):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Peer:
-    """What its ANN and its SNN needed in one world, in thousands of environment steps.
+    """Steps of its ANN and its SNN in one world, in thousands of environment steps.
 
     first  (ANN, SNN) to the first finish of training
     nth    (ANN, SNN) to the 300th

@@ -1,4 +1,4 @@
-"""Finishes against environment steps: a panel a world, medians and ranges of the trainings."""
+"""Finishes against environment steps: a panel for each world, median and range of the trainings."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.experiments.finishes import Steps, by
+from spikedeploy.experiments.finishes import Steps, finished_by
 from spikedeploy.experiments.kart_design import NETWORKS, WORLDS, ExperimentDesign
 from spikedeploy.experiments.kart_peers import PEERS
 from spikedeploy.experiments.kart_records import COUNT
@@ -76,12 +76,12 @@ def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy
 
 
 def counted(runs: Sequence[Steps], lengths: Sequence[float]) -> tuple[Steps, NDArray[np.int64]]:
-    """A grid of steps (POINTS,) and finishes up to COUNT (n, POINTS) of each run by each of them.
+    """A grid of steps (POINTS,), and the finishes of each run there, at most COUNT (n, POINTS).
 
-    It ends where every run has COUNT finishes or the first one that has not ends.
+    The grid ends where every run has COUNT finishes, or where the shortest run without them ends.
     """
     ends = [r[COUNT - 1] if len(r) >= COUNT else math.inf for r in runs]
     short = [length for length, end in zip(lengths, ends, strict=True) if math.isinf(end)]
     last = min(short) if short else max(ends)
     grid = np.linspace(0, last, POINTS)
-    return grid, np.stack([np.minimum(by(run, grid), COUNT) for run in runs])
+    return grid, np.stack([np.minimum(finished_by(run, grid), COUNT) for run in runs])

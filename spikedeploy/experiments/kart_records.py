@@ -1,4 +1,4 @@
-"""What the kart experiment found, a record for each training and each evaluation; as CSV too."""
+"""Results of the kart experiment: a record for each training and each evaluation, also as CSV."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ Record = dict[str, Any]
 
 
 def learning(design: ExperimentDesign) -> list[Record]:
-    """One row for each complete training: when it finished for the first and the 300th time."""
+    """A record for each complete training: steps to the first and to the 300th finish."""
     return [
         {
             **_identity(trial),
@@ -31,17 +31,17 @@ def learning(design: ExperimentDesign) -> list[Record]:
 
 
 def driving(design: ExperimentDesign) -> list[Record]:
-    """One row for each complete evaluation, of each way in which a policy was run."""
+    """A record for each row of each complete evaluation."""
     found = []
     for trial in design.trials():
         evaluation = trial.evaluation
         if evaluation:
             facts = {**_identity(trial), "parameters": evaluation["parameters"]}
             found += [facts | _driven(row) for row in evaluation["rows"]]
-    for drive in design.drives():
-        if drive.evaluation:
-            facts = {"world": drive.env, "policy": drive.policy, "seed": None, "parameters": None}
-            found += [facts | _driven(row) for row in drive.evaluation["rows"]]
+    for part in design.built_in():
+        if part.evaluation:
+            facts = {"world": part.env, "policy": part.policy, "seed": None, "parameters": None}
+            found += [facts | _driven(row) for row in part.evaluation["rows"]]
     return found
 
 
@@ -76,7 +76,7 @@ def _identity(trial: Trial) -> Record:
 
 
 def write_csv(rows: Sequence[Record], path: Path) -> Path:
-    """Write the rows; what a row lacks stays empty."""
+    """Write the rows; missing fields stay empty."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)

@@ -1,4 +1,4 @@
-"""What the kart experiment found, as tables for people."""
+"""Results of the kart experiment as Markdown tables."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,7 +9,7 @@ from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
 from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, WORLDS
 from spikedeploy.experiments.kart_peers import PEERS
 from spikedeploy.experiments.kart_records import COUNT, NTH, Record
-from spikedeploy.policies.policies import FLOAT
+from spikedeploy.policies.interface import FLOAT
 from spikedeploy.reports.columns import ABSENT, scaled
 
 
@@ -49,7 +49,7 @@ def learning_table(rows: Sequence[Record], budgets: Mapping[tuple[str, str], int
 
 
 def driving_table(rows: Sequence[Record]) -> list[str]:
-    """Markdown: greedy episodes of everything that drives, medians over the trainings."""
+    """Markdown: greedy episodes of all policies, medians over the trainings."""
     prices = list(dict.fromkeys(key for row in rows for key in row if key.startswith("energy_")))
     heads = {
         "parameters": ("parameters", ",.0f"),
@@ -96,7 +96,7 @@ def _beside(row: Record, twin: Record) -> list[str]:
 
 
 def steps(values: Sequence[float], budget: int) -> str:
-    """Median [least, most] in thousands: `251k [240k, > 500k]`; what never came needs more."""
+    """Median [least, most] in thousands: `251k [240k, > 500k]`, where 500k is the budget."""
 
     def text(value: float) -> str:
         return f"{value / 1000:,.0f}k" if math.isfinite(value) else f"> {budget / 1000:,.0f}k"
@@ -107,9 +107,9 @@ def steps(values: Sequence[float], budget: int) -> str:
 
 
 def share(rows: Sequence[Record], world: str) -> Estimate | None:
-    """Steps of the ANN / steps of the SNN, of medians; None where one median never came.
+    """Median steps of the ANN / median steps of the SNN; None where a median was not reached.
 
-    Its interval is NaN where single trainings never came that far.
+    The interval is NaN where single trainings did not reach it.
     """
     ann, snn = ([row[NTH] for row in of(rows, world, policy)] for policy in NETWORKS)
     if not ann or not snn or not all(math.isfinite(np.median(each)) for each in (ann, snn)):
@@ -120,7 +120,7 @@ def share(rows: Sequence[Record], world: str) -> Estimate | None:
 
 
 def percent_of_ann(rows: Sequence[Record], world: str) -> str:
-    """The same in percent."""
+    """`share` in percent, with its interval."""
     found = share(rows, world)
     if found is None:
         return ABSENT
@@ -136,7 +136,7 @@ def markdown(lines: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _drivers(rows: Sequence[Record], world: str) -> list[tuple[str, list[Record]]]:
-    """Label -> rows of each that drives: networks, then controls, then what needs no training."""
+    """Label -> rows: networks, then controls, then built-in policies."""
     found: dict[str, list[Record]] = {}
     order = [*NETWORKS, *CONTROLS]
     here = [row for row in rows if row["world"] == world]
@@ -152,13 +152,13 @@ def _values(rows: Sequence[Record], field: str) -> list[float]:
 
 
 def _middle(rows: Sequence[Record], field: str, form: str) -> str:
-    """The median of those that have the field."""
+    """The median of the rows that have the field."""
     values = _values(rows, field)
     return format(float(np.median(values)), form) if values else ABSENT
 
 
 def _range(rows: Sequence[Record], field: str, form: str) -> str:
-    """The median [least, most]; one value stands alone."""
+    """The median [least, most]; a single value without a range."""
     values, middle = _values(rows, field), _middle(rows, field, form)
     if len(values) < 2:
         return middle

@@ -1,8 +1,8 @@
-"""One trial: a recipe trained with one seed, exported, and evaluated on seeds it never saw.
+"""One trial: a recipe trained with one seed, exported, and evaluated on seeds of its own.
 
-Everything that a trial leaves behind is in its run folder, <folder>/<recipe>-s<seed>-<date>-<time>:
-what training writes, policy.onnx or policy.nir, and evaluation.json. So a trial can be stopped at
-any time; the next attempt goes on with what is missing.
+All results of a trial are in its run folder, <folder>/<recipe>-s<seed>-<date>-<time>: the files of
+the training, policy.onnx or policy.nir, and evaluation.json. A trial can be stopped at any time;
+the next attempt does what is missing.
 """
 
 import json
@@ -13,9 +13,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.experiments.alone import alone
-from spikedeploy.experiments.drive import drive
+from spikedeploy.experiments.evaluation import evaluate
 from spikedeploy.experiments.finishes import Steps, finishes
+from spikedeploy.experiments.lock import exclusive
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.trainers.config import amended, differences, resolve
@@ -27,14 +27,14 @@ STAMP = r"\d{8}-\d{6}(-\d+)?"
 
 @dataclass(frozen=True)
 class Trial:
-    """What is trained, and how it is judged.
+    """A training and its evaluation.
 
-    recipe     of trainers.recipes, learned by PPO
+    recipe     of trainers.recipes, trained by PPO
     seed       of the training
     folder     of all trials of the experiment
     overrides  settings as `--set` takes them
     episodes   of the evaluation, greedy, from seed EVALUATION up
-    chip       that a spiking policy is evaluated on, beside its float twin
+    chip       on which a spiking policy is evaluated, beside its float twin
     """
 
     recipe: str
@@ -58,14 +58,14 @@ class Trial:
 
     @property
     def config(self) -> PpoConfig:
-        """The configuration that it is trained with."""
+        """The configuration of the training."""
         if self.run is None:
             return resolve(PpoConfig, self.recipe, overrides=self.overrides, seed=self.seed)
         return amended(RunFolder(self.run).config(PpoConfig), overrides=self.overrides)
 
     @property
-    def strayed(self) -> list[str]:
-        """Settings with which it was trained, but with which it would not be trained now."""
+    def changed_settings(self) -> list[str]:
+        """Settings of the training that differ from what the recipe says now."""
         if self.run is None:
             return []
         now = resolve(PpoConfig, self.recipe, overrides=self.overrides, seed=self.seed)
@@ -74,13 +74,13 @@ class Trial:
 
     @property
     def counters(self) -> dict[str, Any]:
-        """What the last checkpoint counts: env_steps, finishes ...; empty without one."""
+        """Counters of the last checkpoint: env_steps, finishes ...; empty without one."""
         file = self.run and self.run / "checkpoints" / "last.json"
         return json.loads(file.read_text(encoding="utf-8")) if file and file.is_file() else {}
 
     @property
     def trained(self) -> bool:
-        """Whether as many episodes finished as were asked for, or the budget is spent."""
+        """Whether enough episodes have finished, or the budget is spent."""
         counters, config = self.counters, self.config
         if not counters:
             return False
@@ -94,16 +94,16 @@ class Trial:
 
     @property
     def evaluation(self) -> dict[str, Any] | None:
-        """What evaluating it found; None where that is missing, or of other steps or episodes."""
+        """The evaluation; None where it is missing, or was made with other steps or episodes."""
         file = self.run and self.run / "evaluation.json"
         if not file or not file.is_file():
             return None
         found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        return found if self.trained and found["of"] == self.judged else None
+        return found if self.trained and found["of"] == self.evaluated_with else None
 
     @property
-    def judged(self) -> dict[str, Any]:
-        """What an evaluation must be of."""
+    def evaluated_with(self) -> dict[str, Any]:
+        """The steps, episodes and chip that an evaluation must have been made with."""
         steps = self.counters.get("env_steps")
         return {"env_steps": steps, "episodes": self.episodes, "chip": self.chip}
 
@@ -113,14 +113,14 @@ class Trial:
         return self.evaluation is not None
 
     def arguments(self) -> dict[str, Any]:
-        """Itself as the arguments of `perform`."""
+        """The fields as arguments of `perform`."""
         return {**asdict(self), "overrides": list(self.overrides)}
 
 
 def perform(**arguments: Any) -> bool:  # noqa: ANN401
-    """Do what is missing of the trial with these fields; False where training was interrupted."""
+    """Complete the trial with these fields; False if the training was interrupted."""
     trial = Trial(**arguments)
-    with alone(Path(trial.folder) / f".{trial.name}.lock"):
+    with exclusive(Path(trial.folder) / f".{trial.name}.lock"):
         if not trial.trained:
             _train(trial)
         if not trial.trained:
@@ -131,11 +131,11 @@ def perform(**arguments: Any) -> bool:  # noqa: ANN401
 
 
 def _train(trial: Trial) -> None:
-    """Begin the training, or go on with it."""
+    """Start or resume the training."""
     from spikedeploy.trainers.train import train
 
     if trial.run and not trial.counters:
-        shutil.rmtree(trial.run)  # it was killed before its first checkpoint: nothing is lost
+        shutil.rmtree(trial.run)  # killed before its first checkpoint: nothing to resume
     train(
         trial.recipe,
         overrides=trial.overrides,
@@ -147,21 +147,21 @@ def _train(trial: Trial) -> None:
 
 
 def _evaluate(trial: Trial) -> None:
-    """Export the policy, and let it drive: a float network, or a spiking one on its chip too."""
-    from spikedeploy.export import export
+    """Export the policy and evaluate it, a spiking one also on its chip."""
+    from spikedeploy.shipping.export_run import export_run
 
     run, config = trial.run, trial.config
     if run is None:
         raise SpikedeployError(f"{trial.name}: its run folder is gone")
     to = "onnx" if config.policy.kind == "mlp" else "nir"
-    exported = export(str(run), to)
+    exported = export_run(str(run), to)
     if failed := [check.name for check in exported.checks if not check.passed]:
         raise SpikedeployError(f"{exported.path} does not do what {run} does: {', '.join(failed)}")
     found = {
-        "of": trial.judged,
+        "of": trial.evaluated_with,
         "trial": {"recipe": trial.recipe, "seed": trial.seed},
         "parameters": parameters(run),
-        "rows": drive(
+        "rows": evaluate(
             config.env.name, config.env.options, str(exported.path), trial.episodes, trial.chip
         ),
     }
@@ -169,7 +169,7 @@ def _evaluate(trial: Trial) -> None:
 
 
 def parameters(run: Path) -> int:
-    """Numbers that the run's policy has learned."""
+    """The number of parameters of the run's policy."""
     from spikedeploy.trainers.run_folder import load_policy
 
     return sum(weights.numel() for weights in load_policy(run).parameters())

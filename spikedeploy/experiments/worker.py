@@ -1,8 +1,8 @@
-"""A process that does one job: `python -m spikedeploy.experiments.worker`, the job on stdin.
+"""A process for one job: `python -m spikedeploy.experiments.worker`, the job on stdin.
 
-stdin holds one line of JSON, {"call": "module:function", "arguments": {...}}, and stays open: when
-it closes, because the experiment was interrupted or even killed, the process interrupts itself as
-Ctrl-C would, and training ends with a checkpoint.
+stdin holds one line of JSON, {"call": "module:function", "arguments": {...}}, and stays open. When
+it closes, because the experiment was interrupted or killed, the process interrupts itself as Ctrl-C
+would, and training ends with a checkpoint.
 """
 
 import json
@@ -12,16 +12,16 @@ import sys
 import threading
 from importlib import import_module
 
-from spikedeploy.failures import one_line
+from spikedeploy.user_errors import one_line
 
-INTERRUPTED = 130  # as a shell says of a program that Ctrl-C ended
+INTERRUPTED = 130  # a shell's exit status after Ctrl-C
 
 
 def main() -> int:
-    """Do the job; the exit status: 0 done, INTERRUPTED, else failed with a line on stderr."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` makes it ignored
+    """Run the job; exit status 0 done, INTERRUPTED, or 1 after a line on stderr."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # with `&` a shell ignores it
     job = json.loads(sys.stdin.readline())
-    threading.Thread(target=_interrupt_at_the_end_of_stdin, daemon=True).start()
+    threading.Thread(target=_interrupt_when_stdin_closes, daemon=True).start()
     module, _, function = job["call"].partition(":")
     try:
         done = getattr(import_module(module), function)(**job["arguments"])
@@ -36,10 +36,10 @@ def main() -> int:
     return INTERRUPTED if done is False else 0
 
 
-def _interrupt_at_the_end_of_stdin() -> None:
-    os.read(sys.stdin.fileno(), 1)  # returns when the other end closes, and never before
+def _interrupt_when_stdin_closes() -> None:
+    os.read(sys.stdin.fileno(), 1)  # returns only when the other end closes
     main_thread = threading.main_thread().ident
-    if main_thread is not None:  # only a signal to that thread wakes what it waits for
+    if main_thread is not None:  # only a signal to the main thread interrupts a blocking call
         signal.pthread_kill(main_thread, signal.SIGINT)
 
 

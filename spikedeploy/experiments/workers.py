@@ -1,4 +1,4 @@
-"""Jobs in processes of their own, some at a time, that end politely when the experiment does."""
+"""Jobs in processes of their own, a few at a time, which checkpoint when the experiment stops."""
 
 import json
 import os
@@ -14,19 +14,19 @@ from types import FrameType
 from typing import Any
 
 from spikedeploy.experiments.worker import INTERRUPTED
-from spikedeploy.jobs import WORKER_ENVIRONMENT
+from spikedeploy.parallel import WORKER_ENVIRONMENT
 
-PAUSE = 0.5  # between two looks at the processes [s]
+PAUSE = 0.5  # [s] between two polls of the processes
 
 
 @dataclass(frozen=True)
 class Job:
-    """A call that a process of its own makes.
+    """A function call in a process of its own.
 
     name       for people
     call       "module:function"; a function that returns False was interrupted
-    arguments  of the function, as JSON knows them
-    log        file with everything that the process prints, of all its attempts
+    arguments  of the function, JSON types
+    log        file with the output of the process, of all attempts
     """
 
     name: str
@@ -36,10 +36,10 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Ended:
+class JobEnd:
     """How a job ended.
 
-    seconds  that it ran
+    seconds  of run time
     status   0 done, worker.INTERRUPTED, else failed
     """
 
@@ -49,29 +49,29 @@ class Ended:
 
     @property
     def failed(self) -> bool:
-        """Whether it ended by itself without being done."""
+        """Whether it ended by itself, but not with success."""
         return self.status not in (0, INTERRUPTED)
 
     @property
-    def last_words(self) -> str:
-        """The last line of the log, which tells of a failure."""
+    def last_line(self) -> str:
+        """The last line of the log, which holds the error message."""
         lines = self.job.log.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "it said nothing")
+        return next((line for line in reversed(lines) if line.strip()), "no output")
 
 
 def run(
     jobs: Sequence[Job],
     count: int,
-    ended: Callable[[Ended], None],
-    look: Callable[[Sequence[Job]], None] = lambda running: None,
+    ended: Callable[[JobEnd], None],
+    update: Callable[[Sequence[Job]], None] = lambda running: None,
 ) -> bool:
-    """Run the jobs, `count` at a time, in their order; whether all of them were tried.
+    """Run the jobs in order, `count` at a time; return whether none was left out.
 
-    ended  is called after each
-    look   is called with those that run, again and again
+    ended   is called after each job
+    update  is called with the running jobs at every poll
     """
     waiting, running = list(reversed(jobs)), list[_Process]()
-    with _terminated_as_interrupted():
+    with _sigterm_as_interrupt():
         try:
             while waiting or running:
                 while waiting and len(running) < count:
@@ -79,7 +79,7 @@ def run(
                 for process in [each for each in running if each.status is not None]:
                     running.remove(process)
                     ended(process.end())
-                look([process.job for process in running])
+                update([process.job for process in running])
                 time.sleep(PAUSE)
         except KeyboardInterrupt:
             _stop(running, ended)
@@ -90,11 +90,11 @@ def run(
     return True
 
 
-def _stop(running: "Sequence[_Process]", ended: Callable[[Ended], None]) -> None:
-    """Let every process come to a safe end; a second Ctrl-C ends them at once."""
+def _stop(running: "Sequence[_Process]", ended: Callable[[JobEnd], None]) -> None:
+    """Ask every process to stop, and wait; a second Ctrl-C kills them."""
     try:
         for process in running:
-            process.ask()
+            process.ask_to_stop()
         for process in running:
             ended(process.end())
     except KeyboardInterrupt:
@@ -104,7 +104,7 @@ def _stop(running: "Sequence[_Process]", ended: Callable[[Ended], None]) -> None
 
 
 class _Process:
-    """A job that runs."""
+    """A running job."""
 
     def __init__(self, job: Job) -> None:
         self.job, self._start = job, time.monotonic()
@@ -116,13 +116,13 @@ class _Process:
                 stdout=log,
                 stderr=log,
                 env={**os.environ, **WORKER_ENVIRONMENT},
-                start_new_session=True,  # a terminal's Ctrl-C reaches the experiment alone
+                start_new_session=True,  # a terminal's Ctrl-C reaches the parent only
             )
-        self._say(json.dumps({"call": job.call, "arguments": dict(job.arguments)}) + "\n")
+        self._write(json.dumps({"call": job.call, "arguments": dict(job.arguments)}) + "\n")
 
-    def _say(self, text: str) -> None:
+    def _write(self, text: str) -> None:
         if self._popen.stdin:
-            with suppress(BrokenPipeError):  # it died already, and its status will tell
+            with suppress(BrokenPipeError):  # it has died; its status tells
                 self._popen.stdin.write(text.encode())
                 self._popen.stdin.flush()
 
@@ -131,27 +131,27 @@ class _Process:
         """The exit status; None while it runs."""
         return self._popen.poll()
 
-    def ask(self) -> None:
-        """Ask it to end soon."""
+    def ask_to_stop(self) -> None:
+        """Ask it to stop, by closing its stdin."""
         if self._popen.stdin:
             with suppress(BrokenPipeError):
                 self._popen.stdin.close()
 
     def kill(self) -> None:
-        """End it now."""
+        """Kill it."""
         self._popen.kill()
         self._popen.wait()
 
-    def end(self) -> Ended:
+    def end(self) -> JobEnd:
         """Wait for its end."""
         status = self._popen.wait()
-        self.ask()
-        return Ended(self.job, time.monotonic() - self._start, status)
+        self.ask_to_stop()
+        return JobEnd(self.job, time.monotonic() - self._start, status)
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM ends the experiment as Ctrl-C does."""
+def _sigterm_as_interrupt() -> Iterator[None]:
+    """SIGTERM raises KeyboardInterrupt within the block."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -1,26 +1,33 @@
-"""Windows and films: driving by hand, watching a policy, and replaying what was driven.
+"""Windows: drive a kart, watch a policy, replay recorded episodes, draw a track.
 
-theme.py    colours, fonts, and the few shapes that every panel is made of
-window.py   an app on the screen: events in, frames out; screenshots
-keys.py     which keys drive which world
-session.py  a drive: a world, who drives it, and the record
-stage.py    the picture of a world
-hud.py      the panel beside it
-driving.py  `spikedeploy play`
-source.py   what a replay reads: ghosts, batch after batch, or a recorded drive
-playback.py the time of a replay: pause, speed, seek, batch after batch
-reels.py    one batch of a replay: ghosts on a track, or a robot's walk
-crowd.py    many ghosts at once
-crowd_picture.py  them, drawn
-overlay.py  several sources over one another
-brain.py    what a spiking policy does at the leading ghost
-rasters.py  its spikes, drawn
-replaying.py `spikedeploy replay`
-sketch.py   a track while it is drawn: what every click and key makes of it
-sketch_file.py  tracks and drafts as files
-drawing.py  `spikedeploy draw`
-drawing_picture.py  a sketch and its panel, drawn
-film.py     an app as MP4 or GIF
+An app draws itself as a surface, so that it can be tested, and filmed, without a window.
+
+window             shows an app: events in, frames out, screenshots
+theme              colours, fonts, bars, key caps
+env_picture        the picture of an environment
+
+drive_app          `spikedeploy play`
+session            one driver in one environment, episode after episode, recorded
+drivers            a person at the keys, a policy, or a policy that a person commands
+keys               which keys stand for which actions
+drive_panel        speed, gates, LIDAR and rewards beside a drive
+
+replay_app         `spikedeploy replay`
+replay_source      ghosts batch after batch, or one recorded rollout
+replay_views       one batch: ghosts on a track, or a robot's episode again
+overlay_view       several sources on one track
+ghost_group        many ghosts: where each is at a step
+ghost_picture      such a group, drawn
+playback           pause, speed, seek, next batch
+spike_recorder     spikes of a policy on recorded observations
+ghost_observations observations along the path of a ghost
+spike_panel        these spikes, drawn
+replay_film        a replay as MP4 or GIF
+
+track_editor       `spikedeploy draw`
+track_editor_view  a draft of a track and its panel, drawn
+track_draft        a track under construction, with undo
+draft_files        tracks and drafts as files
 """
 
 import os

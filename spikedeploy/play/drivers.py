@@ -1,4 +1,4 @@
-"""Who drives: a person at the keys, a policy, or a policy that a person commands."""
+"""Drivers: a person at the keys, a policy, or a policy that a person commands."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -7,14 +7,14 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from spikedeploy.play.keys import Keys, Sticks
-from spikedeploy.policies.policies import Player
+from spikedeploy.play.keys import CommandKeys, Keys
+from spikedeploy.policies.interface import Player
 
 Legend = list[tuple[str, str]]
 
 
 class Driver(Protocol):
-    """A controller that is told of keys.
+    """A controller that receives key events.
 
     name    for people
     legend  keys and what they do
@@ -30,14 +30,14 @@ class Driver(Protocol):
         """Start an episode."""
 
     def handle(self, event: pygame.Event) -> None:
-        """Take a key that was pressed or let go."""
+        """Handle a key press or release."""
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The action for an observation."""
 
 
-class Hand:
-    """A person who chooses actions with keys."""
+class KeyboardDriver:
+    """A person who chooses discrete actions with keys."""
 
     name = "you"
 
@@ -50,19 +50,19 @@ class Hand:
         return self.keys.legend
 
     def reset(self, seed: int) -> None:
-        """Nothing: who holds a key drives off at once."""
+        """Nothing: keys that are held act at once."""
 
     def handle(self, event: pygame.Event) -> None:
-        """Take a key that was pressed or let go."""
+        """Handle a key press or release."""
         self.keys.handle(event)
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
-        """The action () that the keys mean."""
+        """The action () of the keys."""
         return np.asarray(self.keys.action)
 
 
-class BothHands(Hand):
-    """A person whose keys act together, where an action is as many numbers.
+class CombinedKeysDriver(KeyboardDriver):
+    """A person whose keys add up to a continuous action.
 
     effects  name of an action -> numbers (act,)
     """
@@ -72,13 +72,13 @@ class BothHands(Hand):
         self._effects = effects
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
-        """The numbers (act,) that the keys add up to, in [-1, 1]."""
+        """The action (act,), the sum of the keys in [-1, 1]."""
         held = [self._effects[name] for name in (self.keys.actions[0], *self.keys.held)]
         return np.asarray(np.clip(np.sum(held, axis=0), -1.0, 1.0))
 
 
-class Watched:
-    """A policy that drives alone."""
+class PolicyDriver:
+    """A policy that drives by itself."""
 
     def __init__(self, player: Player, name: str) -> None:
         self.name, self._player = name, player
@@ -89,30 +89,29 @@ class Watched:
         self._player.reset(seed)
 
     def handle(self, event: pygame.Event) -> None:
-        """No key changes its mind."""
+        """Nothing: keys have no effect."""
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The policy's action."""
         return self._player.act(observation)
 
 
-class Commanded(Watched):
-    """A policy that walks as a person's keys command.
+class CommandedPolicyDriver(PolicyDriver):
+    """A policy that follows the velocity commands of a person.
 
-    world   with `steer`
-    sticks  the command
+    keys  the command
     """
 
     def __init__(self, player: Player, name: str, world: Any) -> None:  # noqa: ANN401
         super().__init__(player, name)
-        self.sticks, self._world = Sticks(), world
-        self.legend = self.sticks.legend
+        self.keys, self._world = CommandKeys(), world
+        self.legend = self.keys.legend
 
     def handle(self, event: pygame.Event) -> None:
         """Take a key that was pressed."""
-        self.sticks.handle(event)
+        self.keys.handle(event)
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
-        """The policy's action; the next observation shows it the command."""
-        self._world.steer(self.sticks.speed, self.sticks.turn)
+        """The policy's action; the next observation contains the command."""
+        self._world.steer(self.keys.speed, self.keys.turn)
         return super().act(observation)

@@ -1,4 +1,4 @@
-"""Which keys drive which world."""
+"""Keys and the actions that they stand for."""
 
 from collections.abc import Mapping
 
@@ -25,9 +25,9 @@ CAPS = {
 
 
 class Keys:
-    """The keys that are held down, and the action that they mean.
+    """The keys that are held down, and their action.
 
-    actions  names of an environment's actions, in its order; the first is to do nothing
+    actions  names of an environment's actions, in its order; the first is no action
     """
 
     def __init__(self, actions: tuple[str, ...]) -> None:
@@ -38,7 +38,7 @@ class Keys:
         self._held: list[int] = []
 
     def handle(self, event: pygame.Event) -> None:
-        """Take a key that was pressed or let go; others than those that drive are ignored."""
+        """Handle a key press or release; other keys than those that drive are ignored."""
         if event.key not in self._meaning:
             return
         if event.key in self._held:
@@ -48,7 +48,7 @@ class Keys:
 
     @property
     def action(self) -> int:
-        """Index of the action: that of the key that was pressed last and is still held."""
+        """Index of the action of the key that was pressed last and is still held."""
         return self._meaning[self._held[-1]] if self._held else 0
 
     @property
@@ -62,7 +62,7 @@ class Keys:
         return [(CAPS[name], name) for name in self.actions if name in CAPS]
 
 
-class Sticks:
+class CommandKeys:
     """Speed and turn rate that the arrow keys command, changed in steps."""
 
     SPEED = (-0.25, 0.45)  # [m/s]
@@ -79,7 +79,7 @@ class Sticks:
         self.speed, self.turn = 0.25, 0.0
 
     def handle(self, event: pygame.Event) -> None:
-        """Take a key that was pressed."""
+        """Handle a key press."""
         if event.type != pygame.KEYDOWN:
             return
         if event.key == pygame.K_SPACE:

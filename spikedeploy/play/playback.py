@@ -1,4 +1,4 @@
-"""The time of a replay: pause, speed, seek, and which batch is on."""
+"""The position of a replay: pause, speed, seek, batch."""
 
 from dataclasses import dataclass
 
@@ -6,21 +6,21 @@ import pygame
 
 SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 JUMP = 1.0  # [s] of a seek
-REST = 1.0  # [s] that the end of a batch stays on the screen
+REST = 1.0  # [s] that the end of a batch is shown
 
 
 @dataclass
 class Playback:
-    """Where a replay is.
+    """Position and speed of a replay.
 
-    batches  how many there are
+    batches  number of batches
     dt       [s] of a control step
-    length   control steps of the batch that is on
-    batch    which it is
-    step     control steps since its start, whole ones and parts
+    length   control steps of the current batch
+    batch    index of the current batch
+    step     control steps since its start, with fraction
     speed    1 is real time
-    paused   whether time stands still
-    rounds   how often the last batch has come to its end
+    paused   whether it is paused
+    rounds   how often the last batch has ended
     """
 
     batches: int
@@ -38,7 +38,7 @@ class Playback:
         return min(int(self.step), self.length)
 
     def handle(self, event: pygame.Event) -> None:
-        """Take a key that was pressed."""
+        """Handle a key press."""
         if event.type != pygame.KEYDOWN:
             return
         if event.key == pygame.K_SPACE:
@@ -46,29 +46,29 @@ class Playback:
         elif event.key in (pygame.K_LEFT, pygame.K_RIGHT):
             self.seek(JUMP if event.key == pygame.K_RIGHT else -JUMP)
         elif event.key in (pygame.K_UP, pygame.K_DOWN):
-            self.hurry(1 if event.key == pygame.K_UP else -1)
+            self.change_speed(1 if event.key == pygame.K_UP else -1)
         elif event.key in (pygame.K_n, pygame.K_b):
-            self.turn(1 if event.key == pygame.K_n else -1)
+            self.skip(1 if event.key == pygame.K_n else -1)
 
     def tick(self, seconds: float) -> None:
-        """Let time pass; after the end of a batch comes the next, after the last the first."""
+        """Advance; the next batch follows the end of a batch, the first the last."""
         if self.paused:
             return
         self.step += self.speed * seconds / self.dt
         if self.step > self.length + REST * self.speed / self.dt:
             self.rounds += self.batch == self.batches - 1
-            self.turn(1)
+            self.skip(1)
 
     def seek(self, seconds: float) -> None:
-        """Go on or back within the batch."""
+        """Seek within the batch."""
         self.step = min(max(self.step + seconds / self.dt, 0.0), float(self.length))
 
-    def hurry(self, notches: int) -> None:
-        """Play faster or slower, by steps of SPEEDS."""
+    def change_speed(self, notches: int) -> None:
+        """Play faster or slower by steps of SPEEDS."""
         nearest = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - self.speed))
         self.speed = SPEEDS[min(max(nearest + notches, 0), len(SPEEDS) - 1)]
 
-    def turn(self, batches: int) -> None:
-        """Go to another batch, round and round."""
+    def skip(self, batches: int) -> None:
+        """Skip batches, cyclically."""
         self.batch = (self.batch + batches) % self.batches
         self.step = 0.0

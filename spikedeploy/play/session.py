@@ -1,4 +1,4 @@
-"""A drive: a world, who drives it, episode after episode, and the record of it."""
+"""A drive: one driver in one environment, episode after episode, recorded."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ class Outcome:
 
     @property
     def line(self) -> str:
-        """In words."""
+        """The outcome in one line."""
         lap = "" if self.seconds is None else f" in {self.seconds:.2f} s"
         return f"{self.word}{lap}, {self.steps} steps, return {self.total:.2f}"
 
@@ -41,14 +41,12 @@ class Outcome:
 class Session:
     """One driver in one environment.
 
-    env       the environment
-    driver    who drives
-    seed      of the first episode; every one after it has the next
-    record    file that keeps the drives; the second goes to <name>-2, and so on
-    take      the episode that is under way
+    seed      of the first episode; each further one has the next
+    record    file for the rollouts; the second goes to <name>-2, and so on
+    episode   the recorder of the current episode
     sums      reward term -> sum over the episode
     outcomes  of the episodes that ended
-    files     that drives were recorded in
+    files     of recorded rollouts
     """
 
     def __init__(
@@ -68,8 +66,8 @@ class Session:
 
     @property
     def info(self) -> Mapping[str, Any]:
-        """What the newest step told; at the start what the reset told."""
-        return self.take.info
+        """The info of the last step or reset."""
+        return self.episode.info
 
     @property
     def waiting(self) -> bool:
@@ -78,8 +76,8 @@ class Session:
 
     @property
     def seconds(self) -> float:
-        """Of the episode so far."""
-        return float(self.take.steps * self.world.CONTROL_DT)
+        """Seconds since the start of the episode."""
+        return float(self.episode.steps * self.world.CONTROL_DT)
 
     @property
     def best(self) -> float | None:
@@ -93,33 +91,33 @@ class Session:
         return laps[-1] if laps else None
 
     def restart(self) -> None:
-        """Begin the next episode; one that was under way is forgotten."""
+        """Start the next episode; an unfinished one is dropped."""
         self._seed += 1
         self._wait = 0
-        self.take = EpisodeRecorder(self.env, self._seed)
+        self.episode = EpisodeRecorder(self.env, self._seed)
         self.driver.reset(self._seed)
         self.sums = Counter()
 
     def tick(self) -> None:
-        """Move on by one control step, or show the end a little longer."""
+        """Advance by one control step, or keep showing the end of an episode."""
         if self._wait:
             self._wait -= 1
             if not self._wait:
                 self.restart()
             return
-        self.take.step(self.driver.act(self.take.observation))
+        self.episode.step(self.driver.act(self.episode.observation))
         self.sums.update(self.info.get("reward_terms", {}))
-        if self.take.over:
+        if self.episode.over:
             self._end()
 
     def close(self) -> None:
-        """Keep what was driven so far, if a record is wanted, and close the world."""
-        if not self.waiting and self.take.steps:
-            self._keep(self.take.rollout())
+        """Record the unfinished episode, if recording, and close the environment."""
+        if not self.waiting and self.episode.steps:
+            self._keep(self.episode.rollout())
         self.env.close()
 
     def _end(self) -> None:
-        played = self.take.rollout()
+        played = self.episode.rollout()
         finished = bool(self.info.get("finish"))
         self.outcomes.append(
             Outcome(
@@ -134,7 +132,7 @@ class Session:
         self._wait = max(1, round(PAUSE / self.world.CONTROL_DT))
 
     def _keep(self, played: Rollout) -> None:
-        """Write a drive, if a record is wanted."""
+        """Write a rollout, if recording."""
         if self._record is None:
             return
         number = len(self.files) + 1
@@ -145,6 +143,6 @@ class Session:
 
 
 def _word(info: Mapping[str, Any]) -> str:
-    """The reason of an episode's end, the best first."""
+    """The reason why an episode ended."""
     reasons = (name for name in ("finish", "crash", "stalled", "fall") if info.get(name))
     return next(reasons, "time is up")

@@ -1,4 +1,4 @@
-"""Colours, fonts, and the few shapes that every panel is made of."""
+"""Colours, fonts, and the shapes that panels are made of."""
 
 from functools import cache
 from importlib.util import find_spec
@@ -23,7 +23,7 @@ FONTS = {"plain": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf", "mono": "Deja
 
 @cache
 def font(size: int, face: str = "plain") -> pygame.font.Font:
-    """A font of matplotlib's, which every installation has; found without loading it."""
+    """A font that ships with matplotlib, found without importing it."""
     pygame.font.init()
     spec = find_spec("matplotlib")
     if spec is None or spec.origin is None:
@@ -40,14 +40,14 @@ def write(
     face: str = "plain",
     anchor: str = "topleft",
 ) -> pygame.Rect:
-    """Write a line of text with its `anchor` (a name of pygame.Rect's) at a point; its place."""
+    """Write a line of text with its `anchor`, as in pygame.Rect, at a point; return its place."""
     drawn = font(size, face).render(text, True, colour)
     place = drawn.get_rect(**{anchor: (round(at[0]), round(at[1]))})
     return surface.blit(drawn, place)
 
 
 def fitting(text: str, width: int, size: int = 15, face: str = "plain") -> str:
-    """The text, or as much of its end as is no wider than that."""
+    """The text, or its end after an ellipsis, within a width [px]."""
     cut = text
     while font(size, face).size(cut)[0] > width and len(cut) > 2:
         cut = "…" + cut[2:]
@@ -55,12 +55,12 @@ def fitting(text: str, width: int, size: int = 15, face: str = "plain") -> str:
 
 
 def heading(surface: pygame.Surface, text: str, at: tuple[float, float]) -> None:
-    """The title of a part of a panel."""
+    """Write the title of a section."""
     write(surface, text.upper(), at, 11, DIM, "bold")
 
 
 def bar(surface: pygame.Surface, place: pygame.Rect, share: float, colour: Colour = CYAN) -> None:
-    """A bar that is filled from the left by a share of its length."""
+    """A bar that is filled from the left by a fraction of its length."""
     radius = place.height // 2
     pygame.draw.rect(surface, TRACK, place, border_radius=radius)
     width = round(place.width * min(max(share, 0.0), 1.0))
@@ -85,7 +85,7 @@ def signed_bar(surface: pygame.Surface, place: pygame.Rect, share: float) -> Non
 def keycaps(
     surface: pygame.Surface, entries: list[tuple[str, str]], at: tuple[float, float], width: int
 ) -> float:
-    """Keys and what they do, in as many rows as they need; the y below them."""
+    """Draw keys and their functions in rows; return the y below them."""
     x, y = at
     for keys, meaning in entries:
         cap, label = font(12, "bold").size(keys)[0] + 14, font(12).size(meaning)[0]

@@ -1,4 +1,4 @@
-"""An app on the screen: events in, frames out. What it shows, it draws without a window too."""
+"""Shows an app in a window: events in, frames out."""
 
 import itertools
 from pathlib import Path
@@ -10,16 +10,16 @@ from spikedeploy.play.theme import NIGHT
 from spikedeploy.runtime.errors import ConfigError
 
 SCREENSHOTS = Path("screenshots")
-MOST = 25.0  # ticks between two frames
+MAX_TICKS = 25.0  # ticks between two frames
 MOUSE = (pygame.MOUSEMOTION, pygame.MOUSEBUTTONDOWN, pygame.MOUSEWHEEL)
 
 
 class App(Protocol):
-    """What a window shows.
+    """An app that a window can show; it draws itself without one too.
 
     title   of the window
     name    for the names of screenshots
-    fps     frames per second that it wants
+    fps     wanted frames per second
     """
 
     title: str
@@ -27,25 +27,25 @@ class App(Protocol):
     fps: float
 
     def handle(self, event: pygame.Event) -> None:
-        """Take a key that was pressed or let go."""
+        """Handle a key press or release."""
 
     def tick(self) -> None:
-        """Let the time of one frame pass."""
+        """Advance by one frame."""
 
     def draw(self) -> pygame.Surface:
         """The frame, always of the same size."""
 
 
 @runtime_checkable
-class Pointed(Protocol):
-    """An app that takes the mouse as well."""
+class MouseApp(Protocol):
+    """An app that handles the mouse as well."""
 
     def point(self, event: pygame.Event) -> None:
-        """Take a move, a click or a turn of the wheel; places are those of the frame."""
+        """Handle a mouse move, click or wheel event; positions are those of the frame."""
 
 
 def show(app: App, screenshots: Path = SCREENSHOTS) -> None:
-    """Show the app until its window is closed or ESC is pressed; P keeps a picture."""
+    """Show the app until its window is closed or ESC is pressed; P takes a screenshot."""
     screen = _open(app)
     clock = pygame.time.Clock()
     due, size = 1.0, screen.get_size()
@@ -58,13 +58,13 @@ def show(app: App, screenshots: Path = SCREENSHOTS) -> None:
             _fit(screen, frame)
             pygame.display.flip()
             # where drawing is slow, more time passes between two frames
-            due = min(due % 1 + clock.tick(app.fps) / 1000 * app.fps, MOST)
+            due = min(due % 1 + clock.tick(app.fps) / 1000 * app.fps, MAX_TICKS)
     finally:
         pygame.display.quit()
 
 
 def screenshot(app: App, folder: Path = SCREENSHOTS) -> Path:
-    """Write what the app shows to the first free number; the path."""
+    """Write the current frame to the first free file name; return the path."""
     folder.mkdir(parents=True, exist_ok=True)
     names = (folder / f"{app.name}-{number}.png" for number in itertools.count(1))
     path = next(name for name in names if not name.exists())
@@ -86,7 +86,7 @@ def _open(app: App) -> pygame.Surface:
 
 
 def _handled(app: App, screenshots: Path, size: tuple[int, int]) -> bool:
-    """Pass the waiting events on to a frame of a size; whether one of them closes the window."""
+    """Pass pending events to the app; return whether one of them closes the window."""
     for event in pygame.event.get():
         escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
         if event.type == pygame.QUIT or escape:
@@ -95,13 +95,13 @@ def _handled(app: App, screenshots: Path, size: tuple[int, int]) -> bool:
             screenshot(app, screenshots)
         elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
             app.handle(event)
-        elif event.type in MOUSE and isinstance(app, Pointed):
+        elif event.type in MOUSE and isinstance(app, MouseApp):
             app.point(_on_frame(event, size))
     return False
 
 
 def _on_frame(event: pygame.Event, size: tuple[int, int]) -> pygame.Event:
-    """An event of the mouse with its place on a frame of a size, which may be scaled to fit."""
+    """A mouse event with its position in frame pixels; the frame may be scaled to the window."""
     screen = pygame.display.get_surface()
     if screen is None or not hasattr(event, "pos"):
         return event
@@ -112,7 +112,7 @@ def _on_frame(event: pygame.Event, size: tuple[int, int]) -> pygame.Event:
 
 
 def _fit(screen: pygame.Surface, frame: pygame.Surface) -> None:
-    """The frame in the middle of a window of any size."""
+    """Draw the frame in the middle of the window, scaled to fit."""
     screen = pygame.display.get_surface() or screen
     if screen.get_size() != frame.get_size():
         scale = min(

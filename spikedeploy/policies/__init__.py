@@ -1,10 +1,16 @@
-"""Policies of every format, behind one interface: what can be run, compared and played.
+"""Policies of every format behind one interface: found by name, loaded, asked, and priced.
 
-gait             The built-in `gait`: no policy at all, the environment's own movement with a z
-gap              The built-in `gap`: a scripted driver that follows the gap in the LIDAR; nothi
-nir              NIR files: spiking policies, on an emulated chip or as their float twin
-onnx             ONNX files: float networks, run by ONNX Runtime on one thread
-policies         The registry of policies that can be run: files, run folders and built-ins, on
-random           The built-in `random`: an action drawn uniformly at every control step
-run              Run folders: the best checkpoint of a training run, played in torch as it was
+Each format is a module with the functions of `interface.PolicyFormat`; adding one is a file here
+and a line in `registry.FORMATS`.
+
+interface    Candidate (before loading), Player (loaded), and the Protocol of a format
+registry     the table of formats; find, open_policy and price
+costs        spikes, operations and energy of an inference
+nir          NIR files: spiking policies, on an emulated chip or as their float twin
+onnx         ONNX files: float networks, on one thread
+run          run folders: the best checkpoint, in torch
+run_record   configuration, versions and provenance of a run folder, read without torch
+gait         built-in: zero actions, so that the environment's own gait remains
+gap          built-in: a script that follows the gap in the LIDAR
+random       built-in: uniformly random actions
 """

@@ -1,4 +1,4 @@
-"""The built-in `gait`: no policy at all, the environment's own movement with a zero residual."""
+"""The built-in `gait`: zero actions, which leave the environment's own gait unchanged."""
 
 from pathlib import Path
 from typing import Any
@@ -7,14 +7,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import NOTHING, Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.policies.costs import NOTHING, Costs
+from spikedeploy.policies.interface import Candidate
 from spikedeploy.runtime.errors import ConfigError
 
 
 class ZeroController:
-    """Always puts out zeros (act,)."""
+    """A controller whose actions are zeros (act,)."""
 
     def __init__(self, actions: int) -> None:
         self.actions = actions
@@ -39,7 +39,7 @@ def describe(path: Path) -> Candidate:
 def controller(
     candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
 ) -> ZeroController:
-    """A controller of as many zeros as the environment has actions."""
+    """A controller for an environment with continuous actions."""
     space = env.action_space
     if not isinstance(space, gymnasium.spaces.Box):
         raise ConfigError("the gait is for robots that have one, with actions that are numbers")

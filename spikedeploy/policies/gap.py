@@ -1,4 +1,4 @@
-"""The built-in `gap`: a scripted driver that follows the gap in the LIDAR; nothing is learned."""
+"""The built-in `gap`: a script that follows the gap in the LIDAR; nothing is learned."""
 
 from pathlib import Path
 from typing import Any
@@ -7,20 +7,20 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import Candidate
 
 
 class GapController:
-    """The driver as a player; it sees what a policy sees."""
+    """The scripted driver as a player, on the observations of a policy."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         self._driver = GapDriver.of(env)
 
     def reset(self, seed: int) -> None:
-        """Nothing to reset: the driver is without memory."""
+        """Nothing to reset: the driver has no state."""
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The action, () or (act,)."""
@@ -44,5 +44,5 @@ def controller(
 
 
 def costs(controller: GapController, played: Rollout) -> Costs:
-    """Not counted: it is a program, not a network."""
+    """Not counted: it is a script, not a network."""
     return Costs()

@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs, spiking_costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import FLOAT, Candidate, env_id
+from spikedeploy.policies.costs import Costs, spiking_costs
+from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program as compiled
@@ -25,14 +25,12 @@ Floats = NDArray[np.float64]
 
 
 class NirController:
-    """A spiking policy whose ledger begins anew with every episode.
+    """A spiking policy with a ledger for each episode.
 
-    chip     it runs on; None is the float twin
-    limits   whether the chip refuses what breaks its design rules
-    sampled  actions are drawn, as in SpikingController
+    chip     datasheet; None for the float twin
     graph    of the file
-    program  whose operations are counted; the float twin's is the one without rounding
-    remarks  of the compiler, on what the chip does otherwise than the file says
+    program  whose operations are counted; for the float twin the one of chip `ideal`
+    remarks  of the compiler, on where the chip departs from the file
     """
 
     def __init__(
@@ -54,7 +52,7 @@ class NirController:
         self._before = self._controller.ledger
 
     def reset(self, seed: int) -> None:
-        """Start an episode, and its ledger."""
+        """Start an episode and its ledger."""
         self._controller.reset(seed)
         self._before = self._controller.ledger
 
@@ -70,7 +68,7 @@ class NirController:
 
     @property
     def ledger(self) -> Ledger:
-        """What happened since the last reset, all inferences in one row."""
+        """Counts since the last reset, all inferences in one row."""
         now, before = self._controller.ledger, self._before
         return replace(
             now,
@@ -82,7 +80,7 @@ class NirController:
 
 
 def describe(path: Path) -> Candidate:
-    """The candidate in a NIR file, which must carry the codec that a closed loop needs."""
+    """The candidate in a NIR file, which must have a codec to act in a closed loop."""
     artifact = load(path)
     if artifact.codec is None:
         raise ArtifactError(
@@ -111,7 +109,7 @@ def controller(
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:
-    """What the ledger of the episode says, and the size of the file and of the chip's weights."""
+    """Costs from the ledger of the episode; memory of the file and of the weights on the chip."""
     return replace(
         spiking_costs(controller.ledger, controller.program, controller.chip),
         footprint=footprint(controller.graph),

@@ -7,9 +7,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate, env_id
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import Candidate, env_id
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metrics.energy import energy_table, mac_energy_estimate
@@ -26,11 +26,12 @@ class OnnxController:
     """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
 
     path        of the file
-    metadata    what the exporter wrote: env, recipe, seed, kind, head, name, macs ...
-    observed    numbers it observes
-    actions     numbers it puts out, or actions that it chooses from
-    chooses     whether it puts out logits, of which the largest is taken
-    sampled     draw from the logits' softmax instead
+    metadata    of the exporter: env, recipe, seed, kind, head, name, macs ...
+    observed    size of the observation
+    actions     size of the action, or number of actions to choose from
+    chooses     whether the output is logits, of which the largest is taken
+
+    `sampled` draws from the softmax of the logits instead.
     """
 
     def __init__(self, path: str | Path, sampled: bool = False) -> None:
@@ -38,7 +39,7 @@ class OnnxController:
         self._session = session(path)
         self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
         self._input = self._session.get_inputs()[0]
-        self._output, *self._heard = self._session.get_outputs()
+        self._output, *self._presynaptic = self._session.get_outputs()
         self._dtype = np.float64 if "double" in self._input.type else np.float32
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
@@ -46,7 +47,7 @@ class OnnxController:
         self._sampler = Sampler(self.chooses) if sampled else None
 
     def reset(self, seed: int) -> None:
-        """Start an episode: the network is without memory, but drawing is not."""
+        """Start an episode: only sampling has a state."""
         if self._sampler is not None:
             self._sampler.reset(seed)
 
@@ -62,11 +63,11 @@ class OnnxController:
         return output.argmax(axis=1) if self.chooses else output
 
     def effective_macs(self, observations: Floats) -> float | None:
-        """Mean multiply-accumulates whose input is not zero; None where the file hides them."""
-        if not self._heard:
+        """Mean multiply-accumulates with non-zero input; None where the file cannot tell."""
+        if not self._presynaptic:
             return None
-        fan_outs = [_width(self.path, each) for each in [*self._heard[1:], self._output]]
-        presynaptic = self._run(self._heard, observations)
+        fan_outs = [_width(self.path, each) for each in [*self._presynaptic[1:], self._output]]
+        presynaptic = self._run(self._presynaptic, observations)
         # MACs = sum over weight matrices of non-zero inputs x fan-out
         operations = zip(presynaptic, fan_outs, strict=True)
         return float(

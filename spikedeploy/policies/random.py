@@ -7,15 +7,15 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import NOTHING, Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.policies.costs import NOTHING, Costs
+from spikedeploy.policies.interface import Candidate
 
-STREAM = 1  # keeps the draws apart from those of an environment with the same seed
+STREAM = 1  # so that draws differ from those of an environment with the same seed
 
 
 class RandomController:
-    """Draws from an action space; the seed of the episode decides every draw.
+    """Uniform actions, seeded by the episode.
 
     space  of the actions
     """
@@ -25,7 +25,7 @@ class RandomController:
         self._rng = np.random.default_rng()
 
     def reset(self, seed: int) -> None:
-        """Start the draws of this seed."""
+        """Seed the generator."""
         self._rng = np.random.default_rng([seed, STREAM])
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -35,7 +35,7 @@ class RandomController:
         return self._rng.uniform(-1.0, 1.0, self.space.shape or ())
 
     def replay(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The actions (S, act) or (S,) that follow."""
+        """The next S actions (S, act) or (S,)."""
         return np.stack([self.act(observation) for observation in observations])
 
 

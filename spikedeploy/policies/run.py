@@ -1,4 +1,4 @@
-"""Run folders: the best checkpoint of a training run, played in torch as it was trained."""
+"""Run folders: the best checkpoint of a training run, in torch as it was trained."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,10 +7,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.costs import Costs
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.policies import FLOAT, Candidate, env_id
-from spikedeploy.runs import settings
+from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.interface import FLOAT, Candidate, env_id
+from spikedeploy.policies.run_record import settings
 from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ConfigError
@@ -22,9 +22,9 @@ Floats = NDArray[np.float64]
 
 
 class TorchController:
-    """A policy as its trainer holds it, float32; random codes throw the dice of a chip.
+    """A policy in torch, float32; a random encoder uses the generator of the chip.
 
-    sampled  draw one of several actions from the softmax of their scores
+    `sampled` draws one of several actions from the softmax of their scores.
     """
 
     def __init__(self, run: str, sampled: bool = False) -> None:
@@ -39,8 +39,8 @@ class TorchController:
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Start an episode: each action is an inference of its own, but the dice roll on."""
-        self._dice = Xorshift(seed, self.policy.observations)
+        """Seed the encoder's generator, which runs on from one inference to the next."""
+        self._rng = Xorshift(seed, self.policy.observations)
         if self._sampler is not None:
             self._sampler.reset(seed)
 
@@ -64,7 +64,7 @@ class TorchController:
 
         if not isinstance(self.policy, SpikingMlpPolicy):
             return self.policy.scores(batch)
-        return self.policy.presynaptic(raster(self.policy, batch, self._dice.draw_sequence)).mean
+        return self.policy.presynaptic(raster(self.policy, batch, self._rng.draw_sequence)).mean
 
 
 def describe(path: Path) -> Candidate:
@@ -97,5 +97,5 @@ def controller(
 
 
 def costs(controller: TorchController, played: Rollout) -> Costs:
-    """Not counted: costs belong to the exported file that would be deployed."""
+    """Not counted: costs are those of the exported file, which would be deployed."""
     return Costs()

@@ -1,13 +1,15 @@
-"""Reports: tables, plots and pages of what was compared.
+"""Reports: tables, plots and pages of what comparison, emulation and training found.
 
-card             The card of a shipped policy, as a page for people
-check_tables     What people read of a check: rules by chips, or one chip's layers and rules
-columns          The tables of a comparison, the same ones on the terminal, in the HTML report
-curves           Learning curves: what a run's metrics say about its returns
-datasheets       Datasheets side by side: what the chips compute with, and what that was compar
-drift_tables     The tables of a drift, the same on the terminal and in Markdown
-plots            Figures of a comparison and of training runs, PNG; drawn without a display
-price_list       The price list: every energy table, where its numbers come from, and how sure
-report           The report of a comparison: report.json for machines, report.html and report.m
-terminal         What people and machines read: tables and JSON on stdout, progress on stderr
+Nothing is computed here that is not in the data; the same tables serve terminal, HTML and Markdown.
+
+columns       the tables of a comparison, column by column
+report        a comparison as report.json, report.html and report.md
+plots         returns, energies and learning curves as PNG
+curves        the learning curve in a run's metrics
+card          the page of a shipped policy
+terminal      what commands print of comparisons, emulations, drifts, files and traces
+check_tables  a network against the design rules: by chip, by layer, by rule
+drift_tables  drift by layer and by rounding
+datasheets    the chips' arithmetic side by side
+price_list    the energy tables, their sources and their uncertainty
 """

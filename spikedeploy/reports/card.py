@@ -1,4 +1,4 @@
-"""The card of a shipped policy, as a page for people."""
+"""The card of a shipped policy as a Markdown page."""
 
 import shlex
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ KINDS = {
 
 
 def markdown(name: str, record: Mapping[str, Any]) -> str:
-    """The page: what it is, how it was made, how it does."""
+    """The page: provenance, evaluation, parity, learning curve."""
     rows = record["evaluation"]
     facts = {
         "what": KINDS[record["kind"]],
@@ -50,6 +50,6 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
 
 
 def command(record: Mapping[str, Any]) -> str:
-    """The command that trains the policy again."""
+    """The command that trained the policy."""
     options = [f"--set {shlex.quote(change)}" for change in record["overrides"]]
     return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])

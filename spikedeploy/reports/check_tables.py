@@ -1,9 +1,9 @@
-"""What people read of a check: rules by chips, or one chip's layers and rules."""
+"""The tables of a design report: rules by chip, or layers and rules of one chip."""
 
 from collections.abc import Sequence
 
-from spikedeploy.check import Report, statuses, worst
-from spikedeploy.reports.terminal import console, print_table
+from spikedeploy.console import console, print_table
+from spikedeploy.emulation.design_report import DesignReport, statuses, worst
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.compiler.check import DesignCheck
 from spikedeploy.runtime.design_rules.mapping import Placement, of_mapping, of_placement
@@ -11,12 +11,12 @@ from spikedeploy.runtime.design_rules.result import RuleResult, text
 
 MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
-# chips beside each other in a table that is not wider than a page
-ABREAST = 8
+# chips side by side in a table
+PER_TABLE = 8
 
 
-def print_report(report: Report) -> None:
-    """Write the tables of a report."""
+def print_report(report: DesignReport) -> None:
+    """Print the tables of a report."""
     console().print(f"{report.file}: {report.artifact.convention.describe()}\n", markup=False)
     if len(report.checks) == 1:
         _print_chip(report.checks[0])
@@ -25,8 +25,8 @@ def print_report(report: Report) -> None:
 
 
 def _print_chips(checks: Sequence[DesignCheck]) -> None:
-    for first in range(0, len(checks), ABREAST):
-        part = checks[first : first + ABREAST]
+    for first in range(0, len(checks), PER_TABLE):
+        part = checks[first : first + PER_TABLE]
         columns = [statuses(each) for each in part]
         rows = [(rule, *(MARKS[column[rule]] for column in columns)) for rule in columns[0]]
         heads = [each.chip.name.replace("-", "-\n") for each in part]
@@ -37,7 +37,7 @@ def _print_chips(checks: Sequence[DesignCheck]) -> None:
 
 
 def _summary(found: DesignCheck) -> str:
-    """Why not, or on how many cores."""
+    """The first broken rule, or the number of cores."""
     if not found.passed:
         first = next(ruling for ruling in found.rulings if ruling.failed)
         rules = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
@@ -86,7 +86,7 @@ def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:
 
 
 def _numbers(placement: Placement) -> str:
-    """How many cores, and which."""
+    """The number of cores, and their indices."""
     if placement.first is None:
         return f"{placement.cores:,}"
     last = placement.first + placement.cores - 1

@@ -1,4 +1,4 @@
-"""The tables of a comparison, the same ones on the terminal, in the HTML report and on cards."""
+"""The tables of a comparison, for terminal, HTML report and cards alike."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,7 @@ COST = "What does an inference cost?"
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its head, what it means, and the text of a row's cell."""
+    """One column: its head, its definition, and the text of a row's cell."""
 
     title: str
     meaning: str
@@ -23,14 +23,14 @@ class Column:
 
 
 def label(row: Row) -> str:
-    """The name of a row as people read it: `popsan · loihi1`."""
+    """The name of a row: `popsan · loihi1`."""
     if not row["chip"]:
         return str(row["policy"])
     return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
 
 
 def number(field: str, form: str) -> Cell:
-    """A cell that formats the field, or a dash where the row has none."""
+    """A cell that formats the field, or a dash where the row lacks it."""
 
     def cell(row: Row) -> str:
         value = row.get(field)
@@ -40,9 +40,9 @@ def number(field: str, form: str) -> Cell:
 
 
 def price(field: str, table: str, unit: str, interval: str) -> Cell:
-    """A cell with what an energy table says, in the unit or a thousandth part of it or less.
+    """A cell with the estimate by an energy table, scaled by an SI prefix.
 
-    interval: field with the bounds, which reports of before have not.
+    interval  field with the bounds; absent in older reports
     """
 
     def cell(row: Row) -> str:
@@ -56,7 +56,7 @@ def price(field: str, table: str, unit: str, interval: str) -> Cell:
 
 
 def bounded(text: str, value: float, low: float, high: float | None) -> str:
-    """A number with what is known of it: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
+    """A number with its bounds: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
     if high is None or math.isinf(high):
         return f"≥ {text}" if low == value else text
     if low == high:
@@ -68,14 +68,14 @@ def bounded(text: str, value: float, low: float, high: float | None) -> str:
 
 
 def scaled(value: float) -> str:
-    """The number with a prefix of the SI, so that 0.1 to 99 stand before it: `13.03 µ`."""
+    """The number with an SI prefix, so that it is between 0.1 and 99: `13.03 µ`."""
     prefixes = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
     size = next((size for size in prefixes if value >= 0.1 * size), 1e-9)
     return f"{value / size:.2f} {prefixes[size]}"
 
 
 def interval(row: Row) -> str:
-    """The mean return with its interval: `3,413 [3,405, 3,420]`, of karts `30.1 [29.8, 30.4]`."""
+    """The mean return with its interval: `3,413 [3,405, 3,420]`, for karts `30.1 [29.8, 30.4]`."""
     low, high = row["return_ci95"]
     form = f",.{_digits(row)}f"
     return f"{row['return_mean']:{form}} [{low:{form}}, {high:{form}}]"
@@ -91,12 +91,12 @@ def difference(row: Row) -> str:
 
 
 def _digits(row: Row) -> int:
-    """Decimals of a return: walks earn thousands, drives tens."""
+    """Decimals of a return: hexapods earn thousands, karts tens."""
     return 1 if drives(row) else 0
 
 
 def share(row: Row) -> str:
-    """The success rate with its interval in percent: `97% [92, 99]`."""
+    """The success rate with its interval: `97% [92, 99]`."""
     low, high = row["success_ci95"]
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
@@ -116,7 +116,7 @@ def score(row: Row) -> str:
 
 
 def divergence(row: Row) -> str:
-    """The first step at which the episodes part; `never` where half of them never do."""
+    """The median first divergence; `never` where half of the episodes never diverge."""
     if row["reference"] is None:
         return ABSENT
     step = row["first_divergence"]
@@ -233,7 +233,7 @@ SIZE = (
 
 
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
-    """Title -> columns, as far as some row has something to say in them."""
+    """Title -> columns that some row fills."""
     found = {
         **(
             {"Does the kart still finish?": _filled(DRIVE, rows)}
@@ -249,7 +249,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
 
 
 def _prices(rows: Sequence[Row]) -> list[Column]:
-    """Energies and latencies by every table that prices some row."""
+    """Energies and latencies by every table that some row has."""
     energy, latency = "energy_per_inference_j", "latency_per_inference_s"
     energies = [
         Column(name, f"energy by table {name}", price(energy, name, "J", "energy_interval_j"))

@@ -1,4 +1,4 @@
-"""Learning curves: what a run's metrics say about its returns."""
+"""Learning curves from the metrics of a run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,15 +6,18 @@ from pathlib import Path
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.metrics import read
 
-SIGNALS = {"eval_return": "validation", "episode_return": "training"}  # the first that a run has
+SIGNALS = {
+    "eval_return": "validation",
+    "episode_return": "training",
+}  # in this order
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The returns of one run while it learned.
+    """The returns of one run over its training.
 
     name     of the run
-    unit     what its steps are: "environment steps" or "updates"
+    unit     of its steps: "environment steps" or "updates"
     signal   "validation" or "training"
     steps    (n,) [unit]
     returns  (n,)

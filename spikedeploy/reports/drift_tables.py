@@ -1,9 +1,9 @@
-"""The tables of a drift, the same on the terminal and in Markdown."""
+"""The tables of a drift, for terminal and Markdown alike."""
 
 from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
-from spikedeploy.drift import DriftReport
+from spikedeploy.emulation.drift_report import DriftReport
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
 
 # title, heads, rows
@@ -18,7 +18,7 @@ RUNGS = {
 
 
 def tables(report: DriftReport) -> Iterator[Table]:
-    """What was measured, layer by layer, rounding by rounding, and what is wrong with layers."""
+    """Summary, layers, the contribution of each rounding, and dead or saturated layers."""
     drift = report.drift
     yield f"Drift of {report.policy} on {drift.chip}", ("what", "found"), _summary(report)
     yield "Layers", LAYER_HEADS, _layers(drift)
@@ -91,9 +91,7 @@ def _layers(drift: Drift) -> list[tuple[str, ...]]:
             str(layer.lost),
             str(layer.woken),
             f"{layer.saturations:,}",
-            "–"
-            if layer.first is None
-            else "inference {}, timestep {}, neuron {}".format(*layer.first),
+            _place(layer.first),
         )
         for layer in drift.layers
     ]

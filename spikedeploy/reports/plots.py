@@ -1,4 +1,4 @@
-"""Figures of a comparison and of training runs, PNG; drawn without a display."""
+"""Figures of comparisons and training runs as PNG; no display is needed."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,27 +15,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Colours that colour-blind readers can tell apart (Okabe and Ito 2008).
-BLUE, ORANGE, VERMILION, GREEN, PURPLE, GREY = (
-    "#0072B2",
-    "#E69F00",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#8A939E",
-)
+# distinguishable with colour blindness (Okabe and Ito 2008)
+BLUE, ORANGE, VERMILION, GREY = "#0072B2", "#E69F00", "#D55E00", "#8A939E"
 MARKERS = "osD^vP"
 
 
 def colour(row: Row) -> str:
-    """The colour of a row's kind: float ANN, float SNN, SNN on a chip, or what is only compared."""
+    """The colour of a row: float ANN, float SNN, SNN on a chip, or any other kind."""
     if row["kind"] == "snn":
         return ORANGE if row["chip"] == "float" else VERMILION
     return BLUE if row["kind"] == "ann" else GREY
 
 
 def draw_returns(rows: Sequence[Row], path: Path) -> Path:
-    """Every episode's return as a dot, the mean with its 95 % interval as a bar, a line a row."""
+    """Returns as dots, their mean with its 95 % interval as a bar, one line for each row."""
     figure, axes = _figure(len(rows))
     for place, row in enumerate(rows):
         paint = colour(row)
@@ -56,7 +49,7 @@ def draw_returns(rows: Sequence[Row], path: Path) -> Path:
 
 
 def draw_energy(rows: Sequence[Row], path: Path) -> Path:
-    """Joules per inference on a log axis, one marker an energy table; rows without any left out."""
+    """Joules per inference on a log axis, a marker for each energy table."""
     from matplotlib.ticker import EngFormatter
 
     rows = [row for row in rows if row["energy_per_inference_j"]]
@@ -78,7 +71,7 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
 
 
 def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
-    """Return against steps, a line a run."""
+    """Return against steps, a line for each run."""
     from matplotlib.ticker import EngFormatter
 
     figure, axes = _figure(7)
@@ -94,14 +87,14 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
 
 
 def save(figure: "Figure", path: Path) -> Path:
-    """Write the figure to a temporary name, then to `path`."""
+    """Write the figure atomically; return the path."""
     with replacing(path) as part:
         figure.savefig(part, dpi=150, format="png", bbox_inches="tight", facecolor="white")
     return path
 
 
 def _figure(lines: int) -> "tuple[Figure, Axes]":
-    """Axes tall enough for so many lines of text, with a light frame."""
+    """Axes for that many lines of text, with a light frame."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 1.2 + 0.42 * lines))
@@ -120,5 +113,5 @@ def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _spread(values: NDArray[np.float64], place: int) -> NDArray[np.float64]:
-    """Heights above a bar, so that equal values do not hide one another; the same every time."""
+    """Random heights above a bar, so that equal values stay visible; reproducible."""
     return place - np.random.default_rng(0).uniform(0.08, 0.34, size=len(values))

@@ -1,4 +1,4 @@
-"""The price list: every energy table, where its numbers come from, and how sure they are."""
+"""The energy tables: prices, sources, uncertainty."""
 
 from typing import Any
 
@@ -47,12 +47,12 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
 
 
 def chips(table: EnergyTable) -> list[str]:
-    """The chips whose datasheets name the table."""
+    """Chips whose datasheets name the table."""
     return [name for name in CHIPS if table.name in chip(name).energy_tables]
 
 
 def rows() -> list[tuple[str, ...]]:
-    """A row a table, under HEADS."""
+    """A row of HEADS for each table."""
     return [
         (
             table.name,
@@ -69,7 +69,7 @@ def rows() -> list[tuple[str, ...]]:
 
 
 def sources() -> list[tuple[str, str]]:
-    """Each table or static power, and where its numbers come from."""
+    """Table or static power, and its source."""
     tables = [(table.name, f"{table.source}: {table.provenance}") for table in TABLES.values()]
     powers = [
         (p.name, f"static, {p.watts * 1e3:g} mW a {name}. {p.source}: {p.provenance}")
@@ -79,7 +79,7 @@ def sources() -> list[tuple[str, str]]:
 
 
 def markdown() -> list[str]:
-    """Both as lines of Markdown, for docs/energy.md."""
+    """Tables and sources as lines of Markdown, for docs/energy.md."""
     lines = [HEADS, ("---",) * len(HEADS), *rows()]
     table = [f"| {' | '.join(line)} |" for line in lines]
     return [*table, "", *[f"* `{name}` – {source}." for name, source in sources()]]
@@ -97,5 +97,10 @@ def _times(table: EnergyTable) -> str:
     return ", ".join([*events, f"timestep {table.step / NANO:,.10g}"]) if table.timed else "–"
 
 
-def _uncertain(off: Uncertainty) -> dict[str, Any]:
-    return {"low": off.low, "high": off.high, "is": off.describe(), "why": off.why}
+def _uncertain(uncertainty: Uncertainty) -> dict[str, Any]:
+    return {
+        "low": uncertainty.low,
+        "high": uncertainty.high,
+        "is": uncertainty.describe(),
+        "why": uncertainty.why,
+    }

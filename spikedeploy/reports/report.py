@@ -13,21 +13,21 @@ from typing import Any
 
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison
-from spikedeploy.comparison.summary import meaning
+from spikedeploy.comparison.summary import summary
 from spikedeploy.files import as_text, write_text
-from spikedeploy.policies.policies import Candidate
+from spikedeploy.policies.interface import Candidate
 from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.reports.plots import draw_energy, draw_returns
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.compiler.quantisation import PLAIN
 from spikedeploy.runtime.metrics.energy import describe_table, energy_table
-from spikedeploy.versions import own
+from spikedeploy.trainers.versions import own
 
 Document = Mapping[str, Any]
 
 
 def document(comparison: Comparison) -> dict[str, Any]:
-    """Everything that a report says, as plain data; its `rows` are one a policy and chip."""
+    """The report as plain data; one of its `rows` for each policy and chip."""
     rows = comparison.as_json()
     return {
         "env": envs.spec(comparison.env).short,
@@ -36,7 +36,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "command": shlex.join(["spikedeploy", *sys.argv[1:]]),
         "version": own(),
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "meaning": meaning(rows),
+        "meaning": summary(rows),
         "conventions": _conventions(comparison),
         "remarks": _remarks(comparison),
         "energy_tables": _energy_tables(rows),
@@ -45,13 +45,13 @@ def document(comparison: Comparison) -> dict[str, Any]:
 
 
 def _conventions(comparison: Comparison) -> dict[str, str]:
-    """How each spiking file is stepped, and how chips round it, by the policy's name."""
+    """Policy -> its convention, and its quantisation on chips."""
     candidates = {row.entry.candidate.name: row.entry.candidate for row in comparison.rows}
     return {name: _convention(c) for name, c in candidates.items() if c.format == ".nir"}
 
 
 def _remarks(comparison: Comparison) -> dict[str, list[str]]:
-    """What a chip does otherwise than the file says, by the row's label."""
+    """Label of a row -> remarks of the compiler."""
     remarks = {row.entry.label: list(row.episodes[0].remarks) for row in comparison.rows}
     return {label: said for label, said in remarks.items() if said}
 
@@ -63,14 +63,14 @@ def _convention(candidate: Candidate) -> str:
 
 
 def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
-    """Where the numbers of each table come from, by the table's name."""
+    """Energy table -> its source."""
     names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     tables = [energy_table(name) for name in names]
     return {table.name: describe_table(table) for table in tables}
 
 
 def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:
-    """Write page, numbers, Markdown and plots into the folder; the files, in that order."""
+    """Write page, numbers, Markdown and plots into the folder; return the files in that order."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = document["rows"]
     shown = tables(rows)
@@ -93,15 +93,15 @@ def page_of_text(document: Document) -> str:
 
 
 def stepped(document: Document) -> list[tuple[str, str]]:
-    """How the networks are stepped: the convention of each, then what chips do otherwise."""
+    """How the networks are stepped: conventions, then remarks on chips."""
     remarks = [(label, said) for label, each in document["remarks"].items() for said in each]
     return [*document["conventions"].items(), *remarks]
 
 
 def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
-    """The page: everything is inside it, so it can be mailed.
+    """The page as one file, pictures and video embedded.
 
-    pictures  title of the table that each belongs under -> PNG
+    pictures  title of a table -> PNG below it
     """
     rows = document["rows"]
     shown = tables(rows)
@@ -140,7 +140,7 @@ def _table(columns: Sequence[Column], rows: Sequence[Row]) -> str:
 
 
 def _class(row: Row) -> str:
-    """The style of a row: ann, snn, chip, or what is only compared."""
+    """The CSS class of a row: chip, or its kind."""
     return "chip" if row["kind"] == "snn" and row["chip"] != "float" else str(row["kind"])
 
 

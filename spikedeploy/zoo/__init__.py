@@ -1,4 +1,4 @@
-"""The zoo: the policies that are shipped, `spikedeploy/zoo/<env>/<name>`, a card beside each."""
+"""The zoo: the shipped policies, `spikedeploy/zoo/<env>/<name>`, with a card beside each."""
 
 import json
 from collections.abc import Mapping
@@ -15,14 +15,19 @@ def policies(env: str | None = None) -> list[Path]:
 
 
 def names() -> list[str]:
-    """What the command line calls the shipped policies: `hexapod/popsan`."""
+    """Names of the shipped policies on the command line: `hexapod/popsan`."""
     return [f"{p.parent.name}/{p.stem}" for p in policies()]
 
 
 def path(name: str) -> Path | None:
-    """The file of a name as above, its suffix allowed; None where there is none."""
+    """The file of a shipped policy by name, with or without suffix; None where there is none."""
     wanted = name.removesuffix(".onnx").removesuffix(".nir")
     return next((p for p in policies() if f"{p.parent.name}/{p.stem}" == wanted), None)
+
+
+def resolve(reference: str) -> Path | None:
+    """The existing path, else the shipped policy of that name; None where there is neither."""
+    return Path(reference) if Path(reference).exists() else path(reference)
 
 
 def called(file: str) -> str:
@@ -32,7 +37,7 @@ def called(file: str) -> str:
 
 
 def card(name: str) -> dict[str, Any]:
-    """What the card of a shipped policy says; nothing for a policy without one."""
+    """The card of a shipped policy as data; empty without one."""
     file = path(name)
     if file is None or not file.with_suffix(".json").is_file():
         return {}
@@ -41,5 +46,5 @@ def card(name: str) -> dict[str, Any]:
 
 
 def mean_return(card: Mapping[str, Any]) -> float | None:
-    """The mean return that a card tells, of the float twin where the policy spikes."""
+    """The mean return on a card; of a spiking policy that of the float twin."""
     return card["evaluation"][0]["return_mean"] if card else None

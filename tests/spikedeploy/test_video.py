@@ -4,17 +4,17 @@ import av
 import numpy as np
 import pytest
 
-from spikedeploy import demo
+from spikedeploy.comparison.closed_loop import run_policy
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.run import run
+from spikedeploy.shipping import demo_reports
 from spikedeploy.video import Pace, captioned, mp4, side_by_side
-from tests import strolling
+from tests import stroll_env
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     return tmp_path
 
 
@@ -62,13 +62,13 @@ def test_frames_stand_side_by_side():
 
 
 def test_run_films_the_first_episode_only(stroll):
-    run("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
+    run_policy("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
     assert len(frames(stroll / "film.mp4")) == 1 + 10  # the start, and every second of its 20 steps
 
 
 def test_the_demo_films_the_ann_beside_the_chip(stroll):
     entries = line_up("stroll", (), ("loihi1",))
-    path = demo._film("stroll", entries, stroll / "film.mp4", seconds=5.0)
+    path = demo_reports._film("stroll", entries, stroll / "film.mp4", seconds=5.0)
     found = frames(path)
     assert len(found) == 10  # 20 steps at 50 Hz, filmed at 25 Hz
     assert found[0].shape == (48, 64 + 2 + 64, 3)
@@ -76,12 +76,12 @@ def test_the_demo_films_the_ann_beside_the_chip(stroll):
 
 def test_a_film_is_as_long_as_asked_for(stroll):
     entries = line_up("stroll", (), ("loihi1",))
-    assert len(frames(demo._film("stroll", entries, stroll / "film.mp4", seconds=0.2))) == 5
+    assert len(frames(demo_reports._film("stroll", entries, stroll / "film.mp4", seconds=0.2))) == 5
 
 
 def test_who_ends_first_waits_on_its_last_frame():
     left, right = ([np.full((2, 2, 3), k, np.uint8) for k in range(n)] for n in (2, 4))
-    found = [(a[0, 0, 0], b[0, 0, 0]) for a, b in demo._together(iter(left), iter(right))]
+    found = [(a[0, 0, 0], b[0, 0, 0]) for a, b in demo_reports._together(iter(left), iter(right))]
     assert found == [(0, 0), (1, 1), (1, 2), (1, 3)]
 
 
@@ -95,9 +95,10 @@ def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys
     def dark(self):
         raise EnvError("no OpenGL to draw with")
 
-    monkeypatch.setattr(strolling.Stroll, "render", dark)
+    monkeypatch.setattr(stroll_env.Stroll, "render", dark)
     assert (
-        demo._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4", 5.0) is None
+        demo_reports._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4", 5.0)
+        is None
     )
     assert "no film: no OpenGL to draw with\n" in capsys.readouterr().err
     assert not (stroll / "film.mp4").exists()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs, zoo
-from spikedeploy.policies.policies import find, open_policy
+from spikedeploy.policies.registry import find, open_policy
 
 SHIPPED = zoo.policies()
 

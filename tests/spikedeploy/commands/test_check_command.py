@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.check import check, statuses, worst
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.policies.policies import find
+from spikedeploy.emulation.design_report import design_report, statuses, worst
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.design_rules.table import RULES
-from tests import strolling
+from tests import stroll_env
 from tests.networks import chain, cuba, popsan
 
 RULING = {
@@ -118,7 +118,7 @@ def test_a_chip_without_limits_is_not_the_one_that_passes_all(command, tmp_path)
     options = ("--dt", "0.001", "--reset", "subtract")
     code, out, _ = command("check", path, "--chip", "ideal", *options, "--json")
     assert (code, json.loads(out)["passed"]) == (0, True)
-    found = check(str(path), ["all"], dt=1e-3, reset="subtract")
+    found = design_report(str(path), ["all"], dt=1e-3, reset="subtract")
     alone = replace(
         found, checks=[e for e in found.checks if e.chip.limits is None or not e.passed]
     )
@@ -183,7 +183,7 @@ def test_what_cannot_be_checked_is_one_line(reference, options, message, command
 
 
 def test_the_worst_ruling_of_a_rule_stands_for_it():
-    report = check("hexapod/popsan", ["xylo-a2"])
+    report = design_report("hexapod/popsan", ["xylo-a2"])
     (found,) = report.checks
     assert statuses(found)["fan-out"] == "fail"
     assert worst(found.of("fan-out")).node == "lif1"
@@ -205,7 +205,7 @@ def crowded(monkeypatch, tmp_path):
     """A shipped policy for the stroll whose layers no core of Loihi holds."""
     from spikedeploy.runtime.families.cuba import loihi1
 
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     none = replace(loihi1.LOIHI1.limits, axons_in=1)
     monkeypatch.setattr(loihi1, "LOIHI1", replace(loihi1.LOIHI1, limits=none))
@@ -227,7 +227,7 @@ def test_run_and_compare_refuse_what_does_not_fit_and_play_it_without_limits(com
 
 
 def test_a_line_up_says_that_limits_are_off(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     labels = [entry.label for entry in line_up("stroll", (), ["loihi1"], limits=False)]
     assert "popsan · loihi1, limits off" in labels
     assert "popsan · float" in labels
@@ -236,4 +236,4 @@ def test_a_line_up_says_that_limits_are_off(monkeypatch, tmp_path):
 
 def test_shipped_networks_are_read_as_they_were_trained():
     path = zoo.path("hexapod/popsan")
-    assert check("hexapod/popsan", ["loihi1"]).artifact.convention == load(path).convention
+    assert design_report("hexapod/popsan", ["loihi1"]).artifact.convention == load(path).convention

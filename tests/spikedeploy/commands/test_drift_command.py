@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spikedeploy.inputs import at_random, observed
-from spikedeploy.policies.policies import find
+from spikedeploy.emulation.drift_inputs import observed_inputs, random_inputs
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.quantisation import Quantisation
-from tests import strolling
+from tests import stroll_env
 from tests.networks import popsan
 from tests.runtime.families.test_headroom import crowd
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -49,10 +49,10 @@ def test_a_shipped_policy_is_compared_on_what_its_float_twin_observes(command, s
 def test_what_is_observed_is_what_the_float_twin_would_hear(stroll):
     candidate = find("stroll/popsan")
     artifact = load(candidate.path)
-    inputs = observed(artifact, candidate, None, range(10_000, 10_002), 1000)
+    inputs = observed_inputs(artifact, candidate, None, range(10_000, 10_002), 1000)
     assert inputs.raster.shape == (40, 5, 30)
     assert inputs.source.endswith("seeds 10000 to 10001")
-    few = observed(artifact, candidate, None, range(10_000, 10_002), 2)
+    few = observed_inputs(artifact, candidate, None, range(10_000, 10_002), 2)
     np.testing.assert_array_equal(few.raster, inputs.raster[[0, 39]])
 
 
@@ -107,7 +107,7 @@ def test_spikes_can_be_drawn_for_a_file_without_a_codec(command, tmp_path):
     found = json.loads(command(*words)[1])
     assert found["timesteps"] == 30
     assert found["inputs"] == "spikes drawn at a rate of 0.1, seed 10000"
-    inputs = at_random(crowd(), 0.1, 30, 1)
+    inputs = random_inputs(crowd(), 0.1, 30, 1)
     assert 0.08 < inputs.raster.mean() < 0.12
 
 
@@ -138,8 +138,8 @@ def test_emulate_takes_the_same_quantisation(command, raster):
 def test_kept_states_are_heard_from_the_first_step_on(stroll):
     candidate = find("stroll/popsan")
     artifact = load(candidate.path, state="kept")
-    all_of_them = observed(load(candidate.path), candidate, None, [10_000], 1000)
-    first = observed(artifact, candidate, None, [10_000], 3)
+    all_of_them = observed_inputs(load(candidate.path), candidate, None, [10_000], 1000)
+    first = observed_inputs(artifact, candidate, None, [10_000], 3)
     np.testing.assert_array_equal(first.raster, all_of_them.raster[:3])
 
 

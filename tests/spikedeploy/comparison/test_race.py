@@ -11,25 +11,25 @@ from spikedeploy.comparison.agreement import (
     pooled_equality,
     pooled_rmse,
 )
-from spikedeploy.comparison.compare import compare
+from spikedeploy.comparison.closed_loop import run_policy
 from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.metrics import measure
-from spikedeploy.comparison.summary import meaning
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.make_env import made, parsed
-from spikedeploy.policies.policies import find, open_policy
+from spikedeploy.make_env import make_env, parse_options
+from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import tables
-from spikedeploy.run import run
 from spikedeploy.runtime.errors import ConfigError
-from tests import racing
+from tests import race_env
 
 SEEDS = range(10_000, 10_004)
 
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    racing.install(monkeypatch)
+    race_env.install(monkeypatch)
 
 
 class Quadrants:
@@ -87,7 +87,7 @@ def test_a_line_up_shows_the_players_that_the_environment_names(monkeypatch):
 
 
 def test_rows_of_karts_tell_of_finishes_laps_and_crashes():
-    rows = compare("race", [Entry(find("random"))], SEEDS, processes=1).as_json()
+    rows = compare_policies("race", [Entry(find("random"))], SEEDS, processes=1).as_json()
     assert rows[0]["success_rate"] + rows[0]["crashes"] == 1
     assert rows[0]["speed"] == 400
     assert "heading_error" not in rows[0]
@@ -111,20 +111,22 @@ def test_a_lap_is_timed_only_where_it_is_finished():
 
 def test_options_of_the_environment_reach_every_episode():
     entry = Entry(find("random"))
-    lucky = compare("race", [entry], SEEDS, 1, {"luck": 9}).as_json()
+    lucky = compare_policies("race", [entry], SEEDS, 1, {"luck": 9}).as_json()
     assert lucky[0]["success_rate"] == 1
     assert lucky[0]["lap_time"] == pytest.approx(10 / 60)
-    assert run("random", "race", None, SEEDS, options={"luck": 9}).as_json()[0]["crashes"] == 0
+    assert (
+        run_policy("random", "race", None, SEEDS, options={"luck": 9}).as_json()[0]["crashes"] == 0
+    )
 
 
 def test_an_option_that_an_environment_does_not_have_is_one_clear_line():
     with pytest.raises(ConfigError, match=r"race has no option 'wings'; the docstring of"):
-        made("race", {"wings": 2})
+        make_env("race", {"wings": 2})
     with pytest.raises(ConfigError, match="--set takes option=value"):
-        parsed(["track"])
+        parse_options(["track"])
     with pytest.raises(ConfigError, match="'lidar' was given as a whole already"):
-        parsed(["lidar=3", "lidar.noise=2"])
-    assert parsed(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
+        parse_options(["lidar=3", "lidar.noise=2"])
+    assert parse_options(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
         "track": "small_S", "lidar": {"noise": 2, "count": 9}, "on": True,
     }  # fmt: skip
 
@@ -154,17 +156,19 @@ def test_the_sentence_says_what_finishes_on_the_chip_and_without_a_network():
         row("random", "random", rate=0.0),
         row("gap", "control", rate=0.6),
     ]
-    assert meaning(rows) == (
+    assert summary(rows) == (
         "snn on loihi1 finishes 97% of 100 episodes (-1.0 points to its float twin, 95% interval "
         "-3.0 to +0.0). The float ANN finishes 99%, the controls random 0%, gap 60%: so the rest "
         "is what the network is worth."
     )
-    enough = meaning([rows[0], row("gap", "control", rate=0.95)])
+    enough = summary([rows[0], row("gap", "control", rate=0.95)])
     assert enough.endswith("gap 95%: so on this track alone gap is enough.")
 
 
 def test_the_report_of_a_race_is_whole(tmp_path):
-    document = report.document(compare("race", [Entry(find("random"))], SEEDS, processes=1))
+    document = report.document(
+        compare_policies("race", [Entry(find("random"))], SEEDS, processes=1)
+    )
     files = report.write(document, tmp_path)
     assert all(file.is_file() for file in files)
     assert "Does the kart still finish?" in files[2].read_text()

@@ -16,10 +16,10 @@ from spikedeploy.experiments.kart_plot import counted, draw
 from spikedeploy.experiments.kart_records import NTH, learning
 from spikedeploy.experiments.kart_tables import learning_table, percent_of_ann, steps
 from spikedeploy.experiments.trial import Trial
-from spikedeploy.experiments.workers import Ended
+from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.files import write_text
 from spikedeploy.runtime.errors import ConfigError
-from tests import racing
+from tests import race_env
 
 NUMBERS = {
     "episodes": 100, "lap_time": 7.5, "crashes": 0.02, "stalls": 0.0, "gates": 7.9,
@@ -29,7 +29,7 @@ NUMBERS = {
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    racing.install(monkeypatch, *WORLDS)
+    race_env.install(monkeypatch, *WORLDS)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def pretend(monkeypatch):
                 leave(Trial(**job.arguments))
             else:
                 leave_drive(job.arguments)
-            ended(Ended(job, 1.0, 0))
+            ended(JobEnd(job, 1.0, 0))
         return True
 
     monkeypatch.setattr(workers, "run", run)
@@ -79,14 +79,14 @@ def leave(trial, first=1_000, gap=1_000):
     if snn:
         beside = {"success_difference_mean": -0.01, "actions_equal": 0.97}
         rows = [driven("float"), driven("loihi1", 0.97, sops_per_inference=2000.0, **beside)]
-    found = {"of": trial.judged, "parameters": 25_000, "rows": rows}
+    found = {"of": trial.evaluated_with, "parameters": 25_000, "rows": rows}
     (run / "evaluation.json").write_text(json.dumps(found))
 
 
 def leave_drive(arguments):
-    from spikedeploy.experiments.drive import Drive
+    from spikedeploy.experiments.evaluation import BuiltInEvaluation
 
-    drive = Drive(**arguments)
+    drive = BuiltInEvaluation(**arguments)
     found = {"of": {"episodes": drive.episodes}, "rows": [driven(rate=0.1)]}
     write_text(drive.file, json.dumps(found))
 
@@ -103,7 +103,7 @@ def test_every_world_is_seen_early_and_the_controls_come_last(design):
     assert names[6] == "kart-grid-ann-s1"
     assert names[-2:] == ["kart-steer-small-s0", "kart-steer-linear-s0"]
     assert len(names) == 2 * 6 + 1 * 6
-    assert [drive.name for drive in design.drives()] == [f"{w}-random" for w in WORLDS]
+    assert [drive.name for drive in design.built_in()] == [f"{w}-random" for w in WORLDS]
 
 
 def test_a_setting_that_some_trainings_lack_is_refused_before_any_begins(tmp_path, pretend):
@@ -145,7 +145,7 @@ def test_a_part_that_fails_is_named_with_its_last_words(design, monkeypatch, tmp
     def run(jobs, count, ended, look=None):
         jobs[0].log.parent.mkdir(parents=True)
         jobs[0].log.write_text("a long story\nerror: no memory\n")
-        ended(Ended(jobs[0], 1.0, 1))
+        ended(JobEnd(jobs[0], 1.0, 1))
         return True
 
     monkeypatch.setattr(workers, "run", run)

@@ -5,19 +5,19 @@ import json
 import numpy as np
 import pytest
 
-from spikedeploy.experiments import drive, trial
-from spikedeploy.experiments.finishes import by, finishes, how_far, steps_to
+from spikedeploy.experiments import evaluation, trial
+from spikedeploy.experiments.finishes import finished_by, finishes, progress_of, steps_to
 from spikedeploy.experiments.trial import Trial, perform
-from spikedeploy.policies.policies import find
+from spikedeploy.policies.registry import find
 from spikedeploy.trainers.metrics import read
-from tests import racing
+from tests import race_env
 
 QUICK = ("steps=1024", "policy.timesteps=8")
 
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    racing.install(monkeypatch, "kart-grid")
+    race_env.install(monkeypatch, "kart-grid")
 
 
 def make(folder, **changes):
@@ -111,11 +111,11 @@ def test_a_run_of_an_older_recipe_is_found_out(monkeypatch, tmp_path):
 
     one = make(tmp_path)
     perform(**one.arguments())
-    assert one.strayed == []
+    assert one.changed_settings == []
     old = RECIPES["smoke-kart"]
     newer = Recipe(old.algorithm, old.summary, merged(old.settings, {"gamma": 0.5}))
     monkeypatch.setitem(RECIPES, "smoke-kart", newer)
-    assert one.strayed == [f"gamma={one.config.gamma}"]
+    assert one.changed_settings == [f"gamma={one.config.gamma}"]
 
 
 def test_seeds_and_recipes_do_not_take_each_other_for_themselves(tmp_path):
@@ -126,11 +126,11 @@ def test_seeds_and_recipes_do_not_take_each_other_for_themselves(tmp_path):
 
 
 def test_a_built_in_player_is_evaluated_once(tmp_path, monkeypatch):
-    one = drive.Drive("kart-grid", "random", str(tmp_path), 3)
-    assert drive.perform(**one.arguments())
+    one = evaluation.BuiltInEvaluation("kart-grid", "random", str(tmp_path), 3)
+    assert evaluation.perform(**one.arguments())
     assert one.done
     assert one.evaluation["rows"][0]["policy"] == "random"
-    assert not drive.Drive("kart-grid", "random", str(tmp_path), 4).done
+    assert not evaluation.BuiltInEvaluation("kart-grid", "random", str(tmp_path), 4).done
 
 
 def test_finishes_are_read_to_the_step(tmp_path):
@@ -140,18 +140,18 @@ def test_finishes_are_read_to_the_step(tmp_path):
     assert steps.tolist() == [20, 30]
     assert (steps_to(1, steps), steps_to(2, steps)) == (20, 30)
     assert np.isinf(steps_to(3, steps))
-    assert by(steps, np.array([19.0, 20.0, 35.0])).tolist() == [0, 1, 2]
+    assert finished_by(steps, np.array([19.0, 20.0, 35.0])).tolist() == [0, 1, 2]
     assert finishes(tmp_path / "nothing.csv").size == 0
 
 
-def test_how_far_a_training_is_stands_in_its_last_line(tmp_path):
+def test_the_progress_of_a_training_is_its_last_line(tmp_path):
     run = tmp_path / "kart-s0-20260101-000000"
     run.mkdir()
-    assert how_far(tmp_path, "kart-s0") is None
+    assert progress_of(tmp_path, "kart-s0") is None
     (run / "metrics.csv").write_text("env_steps,episodes,finishes\n")
-    assert how_far(tmp_path, "kart-s0") is None
+    assert progress_of(tmp_path, "kart-s0") is None
     (run / "metrics.csv").write_text("env_steps,episodes,finishes\n512,4,0\n1024,9,2\n")
-    found = how_far(tmp_path, "kart-s0")
+    found = progress_of(tmp_path, "kart-s0")
     assert (found.steps, found.finishes) == (1024, 2)
 
 
@@ -160,7 +160,8 @@ def test_a_broken_export_is_not_evaluated(monkeypatch, tmp_path):
     from spikedeploy.runtime.errors import SpikedeployError
 
     monkeypatch.setattr(
-        "spikedeploy.export.check", lambda *_: [ParityCheck("spikes", False, "3 differ")]
+        "spikedeploy.shipping.export_run.check",
+        lambda *_: [ParityCheck("spikes", False, "3 differ")],
     )
     one = make(tmp_path)
     with pytest.raises(SpikedeployError, match=r"does not do what .*: spikes"):

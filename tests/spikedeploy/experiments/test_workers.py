@@ -19,13 +19,13 @@ from tests.paths import ROOT
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    monkeypatch.chdir(ROOT)  # where the processes find tests.errands
+    monkeypatch.chdir(ROOT)  # where the processes find tests.job_functions
     monkeypatch.setattr(workers, "PAUSE", 0.05)
 
 
 def job(name, errand, folder):
     arguments = {"path": str(folder / name)}
-    return Job(name, f"tests.errands:{errand}", folder / "logs" / f"{name}.log", arguments)
+    return Job(name, f"tests.job_functions:{errand}", folder / "logs" / f"{name}.log", arguments)
 
 
 def when(condition, then):
@@ -56,14 +56,14 @@ def test_only_so_many_run_at_a_time(tmp_path):
 
 @pytest.mark.parametrize(
     ("errand", "words"),
-    [("fail", "error: the shop was closed"), ("crash", "KeyError"), ("die", "it said nothing")],
+    [("fail", "error: the shop was closed"), ("crash", "KeyError"), ("die", "no output")],
 )
 def test_a_job_that_fails_says_why_and_leaves_the_others_alone(errand, words, tmp_path):
     ends = {}
     jobs = [job("bad", errand, tmp_path), job("good", "write", tmp_path)]
     assert run(jobs, 1, lambda end: ends.update({end.job.name: end}))
     assert ends["bad"].failed
-    assert words in ends["bad"].last_words
+    assert words in ends["bad"].last_line
     assert ends["good"].status == 0
 
 

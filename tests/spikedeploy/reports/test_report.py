@@ -6,20 +6,20 @@ from html.parser import HTMLParser
 
 import pytest
 
-from spikedeploy.comparison.compare import compare
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.summary import meaning
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.comparison.summary import summary
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
 from spikedeploy.reports.terminal import print_comparison
-from tests import strolling
+from tests import stroll_env
 
 
 @pytest.fixture
 def document(monkeypatch, tmp_path):
-    strolling.ship(monkeypatch, tmp_path / "zoo")
+    stroll_env.ship(monkeypatch, tmp_path / "zoo")
     entries = line_up("stroll", (), ("loihi1",))
-    return report.document(compare("stroll", entries, range(10_000, 10_003), processes=1))
+    return report.document(compare_policies("stroll", entries, range(10_000, 10_003), processes=1))
 
 
 class Links(HTMLParser):
@@ -99,7 +99,7 @@ def test_numbers_that_json_lacks_become_null(document, tmp_path):
 
 
 def test_the_sentence_says_what_the_chip_keeps():
-    found = meaning([row("sac", "ann"), row("popsan", "snn", "loihi1", 0.985)])
+    found = summary([row("sac", "ann"), row("popsan", "snn", "loihi1", 0.985)])
     assert found.startswith(
         "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's "
         "(-20 to the twin, 95% interval -40 to +1) and succeeds in all of 4 episodes."
@@ -111,7 +111,7 @@ def test_the_sentence_says_what_the_chip_keeps():
     [(0.97, "not shown to be needed"), (0.6, "the rest is what the network is worth")],
 )
 def test_the_sentence_doubts_a_network_that_a_control_equals(control, verdict):
-    found = meaning([row("gait", "gait", ratio=0.5), row("linear", "control", ratio=control)])
+    found = summary([row("gait", "gait", ratio=0.5), row("linear", "control", ratio=control)])
     assert found.startswith("The gait alone earns 50.0% of the float ANN's return")
     assert f"the best control (linear) {control:.1%}" in found
     assert verdict in found
@@ -119,7 +119,7 @@ def test_the_sentence_doubts_a_network_that_a_control_equals(control, verdict):
 
 def test_a_policy_alone_needs_no_sentence():
     alone = row("popsan", "snn", "loihi1", reference=None, ratio_to_float_ann=None)
-    assert meaning([alone]) == ""
+    assert summary([alone]) == ""
 
 
 @pytest.mark.parametrize(

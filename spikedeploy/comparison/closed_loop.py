@@ -1,0 +1,82 @@
+"""One policy in one environment, closed loop, with or without a video of it."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from spikedeploy.comparison.comparison import Comparison, Row
+from spikedeploy.comparison.episodes import summarise
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.console import progress
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
+from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.video import Frame, Pace, captioned, mp4
+
+
+def run_policy(
+    reference: str,
+    env: str | None,
+    chip: str | None,
+    seeds: Sequence[int],
+    video: Path | None = None,
+    sampled: bool = False,
+    options: Mapping[str, Any] = MappingProxyType({}),
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
+) -> Comparison:
+    """One row: the policy on every seed.
+
+    reference  as registry.find takes it
+    env        short name or id; None is the one that the policy was made for
+    chip       a chip or "float"; None is DEFAULT_CHIP for a file that spikes
+    seeds      (n,)
+    video      MP4 of the first episode
+    sampled    draw one of several actions by its probability, instead of taking the likeliest
+    options    of the environment
+    limits     refuse what breaks a design rule of the chip
+    quantisation  of a spiking policy on a chip
+    """
+    candidate = replace(find(reference), limits=limits, quantisation=quantisation)
+    entry = Entry(candidate, chip or _default_chip(candidate))
+    mode = "rgb_array" if video else None
+    world: Any = make_env(env or _made_for(candidate), options, render_mode=mode)
+    player = open_policy(candidate, entry.chip, world, sampled)
+    pace = Pace.of(world.unwrapped.CONTROL_DT)
+    episodes = []
+    with progress(entry.label, len(seeds)) as done:
+        for seed in seeds:
+            with _film(video if seed == seeds[0] else None, pace.fps, entry.label) as on_frame:
+                played = rollout(world, player, seed, on_frame, pace.every)
+            episodes.append(summarise(candidate, player, played))
+            done()
+    world.close()
+    return Comparison(played.env_id, seeds, [Row(entry, episodes)])
+
+
+def _made_for(candidate: Candidate) -> str:
+    if candidate.env is None:
+        raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
+    return candidate.env
+
+
+def _default_chip(candidate: Candidate) -> str | None:
+    if candidate.kind != "snn":
+        return None
+    return DEFAULT_CHIP if candidate.format == ".nir" else FLOAT
+
+
+@contextmanager
+def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Frame], None] | None]:
+    """What `rollout` calls with each frame; None without a path."""
+    if path is None:
+        yield None
+        return
+    with mp4(path, fps) as write:
+        yield lambda frame: write(captioned(frame, caption))

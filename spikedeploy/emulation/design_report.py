@@ -1,0 +1,117 @@
+"""A network file against the design rules of chips: whether it fits, and if not, why not."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from spikedeploy import zoo
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.compiler.check import COMPILE, DesignCheck
+from spikedeploy.runtime.compiler.check import check as check_on
+from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
+from spikedeploy.runtime.design_rules.result import RuleResult, Status
+from spikedeploy.runtime.design_rules.table import RULES
+from spikedeploy.runtime.errors import ConfigError
+
+ALL = "all"
+# statuses of a rule on several nodes: the first of these that occurs counts
+ORDER: tuple[Status, ...] = ("fail", "pass", "unknown", "not applicable")
+
+
+@dataclass(frozen=True)
+class DesignReport:
+    """A network on several chips.
+
+    file      as the user named it
+    artifact  the network and its convention
+    checks    one for each chip
+    any_does  whether one chip that passes is enough, as for "all"
+    """
+
+    file: str
+    artifact: Artifact
+    checks: Sequence[DesignCheck]
+    any_does: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether all named chips pass; of "all", at least one that has limits."""
+        if self.any_does:
+            return any(each.passed for each in self.checks if each.chip.limits is not None)
+        return all(each.passed for each in self.checks)
+
+    def as_json(self) -> dict[str, Any]:
+        """Every rule result and mapping, as plain data."""
+        return {
+            "file": self.file,
+            "convention": self.artifact.convention.to_record(),
+            "passed": self.passed,
+            "chips": [_chip(each) for each in self.checks],
+        }
+
+
+def design_report(reference: str, chips: Sequence[str], **convention: Any) -> DesignReport:  # noqa: ANN401
+    """The design rules of chips on a file.
+
+    reference   a .nir file, or the name of a shipped policy that spikes
+    chips       names, or "all"
+    convention  options of artifact.load; they take precedence over the file
+    """
+    artifact = load(_path(reference), **convention)
+    names = tuple(CHIPS) if ALL in chips else tuple(dict.fromkeys(chips))
+    checks = [check_on(artifact, chip(name)) for name in names]
+    return DesignReport(reference, artifact, checks, ALL in chips)
+
+
+def statuses(found: DesignCheck) -> dict[str, Status]:
+    """Rule -> its worst status; rules without a result on this chip are not applicable."""
+    return {rule: worst(found.of(rule)).status for rule in (*RULES, COMPILE)}
+
+
+def worst(rulings: Sequence[RuleResult]) -> RuleResult:
+    """The first failure, else the pass with the largest count, else unknown, or not applicable."""
+    absent = RuleResult("", None, "not applicable")
+    return min(rulings, key=_rank, default=absent)
+
+
+def _rank(ruling: RuleResult) -> tuple[int, float]:
+    found = ruling.found if isinstance(ruling.found, int | float) else 0.0
+    return ORDER.index(ruling.status), 0.0 if ruling.failed else -found
+
+
+def _path(reference: str) -> Path:
+    path = zoo.resolve(reference)
+    if path is None:
+        raise ConfigError(
+            f"no network at {reference!r}: no such file or shipped policy; `spikedeploy policies` "
+            "lists what is shipped"
+        )
+    if path.suffix == ".onnx":
+        raise ConfigError(f"{reference} does not spike, so no chip runs it: name a .nir file")
+    return path
+
+
+def _chip(found: DesignCheck) -> dict[str, Any]:
+    limits = found.chip.limits
+    placements = [
+        {
+            **asdict(placement),
+            "utilisation": limits and asdict(of_placement(placement, limits)),
+        }
+        for placement in found.mapping.placements
+    ]
+    return {
+        "chip": found.chip.name,
+        "passed": found.passed,
+        "rules": statuses(found),
+        "rulings": [ruling.as_json() for ruling in found.rulings],
+        "mapping": {
+            "cores": found.mapping.cores,
+            "chips": found.mapping.chips,
+            "utilisation": limits and asdict(of_mapping(found.mapping, limits)),
+            "layers": placements,
+        },
+        "limits": limits and asdict(limits),
+    }

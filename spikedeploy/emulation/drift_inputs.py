@@ -1,0 +1,142 @@
+"""Inputs for a drift: a raster file, random spikes, or the observations of a policy, encoded."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import zoo
+from spikedeploy.emulation.rasters import in_batch, read_rasters
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.graph.ports import by_port, ports
+
+Raster = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class DriftInputs:
+    """Input spikes of B inferences.
+
+    raster  (B, T, M)
+    source  where they come from, in words
+    """
+
+    raster: Raster
+    source: str
+
+    def halves(self) -> "tuple[DriftInputs, DriftInputs]":
+        """Every other inference, for calibration, and the rest; a single one is both."""
+        if len(self.raster) < 2:
+            return self, self
+        parts = (self.raster[::2], self.raster[1::2])
+        first, second = (DriftInputs(part, f"{self.source}, {len(part)} of them") for part in parts)
+        return first, second
+
+
+def path_of(reference: str) -> Path:
+    """The .nir file at a path, or of a shipped policy; the path as given where neither exists."""
+    return zoo.resolve(reference) or Path(reference)
+
+
+def choose_inputs(
+    artifact: Artifact,
+    path: Path,
+    raster: Path | None,
+    random: float | None,
+    env: str | None,
+    seeds: Sequence[int],
+    steps: int,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> DriftInputs:
+    """Inputs from a raster file, or random at a rate, or else `observed_inputs`."""
+    _check_one_input(artifact)
+    if raster is not None:
+        return raster_inputs(artifact, raster)
+    if random is not None:
+        return random_inputs(artifact, random, steps, seeds[0])
+    if artifact.codec is None:
+        raise ConfigError(
+            f"{path} has no codec (observation to spikes), so it cannot be played: give a raster "
+            "with --input, or draw spikes with --random RATE"
+        )
+    return observed_inputs(artifact, find(str(path)), env, seeds, steps, options)
+
+
+def raster_inputs(artifact: Artifact, path: Path) -> DriftInputs:
+    """The raster (T, *shape) of a file, as one inference."""
+    (rows,) = by_port(ports(artifact.graph.inputs), in_batch(read_rasters(path))).values()
+    return DriftInputs(rows.reshape(*rows.shape[:2], -1), str(path))
+
+
+def _check_one_input(artifact: Artifact) -> None:
+    if len(artifact.graph.inputs) > 1:
+        raise ConfigError(
+            f"the network has the inputs {', '.join(sorted(artifact.graph.inputs))}; only networks "
+            "with one can be compared with their float twins. Play it with emulate, in float and "
+            "on the chip."
+        )
+
+
+def random_inputs(artifact: Artifact, rate: float, timesteps: int, seed: int) -> DriftInputs:
+    """Independent spikes at this rate [1/timestep], as one inference."""
+    (node,) = artifact.graph.inputs.values()
+    width = int(np.prod(node.input_type["input"]))
+    raster = np.random.default_rng(seed).random((1, timesteps, width)) < rate
+    return DriftInputs(raster.astype(np.uint8), f"spikes drawn at a rate of {rate:g}, seed {seed}")
+
+
+def observed_inputs(
+    artifact: Artifact,
+    candidate: Candidate,
+    env: str | None,
+    seeds: Sequence[int],
+    steps: int,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> DriftInputs:
+    """Encoded observations of episodes that the float twin of a policy plays.
+
+    env      short name or id; None takes the one that the policy was made for
+    seeds    of the episodes that it plays
+    steps    control steps that are kept: the first ones where states are kept from one to the next,
+             else spread evenly over the episodes
+    options  of the environment
+    """
+    where = env or candidate.env
+    if artifact.codec is None or where is None:
+        raise ConfigError(
+            f"{candidate.path} does not say for which environment: give --env, or a raster with "
+            "--input"
+        )
+    world = make_env(where, options)
+    player = open_policy(candidate, FLOAT, world)
+    played = [rollout(world, player, seed) for seed in seeds]
+    world.close()
+    rows = np.concatenate([_encoded(artifact.codec, p.observation[:-1], p.seed) for p in played])
+    kept = min(steps, len(rows))
+    if artifact.convention.state == "kept":
+        raster = rows[:kept]
+    else:
+        raster = rows[np.linspace(0, len(rows) - 1, kept).round().astype(int)]
+    source = f"{kept} of {len(rows)} control steps of the float twin in {where}, {_seeds(seeds)}"
+    return DriftInputs(raster, source)
+
+
+def _encoded(codec: Codec, observations: NDArray[np.float64], seed: int) -> Raster:
+    """Spikes (S, T, M) of an episode's observations, with the random generator of the episode."""
+    rng = Xorshift(seed, codec.encoder.width)
+    return np.concatenate([codec.encode(row[None], rng) for row in observations])
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"

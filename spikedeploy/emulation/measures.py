@@ -1,0 +1,92 @@
+"""Measurements of an inference: events, NeuroBench's numbers, memory traffic, latency."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.metrics.energy import (
+    STATIC,
+    TABLES,
+    EnergyEstimate,
+    latency_estimate,
+    static_energy,
+)
+from spikedeploy.runtime.metrics.memory import MemoryTraffic, memory_traffic
+from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
+from spikedeploy.runtime.metrics.xylo_clocks import xylo_time
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Measurements of one inference.
+
+    neurobench  NeuroBench's metrics
+    events      layer -> event -> count
+    memory      layer -> words read and written
+    latencies   energy table -> [s]; for a Xylo from its clock cycles
+    static      energy table -> [J] of static power in that time, where it is known
+    """
+
+    neurobench: NeuroBench
+    events: Mapping[str, Mapping[str, int]]
+    memory: Mapping[str, MemoryTraffic]
+    latencies: Mapping[str, EnergyEstimate]
+    static: Mapping[str, float]
+
+    def as_json(self) -> dict[str, Any]:
+        """All measurements as plain data."""
+        return {
+            "neurobench": self.neurobench.as_json(),
+            "events": {name: dict(each) for name, each in self.events.items()},
+            "memory": {name: asdict(each) for name, each in self.memory.items()},
+            "latency_s": {name: each.value for name, each in self.latencies.items()},
+            "latency_interval_s": {n: [each.low, each.high] for n, each in self.latencies.items()},
+            "static_energy_j": dict(self.static),
+        }
+
+
+def measured(
+    artifact: Artifact, machine: Machine, raster: NDArray[Any], ledger: Ledger
+) -> Measures:
+    """Measures of the last inference, on the raster (B, T, M), of a machine with a trace."""
+    program, seen = machine.program, machine.recordings
+    spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
+    membranes = {name: rows.membrane for name, rows in seen.items()}
+    latencies = _latencies(program, spikes, ledger)
+    power = STATIC.get(program.chip.name)
+    return Measures(
+        neurobench(artifact.graph, program, spikes, membranes),
+        _events(ledger),
+        memory_traffic(ledger, program),
+        latencies,
+        {name: static_energy(t.value, power) for name, t in latencies.items()} if power else {},
+    )
+
+
+def measured_by_replay(
+    artifact: Artifact, program: Program, raster: NDArray[Any], ledger: Ledger
+) -> Measures:
+    """Measures of a program that ran without a trace, as in the float twin: it is run once more."""
+    machine = Machine(program, len(raster), ledger="none", trace=True)
+    machine.infer(raster)
+    return measured(artifact, machine, raster, ledger)
+
+
+def _events(ledger: Ledger) -> dict[str, dict[str, int]]:
+    found = {event: ledger.by_layer(event) for event in EVENTS}
+    return {name: {event: found[event][name] for event in EVENTS} for name in ledger.layers}
+
+
+def _latencies(
+    program: Program, spikes: Mapping[str, NDArray[Any]], ledger: Ledger
+) -> dict[str, EnergyEstimate]:
+    if program.chip.events is not None:
+        return {"xylo-clocks": xylo_time(program, spikes)}
+    tables = [TABLES[name] for name in program.chip.energy_tables]
+    return {table.name: latency_estimate(ledger, table) for table in tables if table.timed}

@@ -1,0 +1,68 @@
+"""Rasters: recorded input of a network, a row for each timestep, in a .npy or a .npz file."""
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.errors import ObservationError
+
+Raster = NDArray[Any]
+
+# bytes of all arrays together; a small archive may unpack to any number
+LARGEST = 1 << 31
+
+
+def read_rasters(path: Path) -> Raster | dict[str, Raster]:
+    """(T, *shape) of a .npy file, or of each array in a .npz file, by the name of its Input.
+
+    Spikes, and counts of them up to 255, in uint8; anything else in float64.
+    """
+    try:
+        if zipfile.is_zipfile(path):
+            return {name: _checked(f"{path}: {name}", a) for name, a in _archive(path).items()}
+        # memory-mapped: a header that claims more than the file holds takes no memory
+        return _checked(str(path), np.lib.format.open_memmap(path, mode="r"))
+    except ObservationError:
+        raise
+    # zipfile, zlib and numpy raise their own exceptions for a broken file
+    except Exception as error:
+        raise ObservationError(
+            f"{path} is not a .npy or .npz file with plain arrays: {error}. Write it with numpy."
+        ) from error
+
+
+def _archive(path: Path) -> dict[str, Raster]:
+    with zipfile.ZipFile(path) as archive:
+        claimed = sum(member.file_size for member in archive.infolist())
+    if claimed > LARGEST:
+        raise ObservationError(
+            f"{path} would be {claimed} bytes when unpacked; the limit is {LARGEST}. Split it, "
+            "and play the parts one by one."
+        )
+    # opened here, because numpy leaves it open where the archive is broken
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def _checked(where: str, found: object) -> Raster:
+    if not isinstance(found, np.ndarray) or found.ndim < 1 or not found.size:
+        shape = f"shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+        raise ObservationError(f"{where} must hold an array (T, *shape), found {shape}")
+    if found.dtype.kind not in "biuf" or not np.isfinite(found).all():
+        raise ObservationError(
+            f"{where} holds {found.dtype} values, or NaN or infinity; it must hold spikes, 0 or 1, "
+            "or other finite numbers"
+        )
+    counts = found.min() >= 0 and found.max() <= 255 and (found == np.rint(found)).all()
+    return found.astype(np.uint8 if counts else np.float64)
+
+
+def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raster]:
+    """The rasters as a batch of one, (1, T, *shape)."""
+    if isinstance(rasters, Mapping):
+        return {name: rows[None] for name, rows in rasters.items()}
+    return rasters[None]

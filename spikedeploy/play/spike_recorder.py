@@ -1,0 +1,74 @@
+"""Spikes of a policy on the observations of a recorded episode."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InferenceTrace:
+    """S inferences of T timesteps each.
+
+    rasters  "input" and every spiking layer -> (S, T, N) uint8
+    scores   (S, act) mean readout, before an action is made of it
+    """
+
+    rasters: Mapping[str, NDArray[np.uint8]]
+    scores: Floats
+
+
+class SpikeRecorder:
+    """A spiking policy, on a chip or in float, whose spikes are recorded.
+
+    name  for people
+    """
+
+    def __init__(self, candidate: Candidate, chip: str) -> None:
+        if candidate.format != ".nir":
+            raise ConfigError(
+                f"{candidate.path} shows no spikes: give a .nir file, which `export` writes"
+            )
+        self.name = f"{candidate.name} on {chip}"
+        artifact = load(candidate.path)
+        if artifact.codec is None:
+            raise ConfigError(f"{candidate.path} has no codec, so observations become no spikes")
+        self._codec = artifact.codec
+        self._network: FloatMachine | Machine = (
+            FloatMachine(artifact, "none")
+            if chip == FLOAT
+            else Machine(compiled(artifact, datasheet(chip)), ledger="none", trace=True)
+        )
+
+    def record(self, observations: Floats, seed: int) -> InferenceTrace:
+        """One inference for each observation (S, obs), in their order."""
+        self._network.reset()
+        rng = Xorshift(max(seed, 0), self._codec.encoder.width)
+        rasters: dict[str, list[NDArray[np.uint8]]] = {}
+        scores = []
+        for observation in observations:
+            spikes = self._codec.encode(observation[None], rng)
+            scores.append(self._codec.scores(self._network.infer(spikes))[0])
+            for name, raster in {"input": spikes[0], **self._spikes()}.items():
+                rasters.setdefault(name, []).append(raster)
+        return InferenceTrace(
+            {name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores)
+        )
+
+    def _spikes(self) -> dict[str, NDArray[np.uint8]]:
+        """Layer -> spikes (T, N) of the last inference."""
+        if isinstance(self._network, FloatMachine):
+            return {name: rows[0] for name, rows in self._network.spikes.items()}
+        return {name: seen.spikes[0] for name, seen in self._network.recordings.items()}

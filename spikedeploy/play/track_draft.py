@@ -1,0 +1,166 @@
+"""A track under construction: lines that may be unfinished, and a history for undo."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import hypot
+
+Point = tuple[float, float]
+Line = tuple[Point, ...]
+Heading = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class TrackDraft:
+    """A track that may be incomplete, in the units of envs.kart.track.
+
+    name     of the track
+    walls    polylines; points are appended to the last, which is empty for a new wall
+    gates    pairs of points; the last may lack its second point
+    start    centre of the start area, None before it is placed
+    spread   of the start
+    heading  (lowest, highest) at the start
+    sway     of the finish
+    adding_gates  whether the next point belongs to a gate, not to a wall
+    """
+
+    name: str
+    walls: tuple[Line, ...] = ()
+    gates: tuple[Line, ...] = ()
+    start: Point | None = None
+    spread: float = 10.0
+    heading: Heading = (-0.3, 0.3)
+    sway: float = 0.0
+    adding_gates: bool = False
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """The points of all walls and gates."""
+        return tuple(point for line in (*self.walls, *self.gates) for point in line)
+
+    @property
+    def open_line(self) -> Line:
+        """The line that the next point extends; empty where it begins a new one."""
+        lines = self.gates if self.adding_gates else self.walls
+        last = lines[-1] if lines else ()
+        return () if self.adding_gates and len(last) == 2 else last
+
+    def new_wall(self) -> "TrackDraft":
+        """With a new wall, which the next point begins."""
+        walls = self.walls if self.walls and not self.walls[-1] else (*self.walls, ())
+        return replace(self, walls=walls, adding_gates=False)
+
+    def new_gate(self) -> "TrackDraft":
+        """With gates next."""
+        return replace(self, adding_gates=True)
+
+    def added(self, point: Point) -> "TrackDraft":
+        """With a point appended to the open line, unless it repeats the last one."""
+        line = self.open_line
+        if line and line[-1] == point:
+            return self
+        grown = (*line, point)
+        if self.adding_gates:
+            return replace(self, gates=(*(self.gates[:-1] if line else self.gates), grown))
+        return replace(self, walls=(*self.walls[:-1], grown))
+
+    def started(self, point: Point) -> "TrackDraft":
+        """With the start at a point."""
+        return replace(self, start=point)
+
+    def turned(self, angle: float) -> "TrackDraft":
+        """With the headings at the start turned by an angle [rad]."""
+        low, high = (round(value + angle, 4) for value in self.heading)
+        return replace(self, heading=(low, high))
+
+    def moved(self, old: Point, new: Point) -> "TrackDraft":
+        """With a point moved, in every line that has it and in the start."""
+        start = new if self.start == old else self.start
+        return replace(self._mapped(lambda p: new if p == old else p), start=start)
+
+    def without(self, old: Point) -> "TrackDraft":
+        """Without a point, in every line and in the start."""
+        start = None if self.start == old else self.start
+        return replace(self._mapped(lambda p: None if p == old else p), start=start)
+
+    def near(self, place: Point, reach: float) -> Point | None:
+        """The nearest point or start within `reach` [px]."""
+        points = self.points if self.start is None else (*self.points, self.start)
+        found = min(points, key=lambda p: _distance(p, place), default=None)
+        return found if found is not None and _distance(found, place) <= reach else None
+
+    def snapped(self, place: Point, reach: float) -> Point:
+        """The point of a click: an existing point nearby, for gates a near wall, else whole px."""
+        corner = min(self.points, key=lambda p: _distance(p, place), default=None)
+        if corner is not None and _distance(corner, place) <= reach:
+            return corner
+        walls = [_foot(place, a, b) for line in self.walls for a, b in pairwise(line)]
+        foot = min(walls, key=lambda p: _distance(p, place), default=None)
+        if self.adding_gates and foot is not None and _distance(foot, place) <= reach:
+            return _rounded(foot)
+        return _rounded(place)
+
+    def _mapped(self, to: Callable[[Point], Point | None]) -> "TrackDraft":
+        gates = tuple(gate for gate in _mapped(self.gates, to) if gate)
+        return replace(self, walls=_mapped(self.walls, to), gates=gates)
+
+
+@dataclass(frozen=True)
+class History:
+    """A draft with its undo history.
+
+    now     the current draft
+    past    (n,) the oldest first
+    future  (n,) undone drafts, the next first
+    """
+
+    now: TrackDraft
+    past: tuple[TrackDraft, ...] = ()
+    future: tuple[TrackDraft, ...] = ()
+
+    def did(self, draft: TrackDraft) -> "History":
+        """After a change, which can be undone; unchanged without one."""
+        return self if draft == self.now else History(draft, (*self.past, self.now))
+
+    def chose(self, draft: TrackDraft) -> "History":
+        """After a change that undo passes over, such as walls or gates next."""
+        return replace(self, now=draft)
+
+    def undone(self) -> "History":
+        """After undo."""
+        if not self.past:
+            return self
+        return History(self.past[-1], self.past[:-1], (self.now, *self.future))
+
+    def redone(self) -> "History":
+        """After redo."""
+        if not self.future:
+            return self
+        return History(self.future[0], (*self.past, self.now), self.future[1:])
+
+
+def _mapped(lines: tuple[Line, ...], to: Callable[[Point], Point | None]) -> tuple[Line, ...]:
+    """Lines with mapped points; finished lines with fewer than two points are dropped."""
+    found = []
+    for index, line in enumerate(lines):
+        points = [place for point in line if (place := to(point)) is not None]
+        kept = tuple(p for n, p in enumerate(points) if not n or p != points[n - 1])
+        if len(kept) > 1 or index == len(lines) - 1:
+            found.append(kept)
+    return tuple(found)
+
+
+def _foot(place: Point, a: Point, b: Point) -> Point:
+    """The nearest point of a wall segment."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    share = ((place[0] - a[0]) * dx + (place[1] - a[1]) * dy) / (dx * dx + dy * dy or 1.0)
+    share = min(max(share, 0.0), 1.0)
+    return a[0] + share * dx, a[1] + share * dy
+
+
+def _rounded(place: Point) -> Point:
+    return float(round(place[0])), float(round(place[1]))
+
+
+def _distance(a: Point, b: Point) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])

@@ -1,0 +1,215 @@
+"""The picture of a track editor: the draft, and the panel beside it."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import cos, sin
+
+import numpy as np
+import pygame
+from numpy.typing import ArrayLike, NDArray
+
+from spikedeploy.envs.kart.picture import KART, draw_kart
+from spikedeploy.envs.kart.scene import NIGHT, WALL, thick_line
+from spikedeploy.play.theme import (
+    AMBER,
+    CYAN,
+    DIM,
+    GREEN,
+    PANEL,
+    TEXT,
+    Colour,
+    font,
+    heading,
+    keycaps,
+    write,
+)
+from spikedeploy.play.track_draft import Line, Point, TrackDraft
+
+HEIGHT = 800
+WIDTH = 340
+PAD = 26
+GRID: Colour = (24, 28, 39)
+METRE = 100.0  # [px]
+VIEW = 1000.0  # [px] shown of an empty draft
+KEYS = [
+    ("CLICK", "point"),
+    ("RIGHT", "remove"),
+    ("WHEEL", "zoom"),
+    ("W", "new wall"),
+    ("G", "gates"),
+    ("S", "start"),
+    ("Q E", "turn it"),
+    ("M", "move a point"),
+    ("Z", "undo"),
+    ("Y", "redo"),
+    ("ENTER", "save"),
+    ("P", "picture"),
+    ("ESC", "leave"),
+]
+
+
+@dataclass(frozen=True)
+class View:
+    """The visible part of the world.
+
+    corner  upper left [px]
+    scale   [screen px / px]
+    """
+
+    corner: Point
+    scale: float
+
+    def at(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Screen points (…, 2) of points (…, 2) [px] of the world."""
+        found: NDArray[np.float64] = (np.asarray(points, np.float64) - self.corner) * self.scale
+        return found
+
+    def under(self, place: Point) -> Point:
+        """The point of the world under a screen point."""
+        return (
+            self.corner[0] + place[0] / self.scale,
+            self.corner[1] + place[1] / self.scale,
+        )
+
+    def zoomed(self, factor: float, place: Point) -> "View":
+        """Zoomed about a screen point."""
+        scale = min(max(self.scale * factor, 0.1), 8.0)
+        x, y = self.under(place)
+        return View((x - place[0] / scale, y - place[1] / scale), scale)
+
+
+def view_of(draft: TrackDraft) -> View:
+    """A view of the whole draft with a margin of one metre."""
+    if not draft.points:
+        return View((0.0, 0.0), HEIGHT / VIEW)
+    low, high = np.min(draft.points, axis=0) - METRE, np.max(draft.points, axis=0) + METRE
+    side = float((high - low).max())
+    x, y = ((low + high - side) / 2).tolist()
+    return View((x, y), HEIGHT / side)
+
+
+def draw_draft(draft: TrackDraft, view: View, target: Point, moving: bool) -> pygame.Surface:
+    """Walls, gates, start, and the line to the point that a click would set."""
+    surface = pygame.Surface((HEIGHT + WIDTH, HEIGHT))
+    surface.fill(NIGHT)
+    _grid(surface, view)
+    _start(surface, view, draft)
+    for number, gate in enumerate(draft.gates, 1):
+        _gate(surface, view, gate, number, number == len(draft.gates))
+    for wall in draft.walls:
+        for a, b in pairwise(wall):
+            thick_line(surface, WALL, view.at(a), view.at(b), 4)
+    for point in draft.points:
+        pygame.draw.aacircle(surface, NIGHT, tuple(view.at(point)), 5)
+        pygame.draw.aacircle(surface, WALL, tuple(view.at(point)), 5, 2)
+    colour = AMBER if moving or draft.adding_gates else CYAN
+    if draft.open_line and not moving:
+        ends = tuple(view.at(draft.open_line[-1])), tuple(view.at(target))
+        pygame.draw.aaline(surface, colour, *ends, 2)
+    if target in draft.points:
+        pygame.draw.aacircle(surface, colour, tuple(view.at(target)), 10, 2)
+    pygame.draw.aacircle(surface, colour, tuple(view.at(target)), 4)
+    return surface
+
+
+def draw_panel(
+    surface: pygame.Surface,
+    file: str,
+    draft: TrackDraft,
+    target: Point,
+    moving: bool,
+    message: tuple[Colour, str],
+) -> None:
+    """Draw the panel: the next click, facts, the last message, and the keys."""
+    place = pygame.Rect(HEIGHT, 0, WIDTH, HEIGHT)
+    pygame.draw.rect(surface, PANEL, place)
+    inner = place.inflate(-2 * PAD, -2 * PAD)
+    write(surface, file, inner.topleft, 20, TEXT, "bold")
+    write(surface, "draw a track", (inner.left, inner.top + 28), 12, DIM)
+    y = inner.top + 66
+    heading(surface, "next click", (inner.left, y))
+    does = "puts the point down" if moving else _next(draft)
+    colour = AMBER if moving or draft.adding_gates else CYAN
+    write(surface, does, (inner.left, y + 17), 19, colour, "bold")
+    y += 62
+    for name, value in _facts(draft, target):
+        write(surface, name, (inner.left, y), 14, DIM)
+        write(surface, value, (inner.right, y), 14, TEXT, "plain", "topright")
+        y += 26
+    y += 16
+    colour, text = message
+    for row in _wrapped(text, inner.width):
+        y = write(surface, row, (inner.left, y), 13, colour).bottom + 4
+    keycaps(surface, KEYS, (inner.left, inner.bottom - 134), inner.width)
+
+
+def _next(draft: TrackDraft) -> str:
+    if draft.adding_gates:
+        return "ends the gate" if draft.open_line else "begins a gate"
+    return "goes on with the wall" if draft.open_line else "begins a wall"
+
+
+def _facts(draft: TrackDraft, target: Point) -> list[tuple[str, str]]:
+    walls = [wall for wall in draft.walls if wall]
+    return [
+        ("walls", f"{len(walls)}, of {sum(map(len, walls))} points"),
+        ("gates", f"{len(draft.gates)}, the last is the finish" if draft.gates else "none"),
+        ("start", "none" if draft.start is None else _metres(draft.start)),
+        ("pointer", _metres(target)),
+    ]
+
+
+def _metres(point: Point) -> str:
+    return f"{point[0] / METRE:.2f}, {point[1] / METRE:.2f} m"
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    """The text wrapped to a width [px]."""
+    rows = [""]
+    for word in text.split():
+        longer = f"{rows[-1]} {word}".strip()
+        if font(13).size(longer)[0] <= width or not rows[-1]:
+            rows[-1] = longer
+        else:
+            rows.append(word)
+    return rows
+
+
+def _grid(surface: pygame.Surface, view: View) -> None:
+    """A grid with a line at each metre."""
+    for axis in (0, 1):
+        first = np.ceil(view.corner[axis] / METRE) * METRE
+        for value in np.arange(first, view.corner[axis] + HEIGHT / view.scale, METRE):
+            along = (value - view.corner[axis]) * view.scale
+            a, b = ((along, 0), (along, HEIGHT)) if axis == 0 else ((0, along), (HEIGHT, along))
+            pygame.draw.line(surface, GRID, a, b)
+
+
+def _gate(surface: pygame.Surface, view: View, gate: Line, number: int, finish: bool) -> None:
+    """A gate with its number; the finish is green."""
+    if len(gate) < 2:
+        return
+    colour = GREEN if finish else AMBER
+    a, b = view.at(gate)
+    pygame.draw.aaline(surface, colour, tuple(a), tuple(b), 2)
+    middle = tuple((a + b) / 2)
+    pygame.draw.aacircle(surface, NIGHT, middle, 11)
+    pygame.draw.aacircle(surface, colour, middle, 11, 2)
+    write(surface, str(number), middle, 12, colour, "bold", "center")
+
+
+def _start(surface: pygame.Surface, view: View, draft: TrackDraft) -> None:
+    """A kart at the start, the square of start positions, and the sector of headings."""
+    if draft.start is None:
+        return
+    x, y = draft.start
+    low, high = draft.heading
+    angles = np.linspace(low, high, 24)
+    rim = [(x + 70 * cos(angle), y + 70 * sin(angle)) for angle in angles]
+    veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
+    pygame.draw.polygon(veil, (*CYAN, 50), [tuple(view.at(p)) for p in ((x, y), *rim)])
+    surface.blit(veil, (0, 0))
+    left, top = view.at((x - draft.spread, y - draft.spread)).tolist()
+    side = 2 * draft.spread * view.scale
+    draw_kart(surface, view, (x, y, (low + high) / 2), KART)
+    pygame.draw.rect(surface, CYAN, pygame.Rect(left, top, side, side), 1)

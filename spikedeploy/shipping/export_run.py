@@ -1,0 +1,96 @@
+"""Export of a run's policy: the file is read back and compared with the policy."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import envs
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters import exporter
+from spikedeploy.exporters.check import ParityCheck
+from spikedeploy.exporters.parity import check
+from spikedeploy.policies import run_record
+from spikedeploy.policies.run import TorchController
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import VALIDATION
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
+
+if TYPE_CHECKING:
+    from spikedeploy.runtime.convention import State
+    from spikedeploy.trainers.policies import Policy
+
+OBSERVATIONS = 1000
+SPIKING = ("popsan", "spiking-mlp")  # kinds of policies that are exported as NIR
+
+
+@dataclass(frozen=True)
+class ExportedPolicy:
+    """A written file, and its comparison with the policy.
+
+    path    of the file
+    kind    "ann", "snn" or "control", for comparisons
+    checks  in their order
+    """
+
+    path: Path
+    kind: str
+    checks: list[ParityCheck]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check did."""
+        return all(each.passed for each in self.checks)
+
+
+def export_run(
+    run: str,
+    to: str,
+    path: Path | None = None,
+    observations: int = OBSERVATIONS,
+    control: bool = False,
+    state: "State" = "reset",
+) -> ExportedPolicy:
+    """Write a run's policy as a file.
+
+    run           run folder, its name under runs/, or "last"
+    to            key of exporters.EXPORTERS
+    path          of the file; by default policy.<to> in the run folder
+    observations  number of recorded observations on which file and policy are compared
+    control       whether comparisons show a float network as a control
+    state         of a spiking policy between inferences: "reset", or "kept"
+    """
+    if state != "reset" and to != "nir":
+        raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
+    folder = RunFolder.find(run).path
+    policy = load_policy(folder)
+    path = path or folder / f"policy.{to}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kind = kind_of(policy, control)
+    options: dict[str, dict[str, str]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
+    exporter(to)(policy, run_record.origin(folder), path, **options.get(to, {}))
+    return ExportedPolicy(path, kind, check(policy, path, recorded(folder, observations)))
+
+
+def kind_of(policy: "Policy", control: bool = False) -> str:
+    """The kind for comparisons; a float network on part of the observation is a control."""
+    if policy.kind in SPIKING:
+        return "snn"
+    spec = policy.spec()
+    sees_all = spec["features"]["name"] == "all"
+    return "ann" if sees_all and spec["hidden"] and not control else "control"
+
+
+def recorded(run: Path, count: int) -> NDArray[np.float64]:
+    """Observations (count, obs) from episodes of the run's policy."""
+    world = run_record.settings(run)["env"]
+    env = envs.make(world["name"], **world["options"])
+    controller = TorchController(str(run))
+    episodes: list[NDArray[np.float64]] = []
+    while sum(map(len, episodes)) < count:
+        seed = VALIDATION[len(episodes)]
+        episodes.append(rollout(env, controller, seed).observation)
+    env.close()
+    return np.concatenate(episodes)[:count]

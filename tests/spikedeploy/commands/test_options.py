@@ -1,0 +1,27 @@
+"""The choices of options are those of the runtime, which `--help` may not load."""
+
+from typing import get_args
+
+import pytest
+
+from spikedeploy.commands import options
+from spikedeploy.runtime import convention
+from spikedeploy.runtime.chips import registers
+from spikedeploy.runtime.compiler import quantisation
+
+
+@pytest.mark.parametrize(
+    ("choices", "original"),
+    [
+        (options.Granularity, quantisation.Granularity),
+        (options.Fraction, registers.Rounding),
+        (options.Room, quantisation.Headroom),
+        (options.AfterSpike, convention.Reset),
+        (options.Decays, convention.Integrator),
+        (options.States, convention.State),
+        (options.SpikeCount, convention.Spikes),
+        (options.LowestMembrane, convention.Floor),
+    ],
+)
+def test_an_option_offers_what_the_runtime_knows(choices, original):
+    assert get_args(choices) == get_args(original)

@@ -1,0 +1,532 @@
+"""Replays: ghosts, their time, the spikes beside them, and films of them."""
+
+import json
+from dataclasses import replace
+
+import av
+import numpy as np
+import pygame
+import pytest
+from PIL import Image
+
+from spikedeploy import envs
+from spikedeploy.envs.ghost_recorder import GhostRecorder
+from spikedeploy.envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.kart.gap import GapDriver
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.play import window
+from spikedeploy.play.ghost_group import GhostGroup
+from spikedeploy.play.ghost_observations import gates_passed, ghost_observations
+from spikedeploy.play.overlay_view import COLOURS, distinct_names
+from spikedeploy.play.playback import Playback
+from spikedeploy.play.replay_app import open_replay
+from spikedeploy.play.replay_film import save_film
+from spikedeploy.play.replay_source import open_source
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
+from tests import stroll_env
+from tests.networks import spiking_mlp
+
+KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
+ORIGIN = Provenance("kart-gazebo", "smoke", 0, 0, "2026-01-01T00:00:00Z", "0.1.0")
+
+
+@pytest.fixture(autouse=True)
+def dummy(monkeypatch):
+    """A display that shows nothing."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+def drive(name, seed, steps, wild=0.2):
+    """A follow-the-gap driver that does what it likes now and then: observations and ghost."""
+    env = envs.make(name)
+    rng, driver = np.random.default_rng(seed), GapDriver.of(env)
+    observation, info = env.reset(seed=seed)
+    recorder = GhostRecorder(f"spikedeploy/{type(env.unwrapped).__name__[:-3]}-v0", {})
+    recorder.begin(0, info, seed)
+    seen = [observation]
+    for _ in range(steps):
+        free = rng.random() < wild
+        action = int(rng.integers(env.action_space.n)) if free else int(driver.act(observation))
+        observation, reward, terminated, truncated, info = env.step(action)
+        recorder.add(0, info, action, reward)
+        seen.append(observation)
+        if terminated or truncated:
+            break
+    recorder.end(0, env_step=seed)
+    return env, np.array(seen), recorder.take().drives[0]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run folder with three batches of ghosts."""
+    folder = tmp_path_factory.mktemp("runs") / "kart-gazebo-ann-s0"
+    seed = iter(range(1, 100))
+    for batch, count in enumerate((2, 3, 2)):
+        drives = [drive("kart-gazebo", next(seed), 40 * (batch + 1))[2] for _ in range(count)]
+        ghosts = Ghosts("spikedeploy/KartGazebo-v0", drives, {"track": "big_S"})
+        ghosts.save(folder / f"ghosts/{batch + 1:05d}.npz")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    """A spiking policy with random weights for karts that drive or turn."""
+    path = tmp_path_factory.mktemp("policies") / "snn.nir"
+    observed = envs.make("kart-gazebo").observation_space.shape[0]
+    save(replace(spiking_mlp(observed, 4, (16, 12)), provenance=ORIGIN), path)
+    return path
+
+
+def press(app, *keys):
+    for key in keys:
+        app.handle(pygame.Event(pygame.KEYDOWN, key=key))
+
+
+# time
+
+
+def playing(batches=3, length=120):
+    return Playback(batches, 1 / 60, length)
+
+
+def test_time_passes_at_the_speed_that_is_asked_for():
+    play = playing()
+    play.tick(1.0)
+    assert play.now == 60
+    press(play, pygame.K_DOWN)
+    play.tick(1.0)
+    assert play.now == 90
+    press(play, pygame.K_UP, pygame.K_UP)
+    assert play.speed == 2.0
+
+
+def test_the_speed_has_bounds():
+    play = playing()
+    press(play, *[pygame.K_UP] * 20)
+    assert play.speed == 8.0
+    press(play, *[pygame.K_DOWN] * 20)
+    assert play.speed == 0.125
+
+
+def test_paused_time_stands_still_but_can_be_sought():
+    play = playing()
+    press(play, pygame.K_SPACE)
+    play.tick(1.0)
+    assert (play.now, play.paused) == (0, True)
+    press(play, pygame.K_RIGHT)
+    assert play.now == 60
+    press(play, pygame.K_LEFT, pygame.K_LEFT)
+    assert play.now == 0
+    press(play, *[pygame.K_RIGHT] * 5)
+    assert play.now == 120
+    press(play, pygame.K_SPACE)
+    assert not play.paused
+
+
+def test_after_a_batch_and_a_rest_comes_the_next_and_after_the_last_the_first():
+    play = playing(batches=2)
+    play.tick(2.9)
+    assert (play.batch, play.now) == (0, 120)
+    play.tick(0.2)
+    assert (play.batch, play.now, play.rounds) == (1, 0, 0)
+    play.tick(3.1)
+    assert (play.batch, play.rounds) == (0, 1)
+
+
+def test_batches_are_turned_both_ways():
+    play = playing()
+    press(play, pygame.K_b)
+    assert play.batch == 2
+    press(play, pygame.K_n, pygame.K_n)
+    assert play.batch == 1
+
+
+# ghosts
+
+
+def straight(steps, x=0.0, **more):
+    pose = np.zeros((steps + 1, 3), np.float32)
+    pose[:, 0] = x + np.arange(steps + 1)
+    line = np.zeros(steps, np.float32)
+    given = {"finish": False, "crash": False, "gates": 0, **more}
+    return Ghost(pose, np.zeros(steps + 1, np.float32), line.astype(int), line, **given)
+
+
+def test_a_crowd_knows_where_everybody_is_and_who_has_ended():
+    group = GhostGroup(
+        [straight(3, crash=True), straight(5, 100.0, finish=True), straight(9, 200.0)]
+    )
+    assert group.length == 9
+    assert group.poses(4)[:, 0].tolist() == [3, 104, 204]
+    assert group.driving(4).tolist() == [False, True, True]
+    assert vars(group.count(5)) == {"driving": 1, "finished": 1, "crashed": 1}
+    assert vars(group.count(0)) == {"driving": 3, "finished": 0, "crashed": 0}
+
+
+@pytest.mark.parametrize(
+    ("drives", "leader"),
+    [
+        ([straight(9), straight(8, finish=True), straight(5, finish=True)], 2),
+        ([straight(9, gates=1), straight(5, gates=3), straight(4, gates=3)], 1),
+        ([], None),
+    ],
+    ids=["the fastest that finishes", "the farthest", "nobody"],
+)
+def test_the_leader_is(drives, leader):
+    assert GhostGroup(drives).leader == leader
+
+
+def test_a_kart_without_a_heading_looks_where_it_goes():
+    down = straight(3)
+    down.pose[:, 1], down.pose[:, 0] = down.pose[:, 0].copy(), 0.0
+    assert GhostGroup([down], pushed=True).poses(2)[0, 2] == pytest.approx(np.pi / 2)
+    assert GhostGroup([down]).poses(2)[0, 2] == 0.0
+
+
+def test_gates_count_in_their_order_from_the_first_touch_of_the_rim():
+    gates = np.array([[[50, -10], [50, 10]], [[5, -10], [5, 10]], [[90, -10], [90, 10]]], float)
+    path = np.stack((np.arange(0.0, 100.0), np.zeros(100)), axis=1)
+    passed = gates_passed(path, gates)
+    assert passed[[30, 31, 49, 70]].tolist() == [0, 1, 1, 1]  # the second lies behind by then
+    back = np.concatenate((path, path[::-1], path))
+    assert gates_passed(back, gates)[[99, 174, 175, 270, 271]].tolist() == [1, 1, 2, 2, 3]
+
+
+@pytest.mark.parametrize("name", KARTS)
+def test_what_a_ghost_saw_is_seen_again(name):
+    env, seen, ghost = drive(name, 7, 150)
+    again = ghost_observations(ghost, env.unwrapped)
+    # the last turn of a kart that is told before it moves is known to nobody
+    np.testing.assert_allclose(again[:-1], seen[:-1], atol=2e-3)
+
+
+# sources
+
+
+def test_a_run_folder_holds_a_batch_in_each_file(run):
+    source = open_source(run)
+    assert (source.name, source.env_id) == ("kart-gazebo-ann-s0", "spikedeploy/KartGazebo-v0")
+    assert [len(source.batch(index).drives) for index in range(len(source))] == [2, 3, 2]
+    assert len(source.everything().drives) == 7
+    assert len(open_source(run / "ghosts")) == 3
+    assert len(open_source(run / "ghosts/00002.npz")) == 1
+
+
+def test_what_is_no_source_is_refused_in_a_line(tmp_path):
+    with pytest.raises(ConfigError, match="no such run folder, ghost file or rollout"):
+        open_source(tmp_path / "nothing")
+    with pytest.raises(ConfigError, match="no ghosts in it"):
+        open_source(tmp_path)
+    (tmp_path / "a.npz").write_text("not a zip file")
+    with pytest.raises(Exception, match=r"a\.npz: not a whole ghost file"):
+        open_source(tmp_path / "a.npz")
+
+
+# the app
+
+
+def test_batches_come_one_after_the_other(run):
+    app = open_replay(run)
+    assert (app.playback.batches, app.playback.length) == (3, 40)
+    press(app, pygame.K_n)
+    assert app.playback.length == 80
+    for _ in range(160):
+        app.tick()
+    assert (app.playback.batch, app.playback.length) == (2, 120)
+
+
+def test_all_shows_every_ghost_at_once(run):
+    app = open_replay(run, mode="all")
+    assert (app.playback.batches, app.playback.length) == (1, 120)
+    facts = dict(app.view.facts(0))
+    assert (facts["ghosts"], facts["driving"]) == ("7", "7")
+    assert facts["training steps"] == "1 – 7"
+
+
+def test_ghosts_move_on_the_track(run):
+    app = open_replay(run, batch=3)
+    before = pygame.surfarray.array3d(app.draw())[:800]
+    press(app, pygame.K_RIGHT)
+    after = pygame.surfarray.array3d(app.draw())[:800]
+    changed = np.argwhere((before != after).any(axis=2))
+    assert len(changed) > 200
+    leader = app.view.group.poses(60)[app.view.group.leader]
+    assert np.hypot(*(changed - app.view.place((800, 800)).at(leader[:2])).T).min() < 5
+
+
+def test_a_window_replays_and_closes(run, tmp_path):
+    app = open_replay(run)
+    app.fps = 1000.0
+    frames = []
+    tick = app.tick
+
+    def counted():
+        tick()
+        frames.append(app.playback.now)
+        if len(frames) == 3:
+            pygame.event.post(pygame.Event(pygame.KEYDOWN, key=pygame.K_n))
+        if len(frames) == 20:
+            pygame.event.post(pygame.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+
+    app.tick = counted
+    window.show(app, tmp_path)
+    assert app.playback.batch == 1
+    assert not pygame.display.get_init()
+
+
+@pytest.mark.parametrize("chip", ["loihi1", "float"])
+def test_the_spikes_beside_a_ghost_are_those_of_its_policy(run, policy, chip):
+    app = open_replay(run, batch=2, spikes=str(policy), chip=chip)
+    inferences = app.inferences
+    artifact = load(policy)
+    observations = app.view.observations()
+    assert inferences.scores.shape == (app.view.group.drives[app.view.group.leader].steps + 1, 4)
+    spikes = artifact.codec.encode(observations)
+    np.testing.assert_array_equal(inferences.rasters["input"], spikes)
+    from spikedeploy.runtime.chips.chip import chip as datasheet
+
+    controller = SpikingController(artifact, None if chip == "float" else datasheet(chip))
+    np.testing.assert_array_equal(
+        inferences.scores.argmax(axis=1), controller.act_batch(observations)
+    )
+    assert [rows.shape[2] for rows in inferences.rasters.values()] == [
+        observations.shape[1],
+        16,
+        12,
+    ]
+
+
+def test_the_panel_of_spikes_follows_the_time(run, policy):
+    app = open_replay(run, batch=3, spikes=str(policy))
+    before = pygame.surfarray.array3d(app.draw())[800:1200]
+    assert app.draw().get_width() == 800 + 400 + 340
+    press(app, pygame.K_RIGHT)
+    after = pygame.surfarray.array3d(app.draw())[800:1200]
+    assert (before != after).any(axis=2).mean() > 0.1
+
+
+def test_a_policy_of_another_world_shows_no_spikes_here(run):
+    with pytest.raises(ConfigError, match=r"was made for spikedeploy/Hexapod-v0"):
+        open_replay(run, spikes="hexapod/popsan")
+
+
+def test_a_float_policy_has_no_spikes_to_show(run):
+    with pytest.raises(ConfigError, match=r"shows no spikes: give a \.nir file"):
+        open_replay(run, spikes="gap")
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        ({"mode": "some"}, "--mode some: choose batch or all"),
+        ({"batch": 4}, "--batch 4: kart-gazebo-ann-s0 has 1 to 3"),
+        ({"speed": 0.0}, "--speed 0: choose a factor above 0"),
+    ],
+)
+def test_wrong_settings_are_named(run, given, line):
+    with pytest.raises(ConfigError, match=line):
+        open_replay(run, **given)
+
+
+# several sources
+
+
+def tiny(folder, name="a", env_id="spikedeploy/KartGazebo-v0", steps=30, **options):
+    """A ghost file with one straight drive."""
+    path = folder / f"{name}.npz"
+    drive = straight(steps, 200.0, finish=steps > 30)
+    drive.pose[:, 1] = 200.0
+    Ghosts(env_id, [drive], options).save(path)
+    return path
+
+
+def test_sources_are_laid_over_one_another_in_colours_of_their_own(run, tmp_path):
+    app = open_replay(run, beside=[tiny(tmp_path, steps=90)])
+    assert app.view.legend == {run.name: COLOURS[0], "a": COLOURS[1]}
+    facts = app.view.facts(50)
+    assert [name for name, _ in facts if name in app.view.legend] == [run.name, "a"]
+    assert [value for name, value in facts if "driving" in name] == ["0 / 0 / 0", "1 / 0 / 0"]
+    assert facts[-1] == ("leader", "finish, 1.50 s")
+    frame = pygame.surfarray.array3d(app.draw())
+    for colour in COLOURS[:2]:
+        assert (frame[:800] == colour).all(axis=2).sum() > 20  # on the track
+        assert (frame[800:] == colour).all(axis=2).sum() > 20  # beside its name
+
+
+def test_of_a_source_with_fewer_batches_the_last_one_stays(run, tmp_path):
+    app = open_replay(tiny(tmp_path), batch=3, beside=[run])
+    assert app.playback.batches == 3
+    assert [len(view.group.drives) for view in app.view.views.values()] == [1, 2]
+    assert app.playback.length == 120
+    together = open_replay(tiny(tmp_path), mode="all", beside=[run])
+    assert [len(view.group.drives) for view in together.view.views.values()] == [1, 7]
+
+
+def test_colours_of_sources_can_be_told_apart():
+    for number, one in enumerate(COLOURS):
+        for other in COLOURS[:number]:
+            assert np.abs(np.subtract(one, other)).sum() > 90
+
+
+def test_sources_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    for folder in ("ann/ghosts", "snn/ghosts"):
+        tiny(tmp_path / folder)
+    paths = [tmp_path / "ann/ghosts/a.npz", tmp_path / "snn/ghosts/a.npz"]
+    assert distinct_names(paths) == ["ann/a", "snn/a"]
+    assert distinct_names([tmp_path / "ann", tmp_path / "snn/ghosts"]) == ["ann", "snn"]
+
+
+@pytest.mark.parametrize(
+    ("other", "line"),
+    [
+        ({"env_id": "spikedeploy/KartGrid-v0"}, "was driven in kart-grid on big_S"),
+        ({"track": "small_S"}, "was driven in kart-gazebo on small_S, run in kart-gazebo on big_S"),
+    ],
+    ids=["kart", "track"],
+)
+def test_sources_of_different_worlds_are_refused_in_a_line(other, line, tmp_path):
+    with pytest.raises(ConfigError, match=line):
+        open_replay(tiny(tmp_path, "run"), beside=[tiny(tmp_path, **other)])
+    assert "\n" not in line
+
+
+def test_what_was_seen_and_paid_may_differ(tmp_path):
+    other = tiny(tmp_path, preset="classic", track="big_S")
+    assert open_replay(tiny(tmp_path, "run"), beside=[other]).playback.length == 30
+
+
+def test_a_source_counts_once_and_there_is_a_colour_for_each(tmp_path):
+    files = [tiny(tmp_path, str(number)) for number in range(7)]
+    with pytest.raises(ConfigError, match="7 sources: at most 6"):
+        open_replay(files[0], beside=files[1:])
+    with pytest.raises(ConfigError, match=r"0\.npz is named twice"):
+        open_replay(files[0], beside=files[:1])
+
+
+def test_the_spikes_beside_several_sources_are_of_the_first_ones_leader(run, policy, tmp_path):
+    alone = open_replay(run, batch=2, spikes=str(policy)).inferences
+    app = open_replay(run, batch=2, spikes=str(policy), beside=[tiny(tmp_path)])
+    np.testing.assert_array_equal(app.inferences.scores, alone.scores)
+
+
+def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
+    for seed in (1, 2):
+        ghosts = Ghosts(
+            "spikedeploy/KartGazebo-v0", [straight(9, seed=seed)], {"track": "corridor"}
+        )
+        ghosts.save(tmp_path / f"ghosts/{seed}.npz")
+    app = open_replay(tmp_path)
+    before = pygame.surfarray.array3d(app.view.ground((200, 200)))
+    press(app, pygame.K_n)
+    assert (pygame.surfarray.array3d(app.view.ground((200, 200))) != before).any()
+    press(app, pygame.K_b)
+    np.testing.assert_array_equal(pygame.surfarray.array3d(app.view.ground((200, 200))), before)
+
+
+class Left:
+    """A controller that goes round and round."""
+
+    def reset(self, seed):
+        pass
+
+    def act(self, observation):
+        return np.array(2)
+
+
+def test_a_recorded_drive_is_replayed_as_the_only_ghost(tmp_path):
+    played = rollout(envs.make("kart-gazebo", track="small_S", max_steps=30), Left(), 10_005)
+    played.save(tmp_path / "drive.npz")
+    app = open_replay(tmp_path / "drive.npz")
+    assert (app.playback.batches, app.playback.length) == (1, 30)
+    assert dict(app.view.facts(30))["ghosts"] == "1"
+    np.testing.assert_array_equal(app.view.observations(), played.observation)
+
+
+class Waves:
+    def reset(self, seed):
+        self.step = 0
+
+    def act(self, observation):
+        self.step += 1
+        return np.array([np.sin(self.step), 0.3])
+
+
+def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_path):
+    stroll_env.install(monkeypatch)
+    played = rollout(envs.make("stroll"), Waves(), 10_005)
+    played.save(tmp_path / "walk.npz")
+    app = open_replay(tmp_path / "walk.npz")
+    seen = []
+    for step in (20, 3, 12):
+        app.playback.step = step
+        app.draw()
+        seen.append(app.view.world._state.copy())
+    for state, step in zip(seen, (20, 3, 12), strict=True):
+        np.testing.assert_array_equal(state, played.observation[step])
+
+
+def test_a_hexapod_that_was_steered_is_steered_again(tmp_path):
+    from spikedeploy.play.drive_app import open_session
+
+    driven = open_session("hexapod-command", {}, "gait", None, 10_000, tmp_path / "walk.npz")
+    for key in [pygame.K_UP] * 60 + [pygame.K_LEFT] * 60:
+        driven.driver.handle(pygame.Event(pygame.KEYDOWN, key=key))
+        driven.tick()
+    seen = driven.episode.observation
+    driven.close()
+    app = open_replay(tmp_path / "walk.npz")
+    app.view.go(120)
+    np.testing.assert_array_equal(app.view.newest, seen)
+
+
+# films
+
+
+def test_a_film_of_a_batch_lasts_as_long_as_it(run, tmp_path):
+    app = open_replay(run, batch=3, speed=2.0)
+    save_film(app, tmp_path / "new/film.mp4", seconds=60.0)
+    with av.open(str(tmp_path / "new/film.mp4")) as file:
+        frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+    assert frames[0].shape == (800, 1140, 3)
+    assert len(frames) / 30 == pytest.approx(120 / 60 / 2 + 1.0, abs=0.1)  # and a second's rest
+
+
+def test_a_film_is_no_longer_than_asked_for(run, tmp_path):
+    save_film(open_replay(run), tmp_path / "film.gif", seconds=0.5)
+    with Image.open(tmp_path / "film.gif") as image:
+        assert image.n_frames == 10
+        assert image.info["duration"] == 50
+    assert [path.name for path in tmp_path.iterdir()] == ["film.gif"]
+
+
+def test_a_film_needs_a_name_that_says_what_it_is(run, tmp_path):
+    with pytest.raises(ConfigError, match=r"choose a name that ends in \.mp4 or \.gif"):
+        save_film(open_replay(run), tmp_path / "film.avi", seconds=1.0)
+
+
+def test_the_command_films_without_a_window(command, run, tmp_path):
+    path = tmp_path / "film.gif"
+    code, out, err = command("replay", run, "--mode", "all", "--video", path, "--seconds", "0.2")
+    assert (code, out, err) == (0, f"wrote {path}\n", "")
+    _, out, _ = command("replay", run, "--video", path, "--seconds", "0.1", "--json")
+    assert json.loads(out) == {"source": str(run), "batches": 3, "video": str(path)}
+
+
+def test_the_command_films_several_sources(command, run, tmp_path):
+    words = ("replay", run, tiny(tmp_path), "--video", tmp_path / "f.mp4", "--seconds", "0.1")
+    code, out, err = command(*words, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["beside"] == [str(tmp_path / "a.npz")]
+    with av.open(str(tmp_path / "f.mp4")) as file:
+        assert sum(1 for _ in file.decode(video=0)) == 3
+
+
+def test_a_missing_source_is_one_line(command, tmp_path):
+    code, _, err = command("replay", tmp_path / "none")
+    assert code == 1
+    assert err == f"error: {tmp_path}/none: no such run folder, ghost file or rollout\n"

@@ -1,0 +1,381 @@
+"""Drawing tracks: what clicks and keys make of a draft, its files, and its window."""
+
+import json
+
+import numpy as np
+import pygame
+import pytest
+
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart.track import load
+from spikedeploy.play import window
+from spikedeploy.play.draft_files import as_text, draft_of, open_draft, save, save_draft
+from spikedeploy.play.track_draft import History, TrackDraft
+from spikedeploy.play.track_editor import TrackEditor
+from spikedeploy.play.track_editor_view import HEIGHT, View, view_of
+from spikedeploy.runtime.errors import ConfigError
+
+BOX = ((0.0, 0.0), (400.0, 0.0), (400.0, 100.0), (0.0, 100.0), (0.0, 0.0))
+GATES = (((200.0, 0.0), (200.0, 100.0)), ((380.0, 0.0), (380.0, 100.0)))
+LANE = TrackDraft("lane", (BOX,), GATES, start=(60.0, 50.0))
+
+
+@pytest.fixture(autouse=True)
+def dummy(monkeypatch):
+    """A display that shows nothing."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+def drawn(*points, draft=None):
+    draft = draft or TrackDraft("a")
+    for point in points:
+        draft = draft.added(point)
+    return draft
+
+
+# the draft
+
+
+def test_points_go_to_the_wall_that_grows_and_w_begins_another():
+    draft = drawn((0, 0), (9, 0)).new_wall().added((5, 5))
+    assert draft.walls == (((0, 0), (9, 0)), ((5, 5),))
+    assert draft.open_line == ((5, 5),)
+    assert drawn().new_wall().new_wall() == drawn().new_wall()
+
+
+def test_a_point_twice_at_the_same_place_is_one():
+    assert drawn((0, 0), (0, 0)).walls == (((0, 0),),)
+
+
+def test_two_points_are_a_gate_and_the_next_begins_another():
+    draft = drawn((0, 0), (0, 9), (5, 0), draft=TrackDraft("a").new_gate())
+    assert draft.gates == (((0, 0), (0, 9)), ((5, 0),))
+    assert draft.added((5, 9)).open_line == ()
+
+
+def test_clicks_mean_a_point_nearby_or_a_whole_px():
+    draft = drawn((10.0, 10.0), (90.0, 10.0))
+    assert draft.snapped((12.0, 13.0), 5.0) == (10.0, 10.0)
+    assert draft.snapped((50.4, 12.3), 5.0) == (50.0, 12.0)
+
+
+def test_the_ends_of_gates_mean_the_wall_nearby():
+    draft = drawn((10.0, 10.0), (90.0, 10.0)).new_gate()
+    assert draft.snapped((50.4, 12.3), 5.0) == (50.0, 10.0)
+    assert draft.snapped((50.4, 20.0), 5.0) == (50.0, 20.0)
+
+
+def test_lines_that_meet_in_a_point_follow_it_together():
+    moved = LANE.moved((0.0, 0.0), (-50.0, 0.0))
+    assert moved.walls[0][0] == moved.walls[0][-1] == (-50.0, 0.0)
+    assert LANE.moved((60.0, 50.0), (70.0, 50.0)).start == (70.0, 50.0)
+
+
+def test_a_removed_point_takes_lines_of_no_length_with_it():
+    draft = drawn((0, 0), (9, 0)).new_wall().without((9, 0))
+    assert draft.walls == ((),)
+    assert LANE.without((200.0, 0.0)).gates == GATES[1:]
+    assert LANE.without((380.0, 0.0)).open_line == BOX
+    assert LANE.without((380.0, 0.0)).new_gate().open_line == ((380.0, 100.0),)
+    assert LANE.without((60.0, 50.0)).start is None
+
+
+def test_undo_goes_back_to_the_beginning_and_redo_to_the_end():
+    history = History(TrackDraft("a"))
+    for number in range(50):
+        history = history.did(history.now.added((number, 0)))
+    end = history.now
+    for _ in range(60):
+        history = history.undone()
+    assert history.now == TrackDraft("a")
+    for _ in range(60):
+        history = history.redone()
+    assert history.now == end
+
+
+def test_a_change_after_undo_forgets_what_was_undone():
+    history = History(TrackDraft("a"))
+    history = history.did(history.now.added((0, 0))).undone()
+    assert history.did(history.now.added((5, 5))).redone().now == drawn((5, 5))
+
+
+def test_undo_does_not_stop_at_choices():
+    history = History(TrackDraft("a")).did(drawn((0, 0)))
+    history = history.chose(history.now.new_gate())
+    assert history.undone().now == TrackDraft("a")
+    assert not history.undone().now.adding_gates
+
+
+# files
+
+
+def test_a_sketch_that_the_validator_agrees_to_is_a_track(tmp_path):
+    save_draft(LANE, tmp_path / "lane.json")
+    save(LANE, tmp_path / "lane.json")
+    track = load(tmp_path / "lane.json")
+    np.testing.assert_array_equal(track.polylines[0], BOX)
+    np.testing.assert_array_equal(track.gates, GATES)
+    assert (track.name, track.heading, track.start.tolist()) == ("lane", (-0.3, 0.3), [60, 50])
+    assert [path.name for path in tmp_path.iterdir()] == ["lane.json"]
+
+
+@pytest.mark.parametrize(
+    ("draft", "line"),
+    [
+        (TrackDraft("a"), "there is no start; S places it"),
+        (LANE.without((0.0, 0.0)), "the walls are open"),
+        (LANE.new_gate().added((60.0, 0.0)), "gate 3: 1 point; a line needs two"),
+        (LANE.started((5.0, 50.0)), "starts 5.0 px from a wall"),
+    ],
+)
+def test_what_is_no_track_is_refused_with_the_validators_words(draft, line, tmp_path):
+    with pytest.raises(EnvError, match=line):
+        save(draft, tmp_path / "a.json")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["big_S", "small_S", "room_1", "circuit"])
+def test_a_shipped_track_is_copied_and_written_as_it_is(name, tmp_path):
+    path = tmp_path / f"{name}.json"
+    save(open_draft(path, name), path)
+    copied, shipped = load(path), load(name)
+    for field in ("walls", "gates", "start"):
+        np.testing.assert_array_equal(getattr(copied, field), getattr(shipped, field))
+    for field in ("name", "spread", "heading", "sway"):
+        assert getattr(copied, field) == getattr(shipped, field)
+    assert as_text(open_draft(path)) == path.read_text()
+
+
+@pytest.mark.parametrize(
+    "draft",
+    [TrackDraft("a"), drawn((1.5, 2)), drawn((1, 2), draft=LANE.new_gate()), LANE.turned(1.0)],
+)
+def test_a_draft_loses_nothing(draft, tmp_path):
+    path = tmp_path / "a.json"
+    save_draft(draft, path)
+    assert as_text(open_draft(path)) == as_text(draft)
+
+
+def test_a_draft_goes_before_its_track(tmp_path):
+    path = tmp_path / "lane.json"
+    save(LANE, path)
+    save_draft(LANE.started((70.0, 50.0)), path)
+    assert open_draft(path).start == (70.0, 50.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("a.txt", "", r"ends in \.json"),
+        ("a.draft.json", "{}", r"its \.draft\.json opens itself"),
+        ("a.json", "nonsense", "not a JSON file"),
+        ("a.json", "{}", "'name' is missing"),
+    ],
+)
+def test_files_that_cannot_be_drawn_in_are_named(name, text, line, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises((ConfigError, EnvError), match=line):
+        open_draft(tmp_path / name)
+
+
+def test_a_broken_draft_is_named(tmp_path):
+    draft_of(tmp_path / "a.json").write_text('{"name": "a", "walls": [[[1]]]}')
+    with pytest.raises(ConfigError, match=r"a\.draft\.json: not a draft that `draw` left"):
+        open_draft(tmp_path / "a.json")
+
+
+def test_a_copy_overwrites_nothing(tmp_path):
+    save(LANE, tmp_path / "lane.json")
+    with pytest.raises(ConfigError, match=r"--copy big_S: .*lane\.json exists"):
+        open_draft(tmp_path / "lane.json", "big_S")
+
+
+# what is seen
+
+
+def test_zooming_leaves_the_place_under_the_pointer_where_it_is():
+    view = View((100.0, 50.0), 0.8)
+    closer = view.zoomed(2.0, (300, 200))
+    assert closer.scale == 1.6
+    assert closer.under((300, 200)) == pytest.approx(view.under((300, 200)))
+    np.testing.assert_allclose(closer.at(closer.under((30, 20))), (30, 20))
+
+
+def test_a_track_is_seen_whole():
+    places = view_of(LANE).at(LANE.points)
+    assert places.min() > 0
+    assert places.max() < HEIGHT
+
+
+# the window
+
+
+def press(name, **more):
+    return pygame.Event(pygame.KEYDOWN, key=getattr(pygame, f"K_{name}"), **more)
+
+
+def move(app, place):
+    pos = tuple(app._view.at(place).tolist())
+    return pygame.Event(pygame.MOUSEMOTION, pos=pos, rel=(0, 0), buttons=(0, 0, 0))
+
+
+def click(app, place, button=1):
+    pos = tuple(app._view.at(place).tolist())
+    return pygame.Event(pygame.MOUSEBUTTONDOWN, pos=pos, button=button)
+
+
+class Script:
+    """Posts an event into the window at each frame, then ESC."""
+
+    def __init__(self, app, *events):
+        self._app, self._events = app, iter([*events, press("ESCAPE")])
+        self.title, self.name, self.fps = app.title, app.name, 10_000.0
+        self.handle, self.point, self.draw = app.handle, app.point, app.draw
+
+    def tick(self):
+        event = next(self._events, None)
+        if event is not None:
+            pygame.event.post(event)
+
+
+def play(app, *events):
+    window.show(Script(app, *events))
+    assert not pygame.display.get_init()
+    return app
+
+
+def lane(app):
+    """Every event that draws LANE."""
+    corners = [click(app, place) for place in BOX[:4]]
+    closing = [click(app, (3.0, 2.0))]  # snaps to the first point
+    gates = [click(app, (x, y + 2)) for (x, y) in (p for gate in GATES for p in gate)]
+    start = [move(app, (60.0, 50.0)), press("s")]
+    return [*corners, *closing, press("g"), *gates, *start]
+
+
+def test_a_track_is_drawn_with_mouse_and_keys_and_saved(tmp_path):
+    app = TrackEditor(tmp_path / "lane.json")
+    play(app, *lane(app), press("RETURN"))
+    assert app.message[1] == "lane.json is saved: a kart can drive it."
+    assert app.close() is None
+    track = load(tmp_path / "lane.json")
+    np.testing.assert_array_equal(track.polylines[0], BOX)
+    np.testing.assert_array_equal(track.gates, GATES)
+    assert track.start.tolist() == [60, 50]
+
+
+def test_what_the_validator_refuses_is_shown_and_kept_as_a_draft(tmp_path):
+    app = TrackEditor(tmp_path / "a.json")
+    before = pygame.surfarray.array3d(app.draw())[HEIGHT:]
+    play(app, click(app, (100, 100)), press("RETURN"))
+    assert "there is no start" in app.message[1]
+    assert "Kept as a.draft.json" in app.message[1]
+    red = (pygame.surfarray.array3d(app.draw())[HEIGHT:] == app.message[0]).all(axis=2)
+    assert red.sum() > 50 > (before == app.message[0]).all(axis=2).sum()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.draft.json"]
+
+
+def test_leaving_keeps_a_draft_that_the_next_window_goes_on_with(tmp_path):
+    app = TrackEditor(tmp_path / "a.json")
+    play(app, click(app, (100, 100)), click(app, (300, 100)))
+    assert app.close() == tmp_path / "a.draft.json"
+    again = TrackEditor(tmp_path / "a.json")
+    assert again.draft.walls[0] == ((100, 100), (300, 100))
+    assert "a.draft.json was left" in again.message[1]
+
+
+def test_leaving_unchanged_leaves_no_file(tmp_path):
+    app = TrackEditor(tmp_path / "a.json")
+    play(app, click(app, (100, 100)), press("z"))
+    assert app.close() is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_z_and_y_undo_and_redo_in_the_window(tmp_path):
+    app = TrackEditor(tmp_path / "a.json")
+    clicks = [click(app, (100.0 * number, 100.0)) for number in range(1, 5)]
+    play(app, *clicks, press("z"), press("z"), press("z"), press("y"))
+    assert app.draft.walls == (((100, 100), (200, 100)),)
+
+
+def test_m_takes_a_point_and_the_next_click_puts_it_down(tmp_path):
+    app = TrackEditor(tmp_path / "lane.json")
+    drawing = lane(app)
+    play(app, *drawing, move(app, (401, 99)), press("m"), click(app, (450, 120)))
+    assert app.draft.walls[0][2] == (450, 120)
+    app.handle(press("z"))
+    assert app.draft.walls[0][2] == (400, 100)
+
+
+def test_the_right_button_removes_a_point(tmp_path):
+    app = TrackEditor(tmp_path / "lane.json")
+    play(app, *lane(app), click(app, (401, 99), button=3))
+    assert (400, 100) not in app.draft.points
+
+
+def test_q_and_e_turn_the_start_and_the_start_snaps_to_nothing(tmp_path):
+    app = TrackEditor(tmp_path / "lane.json")
+    play(app, *lane(app), move(app, (396, 96)), press("s"), press("e"), press("e"), press("q"))
+    assert app.draft.start == (396, 96)
+    assert app.draft.heading == pytest.approx((-0.3 + np.pi / 12, 0.3 + np.pi / 12), abs=1e-3)
+
+
+def test_the_wheel_zooms_and_clicks_still_mean_what_is_under_them(tmp_path):
+    app = TrackEditor(tmp_path / "a.json")
+    play(app, move(app, (500, 500)), pygame.Event(pygame.MOUSEWHEEL, x=0, y=4))
+    assert app._view.scale == pytest.approx(0.8 * 1.15**4)
+    play(app, click(app, (550, 450)))
+    assert app.draft.points == ((550, 450),)
+
+
+def test_in_a_window_of_another_size_clicks_mean_the_same_places():
+    pygame.display.init()
+    pygame.display.set_mode((600, 800))
+    event = window._on_frame(pygame.Event(pygame.MOUSEMOTION, pos=(300, 400)), (1200, 800))
+    assert event.pos == (600, 400)  # drawn at half its size, 200 px from the top
+    event = window._on_frame(pygame.Event(pygame.MOUSEMOTION, pos=(0, 200)), (1200, 800))
+    assert event.pos == (0, 0)
+
+
+def test_clicks_on_the_panel_draw_nothing(tmp_path):
+    app = TrackEditor(tmp_path / "a.json")
+    app.point(pygame.Event(pygame.MOUSEBUTTONDOWN, pos=(HEIGHT + 50, 100), button=1))
+    assert app.draft.points == ()
+
+
+def test_a_folder_that_nothing_can_be_written_to_is_said_in_the_window(tmp_path):
+    (tmp_path / "file").write_text("")
+    app = TrackEditor(tmp_path / "file/a.json")
+    app.handle(press("RETURN"))
+    assert "nothing was saved" in app.message[1]
+
+
+def test_the_command_says_what_it_kept(command, monkeypatch, tmp_path):
+    path = tmp_path / "a.json"
+    monkeypatch.setattr(window, "show", lambda app: app.point(click(app, (100, 100))))
+    code, out, err = command("draw", path)
+    assert (code, err) == (0, "")
+    assert out == f"kept {draft_of(path)}; `spikedeploy draw {path}` goes on with it\n"
+    draft_of(path).unlink()
+    monkeypatch.setattr(window, "show", lambda app: app.handle(press("RETURN")))
+    _, out, _ = command("draw", path, "--copy", "small_S", "--json")
+    assert json.loads(out) == {"track": str(path), "draft": None}
+
+
+def test_a_window_that_breaks_loses_nothing(command, monkeypatch, tmp_path):
+    def show(app):
+        app.point(click(app, (100, 100)))
+        raise ConfigError("gone")
+
+    monkeypatch.setattr(window, "show", show)
+    assert command("draw", tmp_path / "a.json")[0] == 1
+    assert draft_of(tmp_path / "a.json").is_file()
+
+
+def test_mistakes_are_one_line(command, tmp_path):
+    code, _, err = command("draw", tmp_path / "a.txt")
+    assert code == 1
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1

@@ -1,0 +1,132 @@
+"""What an inference costs, against counts made by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies import costs
+from spikedeploy.policies.costs import Costs, priced_by, spiking_costs
+from spikedeploy.policies.nir import NirController
+from spikedeploy.policies.nir import costs as nir_costs
+from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.policies.onnx import costs as onnx_costs
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.metrics.energy import TABLES, EnergyEstimate, mac_energy
+from tests import stroll_env
+
+OBSERVATIONS = np.random.default_rng(5).normal(size=(7, 3))
+
+
+@pytest.fixture
+def snn(tmp_path):
+    return stroll_env.snn(tmp_path / "snn.nir")
+
+
+def played(observations):
+    count = len(observations) - 1
+    blank = np.zeros(count)
+    return Rollout("x", 0, observations, np.zeros((count, 2)), blank, False, True, {})
+
+
+def rasters(path):
+    """Spikes of the encoder and of each layer for OBSERVATIONS, from the float graph."""
+    from spikedeploy.runtime.float_model.graph import FloatGraph
+
+    artifact = load(path)
+    graph = FloatGraph(artifact)
+    encoded = artifact.codec.encode(OBSERVATIONS)
+    trace = graph.run(encoded)
+    return encoded, [trace[name] for name in graph.spiking], artifact.codec.timesteps
+
+
+def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
+    encoded, layers, timesteps = rasters(snn)
+    player = NirController(str(snn), "float")
+    player.reset(0)
+    player.replay(OBSERVATIONS)
+    found = spiking_costs(player.ledger, player.program, None)
+    spikes = [layer.sum() / len(OBSERVATIONS) for layer in layers]
+    neurons = sum(layer.shape[2] for layer in layers)
+    inputs = encoded.sum() / len(OBSERVATIONS)
+    # 30 inputs -> 16 -> 12 -> 20, all weights non-zero; the readout hears each of 20 once
+    assert found.sops == pytest.approx(inputs * 16 + spikes[0] * 12 + spikes[1] * 20)
+    assert found.effective_acs == pytest.approx(found.sops + spikes[2])
+    assert found.effective_macs == 0
+    assert found.spikes == pytest.approx(sum(spikes))
+    assert found.input_spikes == pytest.approx(inputs)
+    assert found.sparsity == pytest.approx(1 - sum(spikes) / (neurons * timesteps))
+    assert found.bias_sops == timesteps * (16 + 12 + 20)
+    assert found.dense == timesteps * (30 * 16 + 16 * 12 + 12 * 20 + 20 * 2)
+
+
+def test_the_ledger_begins_anew_with_each_episode(snn):
+    player = NirController(str(snn), "loihi1")
+    player.reset(0)
+    player.replay(OBSERVATIONS)
+    first = player.ledger
+    player.reset(1)
+    for observation in OBSERVATIONS[:3]:
+        player.act(observation)
+    assert (first.inferences, player.ledger.inferences) == (7, 3)
+    assert 0 < player.ledger.total("sop") < first.total("sop")
+
+
+def test_the_size_of_a_network_is_that_of_its_file_and_of_its_weights_on_the_chip(snn):
+    player = NirController(str(snn), "loihi1")
+    player.act(OBSERVATIONS[0])
+    found = nir_costs(player, played(OBSERVATIONS))
+    weights, biases, readout = 30 * 16 + 16 * 12 + 12 * 20, 16 + 12 + 20, 20 * 2 + 2
+    # on the chip one byte each; in the file four, and three constants of a layer, 4 bytes, and 12
+    assert found.footprint_packed == weights + biases
+    assert found.footprint == 4 * (weights + biases + readout) + 3 * (3 * 4 + 12)
+    # the readout is block-diagonal: 20 of 40 are 0
+    assert found.connection_sparsity == round(20 / (weights + 40), 4)
+
+
+def test_a_chip_is_priced_by_its_own_tables_and_one_that_float_networks_share():
+    assert priced_by(chip("loihi1")) == ("davies2018", "sanafe", "horowitz45-int8")
+    assert priced_by(None) == priced_by(chip("ideal")) == ("horowitz45",)
+
+
+def test_energy_per_inference_is_the_mean_of_single_inferences(snn):
+    player = NirController(str(snn), "loihi1")
+    alone = []
+    for observation in OBSERVATIONS:
+        player.reset(0)
+        player.act(observation)
+        alone.append(
+            spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"].value
+        )
+    player.reset(0)
+    player.replay(OBSERVATIONS)
+    found = spiking_costs(player.ledger, player.program, player.chip)
+    assert found.energy_j["sanafe"].value == pytest.approx(np.mean(alone))
+
+
+def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
+    path = stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,))
+    player = OnnxController(path)
+    (hidden,) = player._session.run(["hidden1"], {"observation": OBSERVATIONS.astype("float32")})
+    active = np.count_nonzero(hidden, axis=1).mean()
+    assert 0 < active < 8
+    assert player.effective_macs(OBSERVATIONS) == pytest.approx(3 * 8 + active * 2)
+
+
+def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
+    player = OnnxController(stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
+    found = onnx_costs(player, played(OBSERVATIONS))
+    assert found.dense == 3 * 8 + 8 * 2
+    assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])
+
+
+def test_means_are_weighted_by_inferences_and_saturations_are_summed():
+    one = Costs(sops=10.0, saturations=1, energy_j={"a": EnergyEstimate(1.0, 0.5, 2.0)})
+    other = Costs(sops=40.0, saturations=2, energy_j={"a": EnergyEstimate(4.0, 2.0, math.inf)})
+    found = costs.mean([one, other], weights=[2, 1])
+    assert found.sops == pytest.approx(20)
+    assert found.energy_j == {"a": EnergyEstimate(2.0, 1.0, math.inf)}
+    assert found.saturations == 3
+    assert found.spikes is None

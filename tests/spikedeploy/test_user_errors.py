@@ -1,0 +1,37 @@
+"""Errors that a user can act on become one line."""
+
+import re
+import sys
+
+import pytest
+
+from spikedeploy.user_errors import EXTRAS, one_line
+from tests.paths import ROOT
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def optional():
+    """Package -> extra, of pyproject; `dev` is for those who have the sources."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    return {
+        re.match(r"[a-z]+", package)[0]: extra
+        for extra, packages in extras.items()
+        if extra != "dev"
+        for package in packages
+    }
+
+
+def test_every_package_of_every_extra_is_known():
+    assert optional() == EXTRAS
+
+
+@pytest.mark.parametrize(("package", "extra"), EXTRAS.items())
+def test_a_missing_package_names_the_extra_that_has_it(package, extra):
+    error = ModuleNotFoundError(f"No module named '{package}'", name=f"{package}.core")
+    expected = f'this needs {package}, which is not installed: pip install ".[{extra}]"'
+    assert one_line(error) == expected
