@@ -7,7 +7,7 @@ import pygame
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.track import load
+from spikedeploy.envs.kart.track_file import load
 from spikedeploy.play import window
 from spikedeploy.play.drawing import Drawing
 from spikedeploy.play.drawing_picture import HEIGHT, View, view_of

@@ -1,4 +1,4 @@
-"""What the hexapod observes: names, places and scales of the 77 values."""
+"""Observation of the hexapod: names, order and scales of the 77 values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from spikedeploy.envs.hexapod.robot import STANCE
 
 FloatArray = NDArray[np.float64]
 
-LIMIT = 10.0  # observations saturate here, as a sensor does
+LIMIT = 10.0  # observations saturate at this magnitude, as sensors do
 
 
 class ObservationEntry(NamedTuple):
@@ -20,7 +20,7 @@ class ObservationEntry(NamedTuple):
 
     name    key in the environment's OBSERVATION
     size    number of values
-    centre  (size,) or one for all, in the unit of the measurement
+    centre  (size,) or one for all [unit of the measurement]
     spread  (size,) or one for all, so that values are about +-1
     """
 
@@ -51,12 +51,12 @@ LOAD = ObservationEntry("load", 1, 0.0, 24.0)  # [N] all feet together
 
 
 def layout(entries: Sequence[ObservationEntry]) -> dict[str, slice]:
-    """Name of each entry -> its place in the observation."""
-    places, end = {}, 0
+    """Name of each entry -> its slice of the observation."""
+    slices, end = {}, 0
     for entry in entries:
-        places[entry.name] = slice(end, end + entry.size)
+        slices[entry.name] = slice(end, end + entry.size)
         end += entry.size
-    return places
+    return slices
 
 
 def scaling(entries: Sequence[ObservationEntry]) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Pictures of a simulation: frames without a display, or a window."""
+"""Rendering of the hexapod: off-screen frames, or a window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 640, 480  # [pixels]
 
 
 class Camera:
-    """Frames of a robot, from the camera of its model that follows it."""
+    """Off-screen frames of a robot, from the camera of its model that follows it."""
 
     def __init__(self, subject: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
         self._model, self._data = subject.model, subject.data
@@ -24,7 +24,7 @@ class Camera:
             self._gl = mujoco.GLContext(width, height)
             self._gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        except Exception as error:  # each GL library raises its own
+        except Exception as error:  # every GL library raises its own type
             raise EnvError(
                 f"no OpenGL to draw with ({error}); on Debian: apt-get install libegl1 libgl1"
             ) from error
@@ -37,13 +37,13 @@ class Camera:
         self._option = mujoco.MjvOption()
         self._frame = mujoco.MjrRect(0, 0, width, height)
 
-    def renew(self) -> None:
-        """Take over ground that has changed."""
+    def update_ground(self) -> None:
+        """Upload the height field after it has changed."""
         self._gl.make_current()
         mujoco.mjr_uploadHField(self._model, self._context, 0)
 
     def picture(self) -> NDArray[np.uint8]:
-        """(H, W, 3) of the present state."""
+        """Frame (H, W, 3) of the current state."""
         self._gl.make_current()
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -55,21 +55,21 @@ class Camera:
         return np.ascontiguousarray(pixels[::-1])
 
     def close(self) -> None:
-        """Give the graphics memory back."""
+        """Free the OpenGL context."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()
 
 
 class CameraWindow:
-    """MuJoCo's viewer, kept to real time."""
+    """MuJoCo's viewer, slowed to real time."""
 
     def __init__(self, subject: Robot, period: float) -> None:
         import mujoco.viewer as viewer  # needs a display, so only when a window is wanted
 
         try:
             self._viewer: Any = viewer.launch_passive(subject.model, subject.data)
-        except Exception as error:  # each windowing library raises its own
+        except Exception as error:  # every windowing library raises its own type
             raise EnvError(f"no window ({error}); render_mode='rgb_array' needs none") from error
         view = self._viewer.cam  # follows the robot; the mouse turns it
         view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
@@ -78,12 +78,12 @@ class CameraWindow:
         self._period = period
         self._due = time.monotonic()
 
-    def renew(self) -> None:
-        """Take over ground that has changed."""
+    def update_ground(self) -> None:
+        """Upload the height field after it has changed."""
         self._viewer.update_hfield(0)
 
     def picture(self) -> None:
-        """Show the present state when its time has come."""
+        """Show the current state, after waiting for its time."""
         self._due = max(self._due + self._period, time.monotonic() - self._period)
         time.sleep(max(0.0, self._due - time.monotonic()))
         self._viewer.sync()

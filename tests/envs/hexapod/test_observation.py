@@ -1,6 +1,13 @@
 import numpy as np
 
-from spikedeploy.envs.observation import BODY, COURSE, LOAD, ObservationEntry, layout, scaling
+from spikedeploy.envs.hexapod.observation import (
+    BODY,
+    COURSE,
+    LOAD,
+    ObservationEntry,
+    layout,
+    scaling,
+)
 
 
 def test_names_are_laid_end_to_end():
