@@ -119,7 +119,7 @@ def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
     action = spikes.pop("action")
     if policy.head == "continuous":
         return _Outcome(_arrays(spikes), _numbers(action), None)
-    return _Outcome(_arrays(spikes), _numbers(policy.presynaptic(spoken).mean), action.numpy())
+    return _Outcome(_arrays(spikes), _numbers(policy.forward_spikes(spoken).mean), action.numpy())
 
 
 def _arrays(tensors: Mapping[str, torch.Tensor]) -> Spikes:

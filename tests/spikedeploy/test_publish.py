@@ -11,10 +11,11 @@ from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.policies.policies import find
 from spikedeploy.publish import publish
 from spikedeploy.runtime.errors import SpikedeployError
-from spikedeploy.trainers.config import MlpConfig, PopsanConfig, SacConfig
-from spikedeploy.trainers.features import Features
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
+from spikedeploy.trainers.policies.features import Features
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sac.config import SacConfig
 from tests import strolling
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)
