@@ -68,9 +68,9 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> Measure:
     import torch
 
     from spikedeploy.trainers.config import resolve
-    from spikedeploy.trainers.episode_log import EpisodeLog
-    from spikedeploy.trainers.ppo import Ppo
-    from spikedeploy.trainers.ppo_config import PpoConfig
+    from spikedeploy.trainers.ppo.config import PpoConfig
+    from spikedeploy.trainers.ppo.episodes import EpisodeLog
+    from spikedeploy.trainers.ppo.ppo import Ppo
     from spikedeploy.trainers.run_folder import RunFolder
 
     torch.set_num_threads(1)

@@ -10,7 +10,7 @@ import numpy as np
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import read_rasters
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart import track_file
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.presets.preset import PRESETS
 from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -121,7 +121,7 @@ def _driven(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
 
 def _text(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
     """A trace file is verified; any may be taken for a track."""
-    for read in (verify, track.load):
+    for read in (verify, track_file.load):
         with _ours(refused):
             read(path)
     return len(refused) < 2

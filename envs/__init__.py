@@ -1,36 +1,15 @@
-"""The worlds: gymnasium environments that policies are trained and compared in.
+"""Environments: gymnasium worlds that policies are trained and compared in.
 
-errors.py           EnvError
-gait.py             the central pattern generator
-terrain.py          rough ground
-disturbances.py     randomised bodies and pushes
-robot.py            the hexapod (hexapod.xml), its servos and sensors
-observation.py      what policies are shown of it
-reward.py           what they are paid for
-hexapod.py          walk straight ahead at 0.4 m/s
-hexapod_command.py  follow a commanded speed and turn rate
-camera.py           pictures of them
-track.py            walls, gates and a start; tracks/*.json are the shipped ones
-track_rules.py      which tracks can be driven
-corridor.py         random ones
-lidar.py            distances to walls along rays
-kart.py             what karts have in common: the episode
-kart_options.py     what their options stand for
-kart_world.py       their physics
-kart_situation.py   where one is and how it moves
-kart_ends.py        when one has given up
-kart_grid.py        pushed in four directions
-kart_gazebo.py      drives or turns
-kart_steer.py       throttle, brake and steering
-kart_observation.py what their drivers are shown
-kart_reward.py      what they are paid for
-gap.py              a scripted driver
-kart_scene.py       a track on a surface
-kart_picture.py     pictures of karts
-ghosts.py           the drives of a whole training, in small files
-ghost_recorder.py   keeps them
-archive.py          arrays in files
-rollout.py          one episode of a controller, recorded
+A hexapod on MuJoCo and karts on pymunk, and what records their episodes. ENVS is the table of
+environments; `make` builds one by its short name or gymnasium id.
+
+hexapod/           a walking robot on rough ground, with and without velocity commands
+kart/              three kinds of kart on tracks, with a LIDAR and a scripted driver
+rollout.py         one episode of a controller, recorded and saved
+ghosts.py          compact records of kart episodes, a whole training in small files
+ghost_recorder.py  collects ghosts from environments that are stepped side by side
+archive.py         .npz files, written atomically
+errors.py          EnvError
 
 A new environment is one file and one line in ENVS.
 """
@@ -48,12 +27,12 @@ import gymnasium
 
 from spikedeploy.envs.errors import EnvError
 
-# drawing karts needs pygame, which would greet everybody on stdout
+# pygame, which draws karts, would print a greeting to stdout
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 
 def _loads(library: str) -> bool:
-    """Whether a shared library is installed."""
+    """Whether a shared library can be loaded."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -62,20 +41,20 @@ def _loads(library: str) -> bool:
 
 
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    # MuJoCo reads it once, at its import: without a display, draw through EGL. Where that library
-    # is missing, trying it would break the import itself
+    # MuJoCo reads it at import. Without a display it renders through EGL; without that library the
+    # import itself would fail, so that rendering is disabled
     os.environ.setdefault("MUJOCO_GL", "egl" if _loads("libEGL.so.1") else "disable")
 
 
 @dataclass(frozen=True)
 class EnvSpec:
-    """What is known of an environment before it is loaded.
+    """Entry of an environment, which is imported only when it is made.
 
-    short    key in ENVS, as the command line takes it
-    id       gymnasium's identifier
-    target   "module:class"
-    summary  one line for people
-    controls built-in players that every comparison shows; the first is the zero of its score
+    short     key in ENVS, as the command line takes it
+    id        gymnasium's identifier
+    target    "module:class"
+    summary   one line
+    controls  built-in baselines of every comparison; the first is the zero of its score
     """
 
     short: str
@@ -128,7 +107,7 @@ ENVS: dict[str, EnvSpec] = {
 
 
 def spec(name: str) -> EnvSpec:
-    """Return the entry with this short name or id."""
+    """Return the entry of a short name or id."""
     for entry in ENVS.values():
         if name in (entry.short, entry.id):
             return entry
@@ -139,12 +118,12 @@ def spec(name: str) -> EnvSpec:
 
 
 def make(name: str, **options: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
-    """Build the environment with this short name or id, with its options."""
+    """Build the environment of a short name or id, with options."""
     return gymnasium.make(spec(name).id, **options)
 
 
 def register() -> None:
-    """Tell gymnasium of every environment; a second call changes nothing."""
+    """Register every environment with gymnasium; a second call changes nothing."""
     for entry in ENVS.values():
         if entry.id not in gymnasium.registry:
             gymnasium.register(entry.id, entry_point=entry.target)

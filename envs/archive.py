@@ -1,4 +1,4 @@
-"""Archives of arrays: compressed .npz files, whole or not there, with nothing pickled in them."""
+"""Compressed .npz files, written atomically and without pickled objects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from spikedeploy.envs.errors import EnvError
 
 
 def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
-    """Write the arrays; the name appears only when the file is whole."""
+    """Write the arrays atomically."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.name}.{os.getpid()}")
@@ -27,7 +27,7 @@ def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
 
 
 def read(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
-    """The arrays of a file; `what` it should be is said in the error when it is not."""
+    """The arrays of a file; `what` names the expected kind of file in errors."""
     try:
         if not zipfile.is_zipfile(path) and Path(path).is_file():
             raise EnvError(f"{path}: not a whole {what}, which is a .npz archive")
@@ -37,5 +37,5 @@ def read(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
         raise EnvError(f"{path}: no such {what}") from None
     except EnvError:
         raise
-    except Exception as error:  # zipfile, zlib and numpy each have their own for a broken file
+    except Exception as error:  # zipfile, zlib and numpy raise different types for broken files
         raise EnvError(f"{path}: not a whole {what} ({error})") from error

@@ -1,5 +1,5 @@
-"""The one exception of the worlds."""
+"""EnvError, the exception of this package."""
 
 
 class EnvError(Exception):
-    """An environment was asked for, built or driven in a way that it cannot obey."""
+    """An environment, an option, an action or a file that is not valid."""

@@ -1,4 +1,4 @@
-"""Keeps ghosts of what several environments do side by side."""
+"""Records ghosts of environments that are stepped side by side."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ POSE = ("x", "y", "heading", "speed")
 
 
 class GhostRecorder:
-    """Told of every reset and step, it gives the ghosts of the episodes that ended.
+    """Collects the resets and steps of several environments into ghosts.
 
     env_id   gymnasium's identifier
-    options  that the environments were made with
-    copies   environments
+    options  of the environments
+    copies   number of environments
     """
 
     def __init__(self, env_id: str, options: Mapping[str, Any], copies: int = 1) -> None:
@@ -28,27 +28,27 @@ class GhostRecorder:
         self._ended: list[Ghost] = []
 
     def begin(self, copy: int, info: Mapping[str, Any], seed: int = -1) -> None:
-        """A copy was reset; the info, or any mapping, says where it stands: POSE."""
+        """Record a reset; the info, or any other mapping, holds the initial POSE."""
         self._copies[copy] = _Drive(info, seed)
 
     def add(
         self, copy: int, info: Mapping[str, Any], action: NDArray[Any] | float, reward: float
     ) -> None:
-        """A copy made a step with this info."""
+        """Record a step."""
         self._copies[copy].add(info, action, reward)
 
     def end(self, copy: int, env_step: int = 0) -> None:
-        """The step before was the last of its episode, and the `env_step`-th of the training."""
+        """Finish the episode of a copy, after `env_step` environment steps of the training."""
         self._ended.append(self._copies[copy].ghost(env_step))
 
     def take(self) -> Ghosts:
-        """The ghosts that ended since this was last asked, in that order."""
+        """Ghosts of the episodes that ended since the last call, in that order."""
         ended, self._ended = self._ended, []
         return Ghosts(self._env_id, ended, self._options)
 
 
 class _Drive:
-    """An episode that is under way."""
+    """An unfinished episode."""
 
     def __init__(self, info: Mapping[str, Any] | None = None, seed: int = -1) -> None:
         self._path = [] if info is None else [_pose(info)]

@@ -1,16 +1,16 @@
-"""Ghosts: the drives of many episodes, small enough to keep those of a whole training.
+"""Ghosts: compact records of kart episodes, for replaying a whole training.
 
-A .npz of n episodes with S1, S2, … steps, compressed, nothing in it pickled:
+A compressed .npz of n episodes with S1, S2, … steps, without pickled objects:
 
     header    JSON: layout version, env_id, options
-    steps     (n,) int32, S of each
-    start     (4, n) int32, the first x, y [1/16 px], heading [1/1024 rad], speed [1/16 px/s]
-    moves     (4, sum of S) int32, by how much each differs from the step before
-    action    (sum of S, …) uint8 of several actions to choose from, else float32
+    steps     (n,) int32, S of each episode
+    start     (4, n) int32, initial x, y [1/16 px], heading [1/1024 rad], speed [1/16 px/s]
+    moves     (4, sum of S) int32, differences from step to step
+    action    (sum of S, …) uint8 if discrete, else float32
     reward    (sum of S,) float32, rounded to 12 bits
     finish, crash (n,) bool; gates (n,) int16; env_step, seed (n,) int64
 
-A folder of such files, in the order of their names, holds the batches of a training.
+A folder of such files, sorted by name, holds the iterations of a training.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from spikedeploy.envs import archive
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
 
-VERSION = 1  # of the file's layout
-UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # of x, y, heading and speed in the file
-EACH = {  # of an episode, as it is kept
+VERSION = 1  # of the file layout
+UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # file units of x, y, heading and speed
+EACH = {  # arrays with one entry per episode
     "steps": np.int32,
     "finish": np.bool_,
     "crash": np.bool_,
@@ -45,17 +45,17 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Ghost:
-    """One drive of S steps, without what the driver saw.
+    """One kart episode of S steps, without observations.
 
     pose      (S + 1, 3) x, y [px], heading [rad]
     speed     (S + 1,) [px/s]
-    action    (S,) int of several to choose from, or (S, act)
+    action    (S,) int if discrete, or (S, act)
     reward    (S,)
     finish    whether it reached the finish
     crash     whether it ended at a wall
-    gates     passed
-    env_step  of the training at the end of the drive; 0 where nothing was trained
-    seed      of the episode, which a world that is drawn at random needs; -1 unknown
+    gates     number of gates passed
+    env_step  environment steps of the training at its end; 0 without training
+    seed      of the episode, from which a random track is rebuilt; -1 if unknown
     """
 
     pose: Floats
@@ -75,7 +75,7 @@ class Ghost:
 
     @classmethod
     def from_rollout(cls, played: Rollout) -> Ghost:
-        """The ghost of a recorded episode, whose infos must tell where it was."""
+        """The ghost of a rollout, whose infos must contain the poses."""
         missing = {"x", "y", "heading", "speed"} - played.info.keys()
         if missing:
             raise EnvError(
@@ -83,9 +83,9 @@ class Ghost:
                 "so it leaves no ghost; only karts do"
             )
         info = {name: values[-1] for name, values in played.info.items()}
-        told = np.stack([played.info[name] for name in ("x", "y", "heading", "speed")], axis=1)
-        # where it was before its first step is not told
-        path: Floats = np.concatenate((told[:1], told)).astype(np.float32)
+        poses = np.stack([played.info[name] for name in ("x", "y", "heading", "speed")], axis=1)
+        # the pose before the first step is not recorded
+        path: Floats = np.concatenate((poses[:1], poses)).astype(np.float32)
         return cls(
             pose=path[:, :3],
             speed=path[:, 3],
@@ -100,10 +100,10 @@ class Ghost:
 
 @dataclass(frozen=True)
 class Ghosts:
-    """Drives in one environment.
+    """Ghosts of one environment.
 
     env_id   gymnasium's identifier
-    options  that the environment was made with, as far as JSON can hold them
+    options  of the environment, as far as JSON can hold them
     drives   (n,) in the order in which they ended
     """
 
@@ -118,16 +118,16 @@ class Ghosts:
 
     @classmethod
     def from_rollout(cls, played: Rollout) -> Ghosts:
-        """A recorded episode as the only ghost."""
+        """A rollout as the only ghost."""
         return cls(played.env_id, [Ghost.from_rollout(played)], played.options)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file that this module describes; its name appears when it is whole."""
+        """Write the file described above, atomically."""
         archive.write(path, self._arrays())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ghosts:
-        """Read what save wrote."""
+        """Read a file that save wrote."""
         arrays = archive.read(path, "ghost file")
         header = _header(arrays, path)
         try:
@@ -154,14 +154,14 @@ class Ghosts:
 
 
 def _units(ghost: Ghost) -> NDArray[np.int64]:
-    """x, y, heading and speed (4, S + 1) in the units of the file."""
+    """x, y, heading and speed (4, S + 1) in file units."""
     path = np.column_stack((ghost.pose, ghost.speed)).astype(np.float64)
     whole: NDArray[np.int64] = np.rint(path * UNITS).astype(np.int64).T
     return whole
 
 
 def _joined(parts: list[Any], empty: tuple[int, ...], kind: type) -> NDArray[Any]:
-    """Arrays joined along their last axis; of none, an empty one."""
+    """Arrays joined along their last axis; an empty one if there are none."""
     return np.concatenate([np.zeros(empty), *parts], axis=-1).astype(kind)
 
 
@@ -174,7 +174,7 @@ def _actions(parts: list[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _rounded(values: Floats) -> Floats:
-    """The values with 11 bits of mantissa: half the file, and nobody can see the difference."""
+    """The values with 11 bits of mantissa, which halves the file."""
     bits = values.view(np.uint32)
     rounded: Floats = ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)
     return rounded

@@ -1,4 +1,4 @@
-"""One episode of a controller in an environment, recorded step by step."""
+"""Rollouts: one episode of a controller in an environment, recorded step by step."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from spikedeploy.envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 Frame = NDArray[np.uint8]
-VERSION = 1  # of the file's layout
+VERSION = 1  # of the file layout
 
 
 class Controller(Protocol):
-    """Anything that turns observations into actions."""
+    """Maps observations to actions."""
 
     def reset(self, seed: int) -> None:
-        """Forget the last episode; the seed is for controllers that draw at random."""
+        """Start a new episode; stochastic controllers draw from the seed."""
 
     def act(self, observation: FloatArray) -> NDArray[Any]:
-        """Return the action (act,), or () int where it is one of several, for (obs,)."""
+        """Return the action for an observation (obs,): (act,), or () int if discrete."""
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What the world saw of one episode of S control steps.
+    """Record of one episode of S control steps.
 
     env_id       gymnasium's identifier
     seed         of the episode
     observation  (S + 1, obs)
-    action       (S, act) as the controller gave it; (S,) int64 where it is one of several
+    action       (S, act) as the controller returned it; (S,) int64 if discrete
     reward       (S,)
-    terminated   ended by what happened: a fall, a crash, the finish
-    truncated    ended by the clock
+    terminated   ended by a terminal state: a fall, a crash, the finish
+    truncated    ended by the time limit
     info         (S,) each: the numbers in the step infos; reward terms as "reward/<name>"
-    options      that the environment was made with, as far as JSON can hold them
+    options      of the environment, as far as JSON can hold them
     """
 
     env_id: str
@@ -67,11 +67,11 @@ class Rollout:
 
     @property
     def success(self) -> bool:
-        """Whether the environment called the episode a success at its last step."""
+        """Whether the last step's info says success."""
         return bool(self.info["success"][-1])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a .npz; the name appears only when the file is whole."""
+        """Write a .npz file atomically."""
         arrays: dict[str, Any] = {f"info/{name}": values for name, values in self.info.items()}
         arrays["observation"], arrays["action"], arrays["reward"] = (
             self.observation,
@@ -85,7 +85,7 @@ class Rollout:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
-        """Read what save wrote."""
+        """Read a file that save wrote."""
         return cls._parse(archive.read(path, "rollout"), path)
 
     @classmethod
@@ -106,15 +106,15 @@ class Rollout:
             terminated=bool(terminated),
             truncated=bool(truncated),
             info={name.removeprefix("info/"): values for name, values in infos.items()},
-            options=json.loads(str(arrays.get("options", "{}"))),  # files of 0.1 have none
+            options=json.loads(str(arrays.get("options", "{}"))),  # missing in files of version 0.1
         )
 
 
 class EpisodeRecorder:
-    """An episode that is under way, for those who step it at their own pace.
+    """Records an episode that the caller steps.
 
-    observation  (obs,) the newest
-    info         of the newest step
+    observation  (obs,) latest
+    info         of the latest step
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], seed: int) -> None:
@@ -138,10 +138,10 @@ class EpisodeRecorder:
         return self._terminated or self._truncated
 
     def step(self, choice: object) -> None:
-        """Take the action (act,), or () where it is one of several."""
+        """Step the environment with an action (act,), or () if discrete."""
         space, step = self._env.action_space, self.steps
         action = _action(choice, space, step)
-        # an index is what a list of actions takes
+        # environments index lists of actions with it
         given = action if action.ndim else int(action)
         observation, reward, terminated, truncated, self.info = self._env.step(given)
         self.observation = _finite(
@@ -154,7 +154,7 @@ class EpisodeRecorder:
         self._terminated, self._truncated = bool(terminated), bool(truncated)
 
     def rollout(self) -> Rollout:
-        """What was recorded, of at least one step; an episode that goes on counts as truncated."""
+        """The record of at least one step; an unfinished episode counts as truncated."""
         return Rollout(
             env_id=self._env.spec.id if self._env.spec else type(self._env.unwrapped).__name__,
             seed=self._seed,
@@ -178,19 +178,19 @@ def rollout(
     on_frame: Callable[[Frame], None] | None = None,
     frame_every: int = 1,
 ) -> Rollout:
-    """Run one episode; on_frame is given a picture (H, W, 3) at reset and every so many steps."""
-    take = EpisodeRecorder(env, seed)
+    """Run one episode; on_frame receives a frame (H, W, 3) at reset and every frame_every steps."""
+    recorder = EpisodeRecorder(env, seed)
     controller.reset(seed)
     _show(env, on_frame)
-    while not take.over:
-        take.step(controller.act(take.observation))
-        if take.steps % frame_every == 0:
+    while not recorder.over:
+        recorder.step(controller.act(recorder.observation))
+        if recorder.steps % frame_every == 0:
             _show(env, on_frame)
-    return take.rollout()
+    return recorder.rollout()
 
 
 def options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
-    """What an environment was made with, as JSON holds it; how it is shown is left out."""
+    """Options of an environment as JSON holds them, without render_mode."""
     given = env.spec.kwargs if env.spec else {}
     shown = {name: value for name, value in given.items() if name != "render_mode"}
     options: dict[str, Any] = json.loads(json.dumps(shown, default=_named))
@@ -198,12 +198,12 @@ def options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
 
 
 def _named(value: object) -> str:
-    """A name for what JSON has no form for, such as a track that was built in memory."""
+    """Name of an object that JSON cannot hold, such as a Track."""
     return str(getattr(value, "name", value))
 
 
 def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[Any]:
-    """Copy an action: numbers in float64, or the index of one of several in int64."""
+    """Copy of an action: float64 (act,), or int64 () for a discrete space."""
     action = _finite("action", value, space, step)
     if not isinstance(space, gymnasium.spaces.Discrete):
         return action
@@ -214,7 +214,7 @@ def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[An
 
 
 def _finite(what: str, value: object, space: gymnasium.Space[Any], step: int) -> FloatArray:
-    """Copy a vector in float64, or say at which step it has the wrong shape or is not a number."""
+    """Copy of a vector in float64; EnvError if its shape is wrong or a value is not finite."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != space.shape:
         raise EnvError(f"{what} of step {step}: shape {vector.shape} instead of {space.shape}")
@@ -225,7 +225,7 @@ def _finite(what: str, value: object, space: gymnasium.Space[Any], step: int) ->
 
 
 def _numbers(info: Mapping[str, Any]) -> dict[str, float]:
-    """The numeric scalars of a step info, reward terms as reward/<name>."""
+    """Numeric scalars of a step info, reward terms as reward/<name>."""
     scalars = {name: value for name, value in info.items() if isinstance(value, (bool, int, float))}
     terms = {f"reward/{name}": value for name, value in info.get("reward_terms", {}).items()}
     return {name: float(value) for name, value in (scalars | terms).items()}

@@ -120,7 +120,7 @@ def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
     if policy.head == "continuous":
         return _Outcome(_arrays(spikes), _numbers(action), None)
     return _Outcome(
-        _arrays(spikes), _numbers(policy.presynaptic(input_spikes).mean), action.numpy()
+        _arrays(spikes), _numbers(policy.forward_spikes(input_spikes).mean), action.numpy()
     )
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.trainers.policies import SpikingMlpPolicy
-from spikedeploy.trainers.rate import TorchRateEncoder
+from spikedeploy.trainers.policies.encoders import TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 RandomBytes = Callable[[int, int], NDArray[np.uint8]]

@@ -27,9 +27,9 @@ from spikedeploy.runtime.codec.codec import (
 from spikedeploy.runtime.convention import Convention, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.encoder import TorchPopulationEncoder as TrainedPopulations
 from spikedeploy.trainers.policies import Policy, PopsanPolicy, SpikingMlpPolicy
-from spikedeploy.trainers.rate import TorchRateEncoder as TrainedRates
+from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder as TrainedPopulations
+from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TrainedRates
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 

@@ -19,8 +19,8 @@ from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.atomic import replacing
-from spikedeploy.trainers.features import Features
 from spikedeploy.trainers.policies import MlpPolicy, Policy
+from spikedeploy.trainers.policies.features import Features
 
 KINDS = ("ann", "control")
 

@@ -74,9 +74,9 @@ def run_folder(runs, policy, seed=0):
     """Make a run folder of an untrained policy, as a training of 5 steps would leave it."""
     import torch
 
-    from spikedeploy.trainers.config import SacConfig
     from spikedeploy.trainers.policies import from_config
     from spikedeploy.trainers.run_folder import RunFolder
+    from spikedeploy.trainers.sac.config import SacConfig
 
     torch.manual_seed(seed)
     config = {"algorithm": "sac", "recipe": "smoke", "env": {"name": "stroll"}, "policy": policy}

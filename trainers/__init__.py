@@ -1,15 +1,35 @@
-"""The trainers: an environment goes in, a run folder with a trained policy comes out.
+"""Trainers: from an environment to a run folder with a trained policy.
 
-Table of contents; nothing heavy is imported until it is used. Adding an algorithm is one file and
-one line in `ALGORITHMS`, adding a recipe one entry in `trainers.recipes`.
+`train.train` trains a recipe with an algorithm of the table ALGORITHMS; nothing heavy is imported
+before. Configurations are pydantic models, checkpoints safetensors and JSON.
+
+sac/             soft actor-critic
+ppo/             proximal policy optimisation
+distill/         distillation of a teacher by DAgger
+policies/        torch policies: MLP, PopSAN, spiking MLP
+train.py         from the name of a recipe to a run folder
+runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
+recipes.py       table of recipes
+config.py        configuration: models, recipe, TOML file and overrides
+run_folder.py    files of a run: configuration, versions, checkpoints
+journal.py       metrics to CSV file, TensorBoard and progress bar
+metrics.py       the CSV file, and the learning curve
+env_batch.py     copies of an environment, stepped as a batch
+validation.py    deterministic episodes that choose the best checkpoint
+critic.py        float networks that estimate returns
+adam.py          the optimiser and its state
+onnx_session.py  ONNX Runtime session of a float network
+atomic.py        atomic writes
+
+An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in RECIPES.
 """
 
 from spikedeploy.trainers.recipes import RECIPES, Recipe
 
 ALGORITHMS: dict[str, str] = {
-    "sac": "spikedeploy.trainers.sac:Sac",
-    "distill": "spikedeploy.trainers.distill:Distill",
-    "ppo": "spikedeploy.trainers.ppo:Ppo",
+    "sac": "spikedeploy.trainers.sac.sac:Sac",
+    "distill": "spikedeploy.trainers.distill.distill:Distill",
+    "ppo": "spikedeploy.trainers.ppo.ppo:Ppo",
 }
 
 __all__ = ["ALGORITHMS", "RECIPES", "Recipe"]

@@ -1,63 +1,152 @@
-"""Configuration: recipe, TOML file and `--set` overrides in, one validated model out."""
+"""Configuration of a run: its models, and how recipe, TOML file and `--set` are combined.
+
+Each algorithm adds its own settings to RunConfig, in <algorithm>/config.py.
+"""
 
 import difflib
 import json
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.recipes import RECIPES, merged
-from spikedeploy.trainers.settings import (
-    Count,
-    EnvConfig,
-    MlpConfig,
-    NormaliserConfig,
-    PolicyConfig,
-    PopsanConfig,
-    Positive,
-    Ramp,
-    Rate,
-    RunConfig,
-    SacConfig,
-    Section,
-    Share,
-    SpikingMlpConfig,
-    ValidationConfig,
-)
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
-__all__ = [
-    "Count",
-    "EnvConfig",
-    "MlpConfig",
-    "NormaliserConfig",
-    "PolicyConfig",
-    "PopsanConfig",
-    "Positive",
-    "Ramp",
-    "Rate",
-    "RunConfig",
-    "SacConfig",
-    "Section",
-    "Share",
-    "SpikingMlpConfig",
-    "ValidationConfig",
-    "amended",
-    "differences",
-    "known",
-    "parse_override",
-    "read_toml",
-    "resolve",
-    "validated",
-]
+RENAMED = {"hoist": "support_force"}  # settings of version 0.1, accepted under their old names
+
+Positive = Annotated[int, Field(gt=0)]
+Count = Annotated[int, Field(ge=0)]
+Rate = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Section(BaseModel):
+    """A group of settings: frozen, without unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Ramp(Section):
+    """A value that changes linearly from `start` to `end` between two environment steps."""
+
+    start: float
+    end: float
+    begin: Count = 0
+    finish: Count
+
+    def at(self, step: int) -> float:
+        """Return the value at an environment step."""
+        span = max(self.finish - self.begin, 1)
+        share = min(max((step - self.begin) / span, 0.0), 1.0)
+        return self.start + (self.end - self.start) * share
+
+
+class EnvConfig(Section):
+    """The environment: short name or id, options, and number of copies stepped as one batch."""
+
+    name: str = "hexapod"
+    options: dict[str, Any] = Field(default_factory=dict)
+    count: Positive = 4
+
+
+class MlpConfig(Section):
+    """A float network; no hidden layers make it a linear policy."""
+
+    kind: Literal["mlp"] = "mlp"
+    hidden: tuple[Positive, ...] = (512, 512)
+    features: Literal["all", "phase", "bilinear"] = "all"
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers, without the encoder."""
+        return 0
+
+
+class PopsanConfig(Section):
+    """A population-coded spiking actor (Tang et al. 2020), with the hexapod's decay factors."""
+
+    kind: Literal["popsan"] = "popsan"
+    hidden: tuple[Positive, ...] = (512, 512)
+    populations: Positive = 10
+    timesteps: Positive = 5
+    alpha: Share = 0.9
+    beta: Share = 0.8
+    threshold: Rate = 0.5
+    surrogate: Literal["atan", "rectangular"] = "atan"
+    surrogate_width: Rate | None = None  # None: 2.0 for atan (alpha), 0.5 for rectangular
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers without the encoder; the last one codes the actions."""
+        return len(self.hidden) + 1
+
+
+class SpikingMlpConfig(Section):
+    """Layers of LIF neurons and a linear readout of their firing rates, as in kart-simulator.
+
+    coding: "regular" and "bernoulli" are rate codes for values in [-1, 1], with evenly spaced or
+        random spikes; "population" is PopSAN's code, `populations` neurons for each value
+    """
+
+    kind: Literal["spiking-mlp"] = "spiking-mlp"
+    hidden: tuple[Positive, ...] = Field(default=(64, 64), min_length=1)
+    coding: Literal["regular", "bernoulli", "population"] = "regular"
+    populations: Positive = 4
+    timesteps: Positive = 16
+    beta: Share = 0.9
+    threshold: Rate = 0.7
+    surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "fast-sigmoid"
+    surrogate_width: Rate | None = None  # None: 25 for fast-sigmoid, others as in PopsanConfig
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers, without the encoder."""
+        return len(self.hidden)
+
+
+PolicyConfig = Annotated[MlpConfig | PopsanConfig | SpikingMlpConfig, Field(discriminator="kind")]
+
+
+class NormaliserConfig(Section):
+    """Observation statistics: updated up to `finish` environment steps, then frozen."""
+
+    finish: Count = 60_000
+    clip: Rate = 4.0
+
+
+class ValidationConfig(Section):
+    """Deterministic episodes without support force, which choose the best checkpoint.
+
+    every: environment steps between two validations
+    first_seed: episodes use this seed and the following; 5,000 to 9,999 are reserved for them
+    limit: control steps after which an episode is truncated, None for the environment's limit
+    """
+
+    every: Positive = 10_000
+    episodes: Positive = 4
+    first_seed: int = Field(default=5_000, ge=5_000, lt=9_000)
+    limit: Positive | None = None
+
+
+class RunConfig(Section):
+    """Settings that every algorithm has."""
+
+    algorithm: str
+    recipe: str
+    seed: int = Field(default=0, ge=0)
+    env: EnvConfig = EnvConfig()
+    policy: PolicyConfig = MlpConfig()
+    normaliser: NormaliserConfig = NormaliserConfig()
+    validation: ValidationConfig = ValidationConfig()
+
 
 C = TypeVar("C", bound=RunConfig)
 
@@ -70,7 +159,7 @@ def resolve(
     overrides: Iterable[str] = (),
     seed: int = 0,
 ) -> C:
-    """Return the recipe's configuration with the file and then the overrides laid over it."""
+    """Return the recipe's configuration, changed by the file and then by the overrides."""
     entry = RECIPES[known(recipe, RECIPES, "recipe")]
     defaults = model(algorithm=entry.algorithm, recipe=recipe, seed=seed).model_dump()
     if "policy" in entry.settings:
@@ -80,17 +169,17 @@ def resolve(
 
 
 def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str] = ()) -> C:
-    """Return a configuration with the file and then the overrides laid over it."""
+    """Return a configuration changed by the file and then by the overrides."""
     settings = base.model_dump(mode="json")
     if file is not None:
-        settings = _overlaid(settings, read_toml(file), str(file))
+        settings = _overlaid(settings, _renamed(read_toml(file)), str(file))
     for text in overrides:
-        settings = _overlaid(settings, parse_override(text), f"--set {text}")
+        settings = _overlaid(settings, _renamed(parse_override(text)), f"--set {text}")
     return validated(type(base), settings, f"recipe {base.recipe}")
 
 
 def differences(config: RunConfig) -> list[str]:
-    """Return the overrides that make this configuration from its recipe, as `--set` takes them."""
+    """Return the overrides, as `--set` takes them, that turn the recipe into this configuration."""
     recipe = _flat(resolve(type(config), config.recipe, seed=config.seed).model_dump(mode="json"))
     found = _flat(config.model_dump(mode="json"))
     return [
@@ -108,7 +197,7 @@ def _flat(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 
 
 def known(name: str, names: Iterable[str], kind: str) -> str:
-    """Return `name`, or raise ConfigError with the nearest of the names that exist."""
+    """Return `name` if it is one of the names, else raise ConfigError with the closest ones."""
     choices = sorted(names)
     if name in choices:
         return name
@@ -129,7 +218,7 @@ def read_toml(file: str | Path) -> dict[str, Any]:
 
 
 def parse_override(text: str) -> dict[str, Any]:
-    """Return `a.b=value` as nested tables; a value that is not TOML is taken as a string."""
+    """Return `a.b=value` as nested tables; a value that is not TOML is a string."""
     key, equals, value = text.partition("=")
     parts = key.strip().split(".")
     if not equals or not all(parts):
@@ -147,11 +236,11 @@ def parse_override(text: str) -> dict[str, Any]:
 def _overlaid(
     settings: Mapping[str, Any], change: Mapping[str, Any], source: str, path: str = ""
 ) -> dict[str, Any]:
-    """Return `settings` with the change laid over it; a key that is not there is refused."""
+    """Return `settings` with a nested change applied; unknown keys raise ConfigError."""
     result = dict(settings)
     for key, value in change.items():
         name = path + key
-        if path != "env.options.":  # the environment itself knows its options
+        if path != "env.options.":  # checked by the environment itself
             known(key, settings, f"setting ({source}) {path}".rstrip())
         old = settings.get(key)
         if isinstance(old, Mapping) and isinstance(value, Mapping):
@@ -161,14 +250,19 @@ def _overlaid(
 
 
 def validated(model: type[C], settings: Mapping[str, Any], source: str) -> C:
-    """Return the settings as a model, or raise ConfigError naming each wrong one."""
+    """Return the settings as a model, or raise ConfigError that names every wrong one."""
     try:
-        return model.model_validate(settings)
+        return model.model_validate(_renamed(settings))
     except ValidationError as error:
         faults = "; ".join(_fault(**fault) for fault in error.errors())
         raise ConfigError(f"{source}: {faults}") from error
 
 
+def _renamed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings under their present names."""
+    return {RENAMED.get(key, key): value for key, value in settings.items()}
+
+
 def _fault(loc: tuple[int | str, ...], msg: str, input: object, **_: object) -> str:
-    """Return one fault that pydantic found as `a.b: what is wrong, got x`."""
+    """Return one of pydantic's errors as `a.b: what is wrong, got x`."""
     return f"{'.'.join(map(str, loc))}: {msg}, got {input!r}"

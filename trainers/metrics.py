@@ -1,4 +1,4 @@
-"""The metrics of a run as CSV: one row for each logging interval."""
+"""Metrics of a run: CSV file, and learning curve drawn from it."""
 
 import csv
 from collections.abc import Mapping
@@ -6,12 +6,15 @@ from pathlib import Path
 
 from spikedeploy.trainers.atomic import replacing
 
+RENAMED = {"hoist": "support_force"}  # columns of version 0.1
+CURVES = {"episode_return": "training", "eval_return": "validation"}
+
 
 class Metrics:
-    """A CSV file that grows by rows; a column that a row lacks stays empty.
+    """A CSV file to which rows are appended; columns that a row lacks stay empty.
 
     path: the file
-    columns: names, the first of which is the step that rows are ordered by
+    columns: names, of which the first is the step
     """
 
     def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
@@ -26,7 +29,7 @@ class Metrics:
             csv.DictWriter(file, self.columns).writerow(_rounded(row))
 
     def rewind(self, step: float) -> None:
-        """Drop the rows after a step: a resumed run will write them again."""
+        """Drop the rows after a step, which a resumed run writes again."""
         self._write([row for row in read(self.path) if row[self.columns[0]] <= step])
 
     def _write(self, rows: list[dict[str, float]]) -> None:
@@ -37,13 +40,39 @@ class Metrics:
 
 
 def read(path: Path) -> list[dict[str, float]]:
-    """Return the rows of a metrics file, without the columns that are empty in them."""
+    """Return the rows of a metrics file, without empty values and under present names."""
     with path.open(newline="", encoding="utf-8") as file:
         return [
-            {key: float(value) for key, value in row.items() if value}
+            {RENAMED.get(key, key): float(value) for key, value in row.items() if value}
             for row in csv.DictReader(file)
         ]
 
 
 def _rounded(row: Mapping[str, float]) -> dict[str, str]:
     return {key: f"{value:.10g}" for key, value in row.items()}
+
+
+def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
+    """Draw the returns of a metrics file as PNG; return whether there are any."""
+    rows = read(metrics)
+    steps = next(iter(rows[0]), None) if rows else None
+    if steps is None or not any(name in row for row in rows for name in CURVES):
+        return False
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.add_subplot()
+    for name, label in CURVES.items():
+        points = [(row[steps], row[name]) for row in rows if name in row]
+        if points:
+            axes.plot(
+                *zip(*points, strict=True), label=label, marker="." if len(points) < 80 else ""
+            )
+    axes.set(xlabel=steps.replace("_", " "), ylabel="return", title=title)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    with replacing(picture) as temporary:
+        FigureCanvasAgg(figure)
+        figure.savefig(temporary, format="png", dpi=120)
+    return True

@@ -1,4 +1,4 @@
-"""A float network's ONNX file, opened to be run on one thread; needs no torch."""
+"""ONNX Runtime session of a float network, on one thread and without torch."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import onnxruntime
 
 from spikedeploy.runtime.errors import ArtifactError
 
-ERRORS_ONLY = 3  # ONNX Runtime's severity: what goes wrong is said by the exception
+ERRORS_ONLY = 3  # ONNX Runtime's severity level; failures raise exceptions anyway
 
 
 def session(path: str | Path) -> Any:  # noqa: ANN401
@@ -17,5 +17,5 @@ def session(path: str | Path) -> Any:  # noqa: ANN401
     options.log_severity_level = ERRORS_ONLY
     try:
         return onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
-    except Exception as error:  # the runtime's own kinds of error share no other base
+    except Exception as error:  # ONNX Runtime's errors share no other base class
         raise ArtifactError(f"{path} is not an ONNX file that can be run: {error}") from error

@@ -1,12 +1,12 @@
-"""The run folder: everything that one training run leaves behind.
+"""Run folder: all files of one training run.
 
 <runs>/<recipe>-s<seed>-<date>-<time>/
-    config.json      the resolved configuration
-    versions.json    of Python, of the packages, and of this tree
-    metrics.csv      one row for each logging interval
-    curve.png        the learning curve
-    replay.safetensors            while training goes on
-    checkpoints/{last,best}.safetensors, and a .json beside each for people
+    config.json          resolved configuration
+    versions.json        of Python, packages and source tree
+    metrics.csv          one row for each logging interval
+    curve.png            learning curve
+    replay.safetensors   replay buffer of an unfinished run
+    checkpoints/{last,best}.safetensors, each with a .json of its numbers to read
 """
 
 import json
@@ -22,11 +22,10 @@ from torch import Tensor
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.config import C, RunConfig, validated
-from spikedeploy.trainers.policies import build
-from spikedeploy.trainers.policy import Policy
+from spikedeploy.trainers.policies import Policy, build
 from spikedeploy.trainers.versions import versions
 
-POLICY = "policy."
+POLICY = "policy."  # prefix of the policy's tensors
 
 
 class RunFolder:
@@ -40,7 +39,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, runs: str | Path, config: RunConfig) -> "RunFolder":
-        """Return a new folder that holds the configuration and the versions."""
+        """Return a new folder with configuration and versions."""
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
         name = f"{config.recipe}-s{config.seed}-{stamp}"
         run = cls(_unused(Path(runs) / name))
@@ -51,7 +50,7 @@ class RunFolder:
 
     @classmethod
     def find(cls, name: str | Path, runs: str | Path = "runs", recipe: str = "") -> "RunFolder":
-        """Return a run by path, by its name under `runs`, or the newest of a recipe for "last"."""
+        """Return a run by path or by name in `runs`; "last" is the newest of a recipe."""
         if str(name) == "last":
             return cls(_newest(Path(runs), recipe))
         for path in (Path(name), Path(runs) / name):
@@ -60,7 +59,7 @@ class RunFolder:
         raise ConfigError(f"'{name}' is no run folder: no config.json in it, nor in {runs}/{name}")
 
     def settings(self) -> dict[str, Any]:
-        """Return the configuration as it was written, whatever the algorithm."""
+        """Return the configuration as written, for any algorithm."""
         return _read_json(self.path / "config.json")
 
     def config(self, model: type[C]) -> C:
@@ -72,7 +71,7 @@ class RunFolder:
         _write_json(self.path / "config.json", config.model_dump(mode="json"))
 
     def checkpoint(self, name: str) -> Path:
-        """Return the path of a checkpoint's tensors, whether or not it exists."""
+        """Return the path of a checkpoint, whether or not it exists."""
         return self.path / "checkpoints" / f"{name}.safetensors"
 
     @property
@@ -92,7 +91,7 @@ class RunFolder:
         state: Mapping[str, Any],
         tensors: Mapping[str, Tensor] | None = None,
     ) -> None:
-        """Write a checkpoint: the policy, numbers for JSON, and more tensors."""
+        """Write a checkpoint: the policy, its state as JSON, and more tensors."""
         record = {"policy": policy.spec(), **state}
         weights = {POLICY + key: value for key, value in policy.state_dict().items()}
         everything = {
@@ -100,12 +99,12 @@ class RunFolder:
         }
         path = self.checkpoint(name)
         with replacing(path) as temporary:
-            # the numbers travel in the same file, so that they can never belong to another one
+            # the state is part of the same file, so that the two always belong together
             save_file(everything, temporary, metadata={"state": json.dumps(record)})
         _write_json(path.with_suffix(".json"), record)
 
     def load(self, name: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
-        """Return the numbers and the tensors of a checkpoint."""
+        """Return state and tensors of a checkpoint."""
         path = self.checkpoint(name)
         if not path.is_file():
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
@@ -114,10 +113,10 @@ class RunFolder:
                 state = json.loads(file.metadata()["state"])
                 return state, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         except (SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"{path} is not a checkpoint of ours, or broken: {error}") from error
+            raise ConfigError(f"{path} is not a valid checkpoint: {error}") from error
 
     def policy(self, name: str = "best") -> Policy:
-        """Return the trained policy of a checkpoint, ready to act."""
+        """Return the policy of a checkpoint, ready to act."""
         state, tensors = self.load(name)
         policy = build(state["policy"])
         policy.load_state_dict(
@@ -127,7 +126,7 @@ class RunFolder:
 
 
 def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "runs") -> Policy:
-    """Return a run's policy: the checkpoint named, else the best, else the last."""
+    """Return a run's policy: of the named checkpoint, else of the best, else of the last."""
     folder = RunFolder.find(run, runs)
     if name is None:
         name = "best" if folder.checkpoint("best").is_file() else "last"
@@ -135,13 +134,13 @@ def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "ru
 
 
 def _unused(path: Path) -> Path:
-    """Return the path, or one with a number behind it when it is taken."""
+    """Return the path, with a number appended if it exists."""
     candidates = (path.with_name(f"{path.name}-{k}") if k else path for k in range(1000))
     return next(candidate for candidate in candidates if not candidate.exists())
 
 
 def _newest(runs: Path, recipe: str) -> Path:
-    """Return the folder of the newest run, of one recipe if given."""
+    """Return the folder of the newest run, of a recipe if given."""
     found = [file.parent for file in runs.glob("*/config.json")]
     if recipe:
         found = [path for path in found if _read_json(path / "config.json")["recipe"] == recipe]

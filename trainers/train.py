@@ -1,54 +1,32 @@
-"""Training: a recipe's name in, a run folder out.
+"""Training: from the name of a recipe to a run folder.
 
-An algorithm is a class named in `trainers.ALGORITHMS` with four members:
-
-    Config                    class attribute, the model of its configuration, a `RunConfig`
-    columns(config)           names of its metrics, the first of which is the step
-    __init__(config, run)     builds everything, seeded by `config.seed`; nothing is written yet
-    learn(journal, stopped)   goes on from the checkpoint "last" where the run has one; reports to
-                              the journal; asks `stopped()` often, and returns when it is true;
-                              leaves the checkpoints "last" and "best" in the run
+An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 """
 
-from collections.abc import Callable, Iterable
+import signal
+import threading
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, cast
+from types import FrameType
+from typing import Any
 
 import torch
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS
 from spikedeploy.trainers.config import RunConfig, amended, known, resolve
-from spikedeploy.trainers.curve import draw_curve
-from spikedeploy.trainers.interrupt import Interrupt
-from spikedeploy.trainers.journal import Journal
-from spikedeploy.trainers.progress import ProgressBar
+from spikedeploy.trainers.journal import Journal, ProgressBar
+from spikedeploy.trainers.metrics import draw_curve
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import Runner
 
 
-class Algorithm(Protocol):
-    """A way of training; see this module's docstring."""
-
-    Config: ClassVar[type[RunConfig]]
-
-    def __init__(self, config: Any, run: RunFolder) -> None: ...  # noqa: ANN401
-
-    @staticmethod
-    def columns(config: Any) -> tuple[str, ...]:  # noqa: ANN401
-        """Return the names of the metrics, the first of which is the step."""
-        ...
-
-    def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
-        """Train to the end, or until stopped; leave checkpoints in the run."""
-        ...
-
-
-def algorithm(name: str) -> type[Algorithm]:
+def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config
     """Return an algorithm's class by its key in `ALGORITHMS`."""
     module, attribute = ALGORITHMS[known(name, ALGORITHMS, "algorithm")].split(":")
-    return cast(type[Algorithm], getattr(import_module(module), attribute))
+    return getattr(import_module(module), attribute)
 
 
 def train(
@@ -61,11 +39,11 @@ def train(
     runs: str | Path = "runs",
     quiet: bool = False,
 ) -> Path:
-    """Train a recipe, or go on with a run of it ("last" or a folder), and return the run folder.
+    """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
-    A resumed run keeps its own configuration and seed; the file and the overrides change it.
+    A resumed run keeps its configuration and seed, changed by the file and the overrides.
     """
-    torch.set_num_threads(1)  # more lose time on matrices this small, and starve other runs
+    torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
     kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe")].algorithm)
     if resume is None:
         config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
@@ -76,17 +54,45 @@ def train(
             raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
         config = amended(run.config(kind.Config), file=config_file, overrides=overrides)
         run.write_config(config)
-    _learn(kind, config, run, quiet)
+    _learn(kind(config, run), config, run, quiet)
     return run.path
 
 
-def _learn(kind: type[Algorithm], config: RunConfig, run: RunFolder, quiet: bool) -> None:
-    """Run the algorithm under a progress bar and a polite Ctrl-C, then draw its curve."""
-    learner = kind(config, run)
+def _learn(runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool) -> None:
+    """Run the algorithm under a progress bar until it ends or Ctrl-C, then draw its curve."""
     with Interrupt() as stopped, ProgressBar(run.path.name, quiet) as bar:
-        journal = Journal(run, kind.columns(config), bar)
+        journal = Journal(run, runner.columns(config), bar)
         try:
-            learner.learn(journal, stopped)
+            runner.learn(journal, stopped)
         finally:
             journal.close()
     draw_curve(run.metrics, run.path / "curve.png", run.path.name)
+
+
+class Interrupt:
+    """While entered, Ctrl-C (SIGINT) requests a stop; a second one interrupts at once.
+
+    requested: whether it was pressed
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._before: Any = None
+
+    def __call__(self) -> bool:
+        """Return whether a stop was requested."""
+        return self.requested
+
+    def __enter__(self) -> "Interrupt":
+        if threading.current_thread() is threading.main_thread():  # elsewhere Python forbids it
+            self._before = signal.signal(signal.SIGINT, self._request)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True

@@ -1,4 +1,4 @@
-"""Validation: deterministic episodes without hoist, which choose the best checkpoint."""
+"""Validation: deterministic episodes without support force, which choose the best checkpoint."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,8 +8,9 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.trainers.config import EnvConfig, PolicyConfig, ValidationConfig
-from spikedeploy.trainers.policy import Policy
+from spikedeploy.trainers.policies import Policy
 
+# info of the environment -> metric: mean over steps, root mean square, and value at the end
 MEANS = {"speed": "eval_speed"}
 SQUARES = {"speed_error": "eval_speed_rmse", "turn_error": "eval_turn_rmse"}
 LASTS = {
@@ -23,7 +24,7 @@ LASTS = {
 
 @dataclass
 class _Episode:
-    """One episode as it runs."""
+    """An unfinished episode."""
 
     env: Any
     observation: Any
@@ -31,7 +32,7 @@ class _Episode:
     infos: list[dict[str, Any]] = field(default_factory=list)
 
     def step(self, action: Any) -> bool:  # noqa: ANN401
-        """Step, and return whether the episode goes on."""
+        """Step, and return whether the episode continues."""
         self.observation, reward, terminated, truncated, info = self.env.step(action)
         self.total += reward
         self.infos.append(info)
@@ -39,7 +40,7 @@ class _Episode:
 
 
 class Validator:
-    """Runs a policy on the validation seeds, all episodes as one batch."""
+    """Runs a policy on the validation seeds, with all episodes as one batch."""
 
     def __init__(self, env: EnvConfig, config: ValidationConfig) -> None:
         self._config = config
@@ -57,8 +58,8 @@ class Validator:
         while running:
             observation = np.stack([episode.observation for episode in running])
             latent = policy.latent(torch.from_numpy(observation).float())
-            decided = policy.decide(latent.mean)
-            actions = (decided.double() if decided.is_floating_point() else decided).numpy()
+            chosen = policy.decide(latent.mean)
+            actions = (chosen.double() if chosen.is_floating_point() else chosen).numpy()
             rates.append([float(rate) for rate in latent.rates])
             running = [
                 episode
@@ -69,7 +70,7 @@ class Validator:
 
 
 def _metrics(episodes: list[_Episode]) -> dict[str, float]:
-    """Return the metrics over the episodes, of whatever the environment reports."""
+    """Return the metrics of the episodes, as far as the environment's infos have them."""
     result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
     steps = [info for episode in episodes for info in episode.infos]
     ends = [episode.infos[-1] for episode in episodes]
@@ -86,11 +87,11 @@ def _metrics(episodes: list[_Episode]) -> dict[str, float]:
 
 
 def sparsities(policy: PolicyConfig) -> tuple[str, ...]:
-    """Return the names of the metrics that a policy's spiking layers have."""
+    """Return the names of the sparsity metrics of a policy's spiking layers."""
     return tuple(f"sparsity_lif{k}" for k in range(1, policy.spiking_layers + 1))
 
 
 def _sparsity(rates: list[list[float]]) -> dict[str, float]:
-    """Return the share of silent neuron timesteps of each spiking layer."""
+    """Return the sparsity of each spiking layer: the share of neuron timesteps without a spike."""
     means = np.mean(rates, axis=0)
     return {f"sparsity_lif{k}": 1.0 - float(rate) for k, rate in enumerate(means, start=1)}

@@ -1,10 +1,15 @@
-"""The hexapod: a walking robot on MuJoCo, with and without velocity commands.
+"""Hexapod: a walking robot on MuJoCo, as Hexapod-v0 and HexapodCommand-v0.
 
-command          HexapodCommand-v0: follow a commanded forward speed and turn rate over rougher
-disturbances     What differs from one episode to the next: the body's parameters and the pushe
-env              Hexapod-v0: walk straight ahead over rough ground
-gait             The central pattern generator: a tripod gait of six phase-locked sines
-reward           What the hexapod is paid for in one control step: named terms whose sum is the
-robot            The hexapod itself: its MuJoCo model, its servos and what can be sensed of it
-terrain          Rough ground: a height field of random bumps, made anew for every episode
+Its action is a residual on a tripod gait; every episode draws new ground, body parameters and
+pushes.
+
+env.py           Hexapod-v0: walk straight ahead over rough ground
+command.py       HexapodCommand-v0: follow a commanded forward speed and turn rate
+robot.py         MuJoCo model (hexapod.xml), servos and sensors
+terrain.py       height field of random bumps
+gait.py          central pattern generator
+disturbances.py  random body parameters and pushes
+observation.py   names, order and scales of the 77 observed values
+reward.py        reward terms of both tasks
+camera.py        off-screen frames and a window
 """

@@ -9,17 +9,17 @@ import numpy as np
 
 from spikedeploy.envs.hexapod.disturbances import PushTable, Range
 from spikedeploy.envs.hexapod.env import CONTROL_DT, SMOOTHING, HexapodEnv
+from spikedeploy.envs.hexapod.observation import BODY, LOAD, FloatArray, ObservationEntry, layout
 from spikedeploy.envs.hexapod.reward import command_terms
 from spikedeploy.envs.hexapod.robot import Motion
 from spikedeploy.envs.hexapod.terrain import Field
-from spikedeploy.envs.observation import BODY, LOAD, FloatArray, ObservationEntry, layout
 
-STAND = 0.15  # probability that a command is to stand still
+STAND = 0.15  # probability of the command to stand still
 SPEED = (-0.25, 0.45)  # [m/s]
-TURN = 0.8  # [rad/s] at most
-OUTER_SPEED = 0.5  # [m/s] that the outer legs can reach
-HALF_TRACK = 0.2  # [m] from the body's centre to the outer feet
-HOLD = (100, 200)  # [control steps] that a command lasts
+TURN = 0.8  # [rad/s] largest turn rate
+OUTER_SPEED = 0.5  # [m/s] largest speed of the outer legs
+HALF_TRACK = 0.2  # [m] distance of the outer feet from the body's centre
+HOLD = (100, 200)  # [control steps] shortest and longest duration of a command
 
 COMMANDED_BODY = tuple(
     ObservationEntry("turn_error", 1, 0.0, 0.8) if entry.name == "heading" else entry  # [rad/s]
@@ -40,7 +40,7 @@ def draw_command(rng: np.random.Generator) -> tuple[float, float]:
 
 
 def fastest_turn(speed: float) -> float:
-    """Turn rate [rad/s] that the outer legs can follow at a forward speed [m/s]."""
+    """Largest turn rate [rad/s] that the outer legs can follow at a forward speed [m/s]."""
     # |turn| <= (outer speed - |speed|) / half track
     return min(TURN, (OUTER_SPEED - abs(speed)) / HALF_TRACK)
 
@@ -52,15 +52,14 @@ class HexapodCommandEnv(HexapodEnv):
     the residual has an authority of 0.9 on the six coxae, without which the gait cannot be
     reversed; kicks are 0.25 to 0.5 m/s; the ground is rougher. 15 % of the commands are to stand.
 
-    Observation (77,): turn_error, speed_error and command (speed, turn) take the places of
-    heading, speed, lateral and lateral_velocity. So a real robot needs no odometer of position
-    or heading; it still has to estimate the body's velocity (leg kinematics with an inertial unit)
-    and its height over the ground, and it is given the command. The rest its servos, inertial unit
-    and foot sensors measure.
+    Observation (77,): turn_error, speed_error and command (speed, turn) replace heading, speed,
+    lateral and lateral_velocity. A real robot therefore needs no odometry of position or heading;
+    it still has to estimate the body's velocity (leg kinematics with an inertial unit) and its
+    height over the ground. Servos, inertial unit and foot sensors measure the rest.
 
     Reward: 1 + 2.5 kernel(speed error, 0.12 m/s) + 2 kernel(turn error, 0.3 rad/s), less sideways
-    motion and the regularisers of HexapodEnv; at most 5.5 a step. The kernel is peaked because a
-    broad one lets a gait modulator that feels nothing score like a policy.
+    motion and the regularisers of HexapodEnv; at most 5.5 a step. The kernel is narrow because with
+    a broad one an open-loop gait modulator scores like a policy with feedback.
 
     A fall is an up axis below 0.5 or a height below 0.035 m. An episode succeeds when it does not
     fall and its return passes SUCCESS_RETURN; the gait alone earns about 900. The info adds
@@ -82,11 +81,11 @@ class HexapodCommandEnv(HexapodEnv):
 
     @property
     def command(self) -> tuple[float, float]:
-        """Forward speed [m/s] and turn rate [rad/s] that are to be followed now."""
+        """Current command: forward speed [m/s] and turn rate [rad/s]."""
         return self._command
 
     def steer(self, speed: float, turn: float) -> None:
-        """Command a speed [m/s] and a turn rate [rad/s], as far as the legs can, to the end."""
+        """Command a speed [m/s] and a turn rate [rad/s] until the end, clipped to their limits."""
         speed = min(max(speed, SPEED[0]), SPEED[1])
         most = fastest_turn(speed)
         self._command = speed, min(max(turn, -most), most)
@@ -97,7 +96,7 @@ class HexapodCommandEnv(HexapodEnv):
         self._command = draw_command(self.np_random)
         self._change = self._hold()
 
-    def _prepare(self) -> None:
+    def _update_command(self) -> None:
         if self._step >= self._change:
             self._command = draw_command(self.np_random)
             self._change = self._step + self._hold()
@@ -107,7 +106,7 @@ class HexapodCommandEnv(HexapodEnv):
         return int(self.np_random.integers(shortest, longest + 1))
 
     def _track(self, motion: Motion) -> None:
-        """Follow the smoothed speed along the body, the turn rate and the length of the path."""
+        """Update smoothed speed along the body, smoothed turn rate and length of the path."""
         forward, _ = _planar(motion)
         self._speed += SMOOTHING * (forward - self._speed)
         self._turn += SMOOTHING * (motion.angular_velocity[2] - self._turn)
@@ -119,14 +118,14 @@ class HexapodCommandEnv(HexapodEnv):
         return command_terms(speed - self._speed, turn - self._turn, sideways)
 
     def _task_observation(self, values: FloatArray, motion: Motion) -> None:
-        place = self.OBSERVATION
+        columns = self.OBSERVATION
         speed, turn = self._command
-        values[place["turn_error"]] = turn - self._turn
-        values[place["speed_error"]] = speed - self._speed
-        values[place["command"]] = speed, turn
+        values[columns["turn_error"]] = turn - self._turn
+        values[columns["speed_error"]] = speed - self._speed
+        values[columns["command"]] = speed, turn
 
     def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
-        """What happened in this step, with the command in force during it."""
+        """Info of this step, with the command that was in force during it."""
         speed, turn = self._command
         return super()._info(motion, terms, fall) | {
             "command_speed": speed,

@@ -1,4 +1,4 @@
-"""What differs from one episode to the next: the body's parameters and the pushes it receives."""
+"""Domain randomisation: body parameters drawn per episode, and pushes at random intervals."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Range = float | tuple[float, float]
 
 
 def sample(value: Range, rng: np.random.Generator) -> float:
-    """Draw uniformly from a pair (low, high); a plain number is itself."""
+    """Draw uniformly from a pair (low, high), or return a plain number."""
     if isinstance(value, tuple):
         return float(rng.uniform(*value))
     return float(value)
 
 
 def check(name: str, value: object, lowest: float, highest: float) -> Range:
-    """Return the option as numbers, or say what is wrong with it."""
+    """Return an option as numbers; EnvError if it is out of bounds or not a range."""
     pair = value if isinstance(value, (tuple, list)) else (value, value)
     numbers = [float(end) for end in pair if isinstance(end, (int, float)) and end is not True]
     if len(pair) != 2 or len(numbers) != 2 or not lowest <= numbers[0] <= numbers[1] <= highest:
@@ -33,7 +33,7 @@ def check(name: str, value: object, lowest: float, highest: float) -> Range:
 
 @dataclass(frozen=True)
 class PushTable:
-    """How a task pushes.
+    """Distribution of a task's pushes.
 
     kick      (low, high) [m/s] change of the torso's horizontal velocity, any direction
     spin      [rad/s] standard deviation of the change of its yaw rate
@@ -54,7 +54,7 @@ class Push:
 
 
 class Pushes:
-    """Pushes at random intervals; scale 0 switches them off, the schedule stays the same."""
+    """Pushes at random intervals; scale 0 switches them off and leaves the schedule as it is."""
 
     def __init__(self, table: PushTable, scale: float) -> None:
         self.table = table
@@ -62,7 +62,7 @@ class Pushes:
         self._next = 0
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Draw when the first push comes."""
+        """Draw the time of the first push."""
         self._next = self._interval(rng)
 
     def at(self, step: int, rng: np.random.Generator) -> Push | None:

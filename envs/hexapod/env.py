@@ -9,14 +9,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.camera import Camera, CameraWindow
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.hexapod.camera import Camera, CameraWindow
 from spikedeploy.envs.hexapod.disturbances import Pushes, PushTable, Range, check, sample
 from spikedeploy.envs.hexapod.gait import Gait
-from spikedeploy.envs.hexapod.reward import course_terms, regularisers
-from spikedeploy.envs.hexapod.robot import GRAVITY, Motion, Robot
-from spikedeploy.envs.hexapod.terrain import Field, Terrain
-from spikedeploy.envs.observation import (
+from spikedeploy.envs.hexapod.observation import (
     BODY,
     COURSE,
     LIMIT,
@@ -26,17 +23,20 @@ from spikedeploy.envs.observation import (
     layout,
     scaling,
 )
+from spikedeploy.envs.hexapod.reward import course_terms, regularisers
+from spikedeploy.envs.hexapod.robot import GRAVITY, Motion, Robot
+from spikedeploy.envs.hexapod.terrain import Field, Terrain
 
 CONTROL_DT = 0.02  # [s]
 SMOOTHING = 0.1  # weight of the newest value in a smoothed speed or turn rate
 FILTER = 0.6  # weight of the newest value in the command to the servos
-LOWEST_UP = 0.5  # [1] z of the body's up axis below which it has fallen
+LOWEST_UP = 0.5  # [1] z of the body's up axis below which the robot has fallen
 
 
 class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
-    """Walk along the x axis at 0.4 m/s for 20 s, pushed about on 3 cm bumps.
+    """Walk along the x axis at 0.4 m/s for 20 s over 3 cm bumps, with random pushes.
 
-    Action (18,) in [-1, 1], a residual on the tripod gait, leg after leg coxa, femur, tibia.
+    Action (18,) in [-1, 1], a residual on the tripod gait, leg by leg coxa, femur, tibia.
     The servos hold stance + 0.6 rad x filtered, where in every control step
     filtered = 0.6 (gait + AUTHORITY x action) + 0.4 filtered.
 
@@ -53,7 +53,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     The info of a step has reward_terms (their sum is the reward), fall, success (so far) and
     speed [m/s] smoothed · heading [rad] · lateral [m] · slip [m/s] · power [W] mean of the step ·
-    distance [m] made good · cot [1] energy / (m g distance) so far · episode_return so far.
+    distance [m] along the course · cot [1] energy / (m g distance) so far · episode_return so far.
 
     terrain      [m] height of the bumps
     pushes       [1] scale of the pushes, 0 for none
@@ -63,7 +63,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     servo_gain   [1] factor on stiffness and damping of the servos
     max_steps    [control steps]
     render_mode  "rgb_array", "human" or None
-    Of the physical options a number is kept, a pair (low, high) is drawn from in every episode.
+    Physical options are a number, or a pair (low, high) from which each episode draws.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - declared so by gymnasium
@@ -78,8 +78,8 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     FIELD: ClassVar[Field] = Field(length=24.0, width=8.0, start=(-10.0, 0.0))
     PUSHES: ClassVar[PushTable] = PushTable(kick=(0.125, 0.25), spin=0.5, interval=(100, 250))
     START_HEADING: ClassVar[float] = 0.15  # [rad] at most, either way
-    LOWEST_HEIGHT: ClassVar[float] = 0.04  # [m] below which it has fallen
-    CROUCH_HEIGHT: ClassVar[float] = 0.09  # [m] below which it is paid less
+    LOWEST_HEIGHT: ClassVar[float] = 0.04  # [m] below which the robot has fallen
+    CROUCH_HEIGHT: ClassVar[float] = 0.09  # [m] below which crouching is penalised
     AUTHORITY: ClassVar[FloatArray] = np.full(18, 0.5)
 
     def __init__(
@@ -114,7 +114,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._robot = Robot(self.FIELD)
         self._terrain = Terrain(self.FIELD, self._robot.model)
         self._gait = Gait()
-        self._eye: Camera | CameraWindow | None = None
+        self._camera: Camera | CameraWindow | None = None
         self._centre, self._spread = scaling(self.ENTRIES)
         size = len(self._centre)
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (size,), np.float64)
@@ -122,7 +122,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     @property
     def support_force(self) -> float:
-        """Fraction [0, 1] of the full upward pull (0.6 of the weight); only training raises it."""
+        """Fraction [0, 1] of the full upward force (0.6 of the weight); used in training only."""
         return self._robot.support_force
 
     @support_force.setter
@@ -134,7 +134,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """Start an episode: new ground, new body, new pushes, gait at a random phase."""
+        """Start an episode with new ground, body parameters, pushes and gait phase."""
         super().reset(seed=seed)
         rng = self.np_random
         self._terrain.roughen(sample(self._bump, rng), rng)
@@ -152,15 +152,15 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._distance = 0.0
         self._return = 0.0
         self._begin()
-        if self._eye is not None:
-            self._eye.renew()
+        if self._camera is not None:
+            self._camera.update_ground()
         if self.render_mode == "human":
             self.render()
         motion = self._robot.sense()
         return self._observe(motion, self._height(motion)), {}
 
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
-        """Move on by one control step of 20 ms."""
+        """Advance by one control step of 20 ms."""
         action = self._accept(action)
         motion = self._move(action)
         height = self._height(motion)
@@ -175,7 +175,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         fall = -motion.gravity[2] < LOWEST_UP or height < self.LOWEST_HEIGHT
         truncated = not fall and self._step >= self.max_steps
         info = self._info(motion, terms, fall)
-        self._prepare()
+        self._update_command()
         observation = self._observe(motion, height)
         if self.render_mode == "human":
             self.render()
@@ -185,16 +185,16 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Return a frame (480, 640, 3), or show it in a window, as render_mode says."""
         if self.render_mode is None:
             raise EnvError("made without render_mode; choose rgb_array or human")
-        if self._eye is None:
+        if self._camera is None:
             human = self.render_mode == "human"
-            self._eye = CameraWindow(self._robot, CONTROL_DT) if human else Camera(self._robot)
-        return self._eye.picture()
+            self._camera = CameraWindow(self._robot, CONTROL_DT) if human else Camera(self._robot)
+        return self._camera.picture()
 
     def close(self) -> None:
         """Close the camera or window, if there is one."""
-        if self._eye is not None:
-            self._eye.close()
-            self._eye = None
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
 
     def _accept(self, action: FloatArray) -> FloatArray:
         action = np.asarray(action, dtype=np.float64)
@@ -205,7 +205,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return np.minimum(np.maximum(action, -1.0), 1.0)
 
     def _move(self, action: FloatArray) -> Motion:
-        """Push the robot if it is time, drive its servos, and measure what came of it."""
+        """Apply a push if one is due, drive the servos for a control step, and measure."""
         push = self._pushes.at(self._step, self.np_random)
         if push is not None:
             self._robot.push(push.kick, push.spin)
@@ -221,19 +221,19 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return z - self._terrain.ground(x, y)
 
     def _observe(self, motion: Motion, height: float) -> FloatArray:
-        """Observation (77,) of the state that the robot is in now."""
-        place = self.OBSERVATION
+        """Observation (77,) of the current state."""
+        columns = self.OBSERVATION
         values = np.empty(len(self._centre))
-        values[place["height"]] = height
-        values[place["gravity"]] = motion.gravity
-        values[place["velocity"]] = motion.body_velocity
-        values[place["angular_velocity"]] = motion.angular_velocity
-        values[place["joints"]] = motion.joints
-        values[place["joint_velocity"]] = motion.joint_velocity
-        values[place["previous"]] = self._filtered
-        values[place["contact"]] = motion.contact
-        values[place["phase"]] = math.sin(self._gait.phase), math.cos(self._gait.phase)
-        values[place["load"]] = motion.load.sum()
+        values[columns["height"]] = height
+        values[columns["gravity"]] = motion.gravity
+        values[columns["velocity"]] = motion.body_velocity
+        values[columns["angular_velocity"]] = motion.angular_velocity
+        values[columns["joints"]] = motion.joints
+        values[columns["joint_velocity"]] = motion.joint_velocity
+        values[columns["previous"]] = self._filtered
+        values[columns["contact"]] = motion.contact
+        values[columns["phase"]] = math.sin(self._gait.phase), math.cos(self._gait.phase)
+        values[columns["load"]] = motion.load.sum()
         self._task_observation(values, motion)
         values -= self._centre
         values /= self._spread
@@ -241,7 +241,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return observation
 
     def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
-        """What happened in this step and in the episode so far."""
+        """Info of this step and of the episode so far."""
         weight = self._robot.mass * GRAVITY
         return {
             "reward_terms": terms,
@@ -251,23 +251,23 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             "slip": motion.slip,
             "fall": fall,
             "power": motion.mean_power,
-            # CoT = energy / (m g distance), of the first centimetre at least
+            # CoT = energy / (m g distance), with a distance of at least 1 cm
             "cot": self._energy / (weight * max(self._distance, 0.01)),
             "distance": self._distance,
             "episode_return": self._return,
             "success": not fall and self._return > self.SUCCESS_RETURN,
         }
 
-    # What makes this task this task; HexapodCommandEnv replaces the following.
+    # The parts that depend on the task; HexapodCommandEnv overrides them.
 
     def _begin(self) -> None:
-        """Draw what the task needs at reset."""
+        """Draw the task's variables at reset."""
 
-    def _prepare(self) -> None:
-        """Change what the task asks for before the next observation."""
+    def _update_command(self) -> None:
+        """Update the task's commands before the next observation."""
 
     def _track(self, motion: Motion) -> None:
-        """Follow the smoothed speed along the course and the way made good."""
+        """Update smoothed speed and distance along the course."""
         self._speed += SMOOTHING * (motion.velocity[0] - self._speed)
         self._distance = motion.position[0] - self.FIELD.start[0]
 
@@ -275,8 +275,8 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return course_terms(self._speed, motion.heading, motion.position[1])
 
     def _task_observation(self, values: FloatArray, motion: Motion) -> None:
-        place = self.OBSERVATION
-        values[place["heading"]] = motion.heading
-        values[place["speed"]] = self._speed
-        values[place["lateral"]] = motion.position[1]
-        values[place["lateral_velocity"]] = motion.velocity[1]
+        columns = self.OBSERVATION
+        values[columns["heading"]] = motion.heading
+        values[columns["speed"]] = self._speed
+        values[columns["lateral"]] = motion.position[1]
+        values[columns["lateral_velocity"]] = motion.velocity[1]

@@ -1,4 +1,4 @@
-"""The central pattern generator: a tripod gait of six phase-locked sines."""
+"""Central pattern generator: a tripod gait of six phase-locked sines."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
 JOINTS = ("coxa", "femur", "tibia")
 
-# Tripods RF-RR-LM and RM-LF-LR step in antiphase: a half turn of phase flips the sign of both
-# sine and cosine, so one sign per leg is the whole coupling.
+# Tripods RF-RR-LM and RM-LF-LR step in antiphase: a phase shift of pi flips the signs of sine and
+# cosine, so that one sign per leg is the whole coupling.
 _TRIPOD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 
 
@@ -20,9 +20,9 @@ class Gait:
 
     phase      [rad], in [0, 2 pi)
     frequency  [Hz]
-    yaw        [action unit] swing of the coxa, backward to forward
-    lift       [action unit] rise of the femur while the leg swings
-    extend     [action unit] stretch of the tibia while the leg swings
+    yaw        [action unit] amplitude of the coxa
+    lift       [action unit] amplitude of the femur during swing
+    extend     [action unit] amplitude of the tibia during swing
     """
 
     def __init__(
@@ -39,15 +39,15 @@ class Gait:
         self.phase = 0.0
 
     def reset(self, phase: float) -> None:
-        """Start at this phase [rad]."""
+        """Set the phase [rad]."""
         self.phase = phase % math.tau
 
     def advance(self, dt: float) -> None:
-        """Move on by dt [s]."""
+        """Advance the phase by dt [s]."""
         self.phase = (self.phase + math.tau * self.frequency * dt) % math.tau
 
     def command(self) -> NDArray[np.float64]:
-        """(18,) leg after leg coxa, femur, tibia [action unit] at the present phase."""
+        """Command (18,) at the current phase, leg by leg coxa, femur, tibia [action unit]."""
         sine = _TRIPOD * math.sin(self.phase)
         swing = np.maximum(sine, 0.0)
         command = np.empty(18)

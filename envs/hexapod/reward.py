@@ -1,9 +1,9 @@
-"""What the hexapod is paid for in one control step: named terms whose sum is the reward."""
+"""Reward of the hexapod for one control step: named terms whose sum is the reward."""
 
 from __future__ import annotations
 
+from spikedeploy.envs.hexapod.observation import FloatArray
 from spikedeploy.envs.hexapod.robot import Motion
-from spikedeploy.envs.observation import FloatArray
 
 TARGET_SPEED = 0.40  # [m/s] of Hexapod-v0
 SPEED_KERNEL = 0.12  # [m/s]
@@ -11,7 +11,7 @@ TURN_KERNEL = 0.3  # [rad/s]
 
 
 def course_terms(speed: float, heading: float, lateral: float) -> dict[str, float]:
-    """Be alive, fast enough and on course.
+    """Terms for walking straight: alive, speed, heading, lateral.
 
     speed    [m/s] smoothed, along the course
     heading  [rad] from the course
@@ -26,7 +26,7 @@ def course_terms(speed: float, heading: float, lateral: float) -> dict[str, floa
 
 
 def command_terms(speed_error: float, turn_error: float, sideways: float) -> dict[str, float]:
-    """Be alive, follow both commands and do not drift sideways.
+    """Terms for following commands: alive, speed, turn, sideways.
 
     speed_error  [m/s] commanded - smoothed
     turn_error   [rad/s] commanded - smoothed
@@ -41,7 +41,7 @@ def command_terms(speed_error: float, turn_error: float, sideways: float) -> dic
 
 
 def kernel(error: float, width: float) -> float:
-    """Score in [-1, 1] of a tracking error: 1 at none, 0 at the width, then a quarter as steep."""
+    """Score in [-1, 1] of a tracking error: 1 at 0, 0 at the width, a quarter as steep beyond."""
     excess = abs(error) / width
     # k(e) = 1 - e/s up to s; -(e/s - 1)/4 beyond, at least -1
     return 1.0 - excess if excess <= 1.0 else max(-1.0, -0.25 * (excess - 1.0))
@@ -50,13 +50,13 @@ def kernel(error: float, width: float) -> float:
 def regularisers(
     motion: Motion, height: float, crouch: float, change: FloatArray
 ) -> dict[str, float]:
-    """Stay level, smooth, frugal and upright; both tasks share these.
+    """Terms that both tasks share: posture, smoothness and power.
 
     height  [m] of the torso above the mean ground
-    crouch  [m] below which height is lacking
-    change  (18,) of the action since the last control step
+    crouch  [m] height below which crouching is penalised
+    change  (18,) change of the action since the last control step
 
-    Power is the reading at the end of the control step, as a current sensor at 50 Hz has it.
+    Power is sampled at the end of the control step, as by a current sensor at 50 Hz.
     """
     gx, gy, _ = motion.gravity
     wx, wy, _ = motion.angular_velocity

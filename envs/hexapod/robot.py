@@ -1,4 +1,4 @@
-"""The hexapod itself: its MuJoCo model, its servos and what can be sensed of it."""
+"""The hexapod: MuJoCo model, servos and sensors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SUBSTEPS = 5  # of 4 ms each
 STANCE = np.tile([0.0, 0.35, -1.45], 6)  # (18,) [rad] nominal pose
 STANDING = 0.108  # [m] height of the torso's centre above flat ground in the nominal pose
 ACTION_UNIT = 0.6  # [rad]
-TOUCH = 0.5  # [N] a foot that carries more than this is in contact
+TOUCH = 0.5  # [N] load above which a foot is in contact
 
 FloatArray = NDArray[np.float64]
 
@@ -63,11 +63,11 @@ class Motion(NamedTuple):
 
 
 class Robot:
-    """Six legs, eighteen position servos, one torso.
+    """A torso on six legs with eighteen position servos.
 
-    model, data  MuJoCo's own
-    mass         [kg] of the present episode, payload included
-    hoist        [1] fraction of the full upward pull, 0.6 of the weight, that training aids use
+    model, data    MuJoCo's objects
+    mass           [kg] in this episode, payload included
+    support_force  [1] fraction of the full upward force, 0.6 of the weight, used in training only
     """
 
     def __init__(self, field: Field) -> None:
@@ -84,7 +84,7 @@ class Robot:
         self._powers = [0.0] * SUBSTEPS
 
     def rebuild(self, mass: float, payload: float, friction: float, servo_gain: float) -> None:
-        """Set this episode's factor on all masses, payload [kg], foot friction and servo gain."""
+        """Set the episode's factor on all masses, payload [kg], foot friction and servo gain."""
         model = self.model
         model.body_mass[:] = mass * self._mass
         model.body_inertia[:] = mass * self._inertia
@@ -96,7 +96,7 @@ class Robot:
         self.mass = float(model.body_mass.sum())
 
     def place(self, x: float, y: float, ground: float, heading: float) -> None:
-        """Stand at rest in the nominal pose."""
+        """Put the robot at rest in the nominal pose."""
         mujoco.mj_resetData(self.model, self.data)
         half = 0.5 * heading
         pose = (x, y, ground + STANDING, math.cos(half), 0.0, 0.0, math.sin(half))
@@ -116,18 +116,18 @@ class Robot:
             self._powers[substep] = self._power()
 
     def push(self, kick: tuple[float, float], spin: float) -> None:
-        """Add kick (x, y) [m/s] and spin [rad/s] to the torso's velocity at once."""
+        """Add kick (x, y) [m/s] and spin [rad/s] to the torso's velocity instantly."""
         self.data.qvel[0] += kick[0]
         self.data.qvel[1] += kick[1]
         self.data.qvel[5] += spin
 
     def sense(self) -> Motion:
-        """Measure everything that observations and rewards are made of."""
+        """Measure everything that observations and rewards use."""
         qpos, qvel, sensors = self.data.qpos, self.data.qvel, self.data.sensordata
         if not np.isfinite(qvel).all():
             raise EnvError(
                 f"the simulation diverged {self.data.time:.3f} s into the episode: "
-                f"use gentler pushes or options nearer to their defaults"
+                f"use weaker pushes or options closer to their defaults"
             )
         px, py, pz, w, x, y, z = qpos[:7].tolist()
         vx, vy, vz, *angular = qvel[:6].tolist()
@@ -158,12 +158,12 @@ class Robot:
         )
 
     def _power(self) -> float:
-        # P = sum |torque x joint velocity|: a servo that brakes gives nothing back
+        # P = sum |torque x joint velocity|: braking servos recover no energy
         return float(np.abs(self.data.actuator_force * self.data.qvel[6:]).sum())
 
 
 def _slip(velocity: FloatArray, contact: NDArray[np.bool_]) -> float:
-    """Mean horizontal speed [m/s] of the feet (6, 3) in contact, 0 when none is."""
+    """Mean horizontal speed [m/s] of the feet (6, 3) in contact, 0 if none is."""
     count = int(contact.sum())
     if count == 0:
         return 0.0
@@ -172,7 +172,7 @@ def _slip(velocity: FloatArray, contact: NDArray[np.bool_]) -> float:
 
 
 def _xml(field: Field) -> str:
-    """The model with its height field sized for this ground."""
+    """The model's XML with its height field sized for this ground."""
     root = ElementTree.parse(XML).getroot()
     hfield = root.find("asset/hfield")
     if hfield is None:

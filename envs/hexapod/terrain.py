@@ -1,4 +1,4 @@
-"""Rough ground: a height field of random bumps, made anew for every episode."""
+"""Rough ground: a height field of random bumps, drawn anew for every episode."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 CELL = 0.05  # [m] spacing of the height samples
-CEILING = 0.1  # [m] height that a value of 1 in MuJoCo's height field stands for
+CEILING = 0.1  # [m] height of the value 1 in MuJoCo's height field
 BASE = 0.2  # [m] thickness of the ground below its lowest point
-SPACING = 5  # [cells] from one bump of the lattice to the next, 25 cm
+SPACING = 5  # [cells] spacing of the lattice of bumps, 25 cm
 PATCH = 3  # [cells] half width of the patch whose mean is the local ground
 CLEARING = (0.25, 0.5)  # [m] flat within the first radius of the start, rough beyond the second
 
 
 @dataclass(frozen=True)
 class Field:
-    """Where the ground lies.
+    """Size of the ground.
 
     length  [m] along x
     width   [m] along y
@@ -39,7 +39,7 @@ class Field:
 class Terrain:
     """The ground of one model.
 
-    height  (rows, columns) [m] of the present episode
+    height  (rows, columns) [m] in this episode
     mean    (rows, columns) [m] averaged over a patch of 35 cm around each sample
     """
 
@@ -56,7 +56,7 @@ class Terrain:
         self.mean: NDArray[np.float64] = np.zeros((rows, columns))
 
     def roughen(self, bump: float, rng: np.random.Generator) -> None:
-        """Lay new ground whose bumps rise up to bump [m]."""
+        """Draw new ground with bumps of up to `bump` [m]."""
         noise = _bumps(self.field.shape, rng)
         lowest = noise.min()
         # height = bump (noise - min) / (max - min), fading to the middle height at the start
@@ -66,7 +66,7 @@ class Terrain:
         self._heights[:] = self.height / CEILING
 
     def ground(self, x: float, y: float) -> float:
-        """Mean height of the ground around a point [m], bilinear; the edge goes on for ever."""
+        """Mean height of the ground around a point [m], bilinear, constant beyond the edge."""
         rows, columns = self.mean.shape
         u = min(max((x + self.field.length / 2) / CELL, 0.0), columns - 1.001)
         v = min(max((y + self.field.width / 2) / CELL, 0.0), rows - 1.001)
@@ -80,7 +80,7 @@ class Terrain:
 
 
 def _bumps(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Random heights on a lattice of 25 cm, interpolated to every sample and rounded off."""
+    """Random heights on a lattice of 25 cm, interpolated to every sample and smoothed."""
     rows, columns = shape
     lattice = rng.random((rows // SPACING + 2, columns // SPACING + 2))
     fine = _blur(_stretch(_stretch(lattice).T).T)

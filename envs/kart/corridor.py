@@ -1,4 +1,4 @@
-"""Random corridors: a new track of square cells at every reset."""
+"""Random corridors of square cells, drawn anew at every reset."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from spikedeploy.envs.kart.track import Track, segments
 FloatArray = NDArray[np.float64]
 Cell = tuple[int, int]
 
-HALF = 50.0  # [px] half a cell's side, as kart-simulator's
+HALF = 50.0  # [px] half a cell's side, as in kart-simulator
 CENTRE = (500.0, 500.0)  # [px] of the first cell
-SPREAD = 25.0  # [px] of the start within it
+SPREAD = 25.0  # [px] of start positions within it
 NAME = re.compile(r"corridor(?:-(\d+))?$")
 LENGTHS = (2, 64)  # cells
 DIRECTIONS: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, down, left, up
 
 
-def cells_in(name: str) -> int | None:
-    """The number of cells of `corridor` (three, as the seed's) or `corridor-N`; None otherwise."""
+def length_of(name: str) -> int | None:
+    """Cells of `corridor` (3, as in kart-simulator) or `corridor-N`; None for other names."""
     match = NAME.match(name)
     if match is None:
         return None
@@ -34,10 +34,10 @@ def cells_in(name: str) -> int | None:
 
 
 def corridor(count: int, rng: np.random.Generator) -> Track:
-    """A corridor of so many cells that never touches itself, its far end open: the finish."""
+    """A corridor of `count` cells that does not touch itself; its far end is the finish."""
     path = _path(count, rng)
     steps = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(path)]
-    # a cell is open to the one before it and to the one after it, the last one to the finish
+    # a cell is open towards its predecessor and its successor, the last one towards the finish
     entered: list[set[Cell]] = [set(), *({(-dx, -dy)} for dx, dy in steps)]
     left = [*steps, steps[-1]]
     openings = [before | {after} for before, after in zip(entered, left, strict=True)]
@@ -60,13 +60,13 @@ def corridor(count: int, rng: np.random.Generator) -> Track:
 
 
 def _path(count: int, rng: np.random.Generator) -> list[Cell]:
-    """Cells of a walk none of whose cells lies beside an earlier one but its predecessor."""
+    """Cells of a random walk, each beside no earlier cell except its predecessor."""
     while True:
         path: list[Cell] = [(0, 0)]
         while len(path) < count:
             choices = [cell for cell in _beside(path[-1]) if _is_free(cell, path)]
             if not choices:
-                break  # a dead end; begin anew
+                break  # a dead end: start again
             path.append(choices[int(rng.integers(len(choices)))])
         if len(path) == count:
             return path
@@ -81,7 +81,7 @@ def _is_free(cell: Cell, path: list[Cell]) -> bool:
 
 
 def _side(cell: Cell, side: Cell) -> FloatArray:
-    """The edge (2, 2) of a cell that lies in a direction [px]."""
+    """Edge (2, 2) of a cell on one of its sides [px]."""
     middle = np.array(CENTRE) + 2 * HALF * np.array(cell) + HALF * np.array(side)
     along = HALF * np.array([side[1], side[0]])
     edge: FloatArray = np.stack([middle - along, middle + along])

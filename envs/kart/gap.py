@@ -1,8 +1,8 @@
-"""A scripted driver: follow the gap in the LIDAR's scan (the idea of Sezer and Gokasan 2012).
+"""Gap follower: a scripted driver on the LIDAR's scan (after Sezer and Gokasan 2012).
 
-Of every direction in which a ray points it asks how far a kart could go straight on, and heads for
-the best compromise of far and ahead. It sees what a policy sees and has no memory; its numbers were
-tuned on big_S, with starts of the validation seeds.
+For the direction of every ray it computes how far a kart could drive straight on, and steers to the
+best compromise between that length and the deviation from the heading. It observes what a policy
+observes and has no memory; its parameters were tuned on big_S with validation seeds.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from spikedeploy.envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 
-WIDTH = 36.0  # half of what must be free beside the centre of a kart of radius 19.2 [px]
-TOLERANCE = 0.27  # off the course, below which a kart drives on [rad]
-LEAN = 0.5  # by which a kart that turns counts as turned already [rad]
-AHEAD = {"steer": 0.5, "push": 0.75}  # share of its worth that going straight back costs
-CAUTION = {"steer": 400.0, "push": 250.0}  # free way at which top speed is safe [px]
+WIDTH = 36.0  # half width of the free lane that a kart of radius 19.2 needs [px]
+TOLERANCE = 0.27  # heading error below which a kart drives on [rad]
+LEAN = 0.5  # anticipated heading change per observed turn rate [rad]
+AHEAD = {"steer": 0.5, "push": 0.75}  # relative cost of turning back
+CAUTION = {"steer": 400.0, "push": 250.0}  # free length at which top speed is safe [px]
 
 
 class GapDriver:
-    """Chooses an action for an observation.
+    """Scripted policy: chooses an action for an observation.
 
-    angles   (R,) of the rays [rad], from straight ahead, clockwise
-    reach    of the LIDAR [px]
-    columns  where the observation has what
-    actions  name of an action -> what it is to the environment
+    angles   (R,) directions of the rays [rad], from straight ahead, clockwise
+    reach    range of the LIDAR [px]
+    columns  component -> slice of the observation
+    actions  name of an action -> its value in the environment
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class GapDriver:
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> GapDriver:
-        """The driver for an environment's kart."""
+        """The driver for the kart of an environment."""
         world: Any = env.unwrapped
         columns = getattr(world, "OBSERVATION", {})
         if not {"lidar", "velocity"} <= set(columns) or not hasattr(world, "ACTIONS"):
@@ -62,31 +62,31 @@ class GapDriver:
         return cls(world.lidar.angles, world.lidar.range, columns, actions)
 
     def act(self, observation: FloatArray) -> NDArray[Any]:
-        """The action (), or (act,) where actions are numbers."""
-        # an observed distance is +1 at the kart and -1 at the end of the ray's reach
+        """The action: () int for a discrete action space, else (act,)."""
+        # distances are observed from +1 at the kart to -1 at the range
         scan = self.reach * (1.0 - observation[self.columns["lidar"]]) / 2
         velocity = observation[self.columns["velocity"]]
         choose = self._push if self._kind == "push" else self._steer
         return np.asarray(self.actions[choose(scan, velocity)])
 
     def free(self, scan: FloatArray) -> FloatArray:
-        """How far a kart can go in the direction of each ray (R,) [px], of a scan (R,) [px]."""
+        """Free length (R,) [px] in the direction of each ray, for a scan (R,) [px]."""
         beside, along = self._sine * scan, self._cosine * scan
-        blocks = (beside < WIDTH) & (along > 1.0)  # what stands right beside is not in the way
+        blocks = (beside < WIDTH) & (along > 1.0)  # hits right beside the kart do not block
         free: FloatArray = np.where(blocks, along, self.reach).min(axis=1)
         return free
 
     def course(self, scan: FloatArray, heading: float) -> tuple[float, float]:
-        """The direction to take [rad] and how far it is free [px]; `heading` counts as ahead."""
+        """Best direction [rad] and its free length [px]; deviation from `heading` is penalised."""
         free = self.free(scan)
-        # worth = free (1 - AHEAD (1 - cos(angle - heading)) / 2)
+        # score = free (1 - AHEAD (1 - cos(angle - heading)) / 2)
         cost = AHEAD[self._kind] * (1.0 - np.cos(self.angles - heading)) / 2
         best = int(np.argmax(free * (1.0 - cost)))
         angle = (self.angles[best] + np.pi) % (2 * np.pi) - np.pi
         return float(angle), float(free[best])
 
     def _steer(self, scan: FloatArray, velocity: FloatArray) -> str:
-        """The action of a kart that has a heading."""
+        """Action of a kart with a heading."""
         angle, free = self.course(scan, LEAN * velocity[1])
         if abs(angle) > TOLERANCE:
             return "right" if angle > 0 else "left"
@@ -96,9 +96,9 @@ class GapDriver:
         return "accelerate" if speed < safe else "brake"
 
     def _push(self, scan: FloatArray, velocity: FloatArray) -> str:
-        """The action of a kart that is pushed in screen directions."""
+        """Action of a kart that is pushed in screen directions."""
         angle, free = self.course(scan, float(np.arctan2(velocity[1], velocity[0])))
-        # of the velocity that is missing, the larger component
+        # push along the larger component of the missing velocity
         wanted = min(1.0, free / CAUTION["push"]) * np.array([np.cos(angle), np.sin(angle)])
         missing = wanted - velocity
         if abs(missing[0]) > abs(missing[1]):

@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-from spikedeploy.envs.kart.ends import ClassicEnds, KartState
 from spikedeploy.envs.kart.env import KartEnv
 from spikedeploy.envs.kart.options import action_name
 from spikedeploy.envs.kart.reward import ClassicReward
+from spikedeploy.envs.kart.stall import ClassicLimits
+from spikedeploy.envs.kart.world import KartState
 
-PUSH = 30.0  # [px/s] that a push adds to the velocity
-TOP = 400.0  # [px/s] from which on no push acts, not even one that brakes
-FRICTION = 1.05  # by which the velocity is divided at each step
+PUSH = 30.0  # [px/s] added to the velocity by one push
+TOP = 400.0  # [px/s] speed at which pushes have no effect, not even braking ones
+FRICTION = 1.05  # divisor of the velocity at each step
 DIRECTIONS = {"up": (0.0, -1.0), "down": (0.0, 1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
 
 
 class KartGridEnv(KartEnv):
     """Push a kart through the gates: 30 px/s a step in one of four directions, up to 400 px/s.
 
-    Five actions: none, up, down, left, right on the screen. From rest to 400 px/s in 23 steps; left
-    alone, it has half its speed after 14. Its velocity is observed as (vx, vy) / 400 px/s, its
-    LIDAR reaches 600 px and always begins with the ray to the right.
+    Five actions: none, up, down, left, right on the screen. It takes 23 steps from rest to
+    400 px/s, and without pushes the speed halves in 14. Velocity is observed as (vx, vy) / 400
+    px/s. The LIDAR has a range of 600 px, and its first ray always points to the right.
     """
 
     ACTIONS: ClassVar[tuple[str, ...]] = ("none", "up", "down", "left", "right")
@@ -32,12 +33,12 @@ class KartGridEnv(KartEnv):
     CLASSIC: ClassVar[ClassicReward] = ClassicReward(
         pace=12.0, backward=1.5, progress=1.0, steer=0.0, gate=1.0, crash=-500.0
     )
-    CLASSIC_ENDS: ClassVar[ClassicEnds] = ClassicEnds(still=0, deserting=30)
+    CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=0, receding=30)
     CLASSIC_SPEED: ClassVar[float] = TOP
 
-    def observed_velocity(self, at: KartState) -> tuple[float, float]:
-        """Velocity over the top speed."""
-        vx, vy = at.velocity
+    def observed_velocity(self, state: KartState) -> tuple[float, float]:
+        """Velocity divided by the top speed."""
+        vx, vy = state.velocity
         return vx / TOP, vy / TOP
 
     def _act(self, action: Any) -> None:  # noqa: ANN401

@@ -1,4 +1,4 @@
-"""A LIDAR: how far it is to the walls along rays, all of them in one computation."""
+"""LIDAR: distances to the walls along rays, all rays and walls in one computation."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from spikedeploy.envs.errors import EnvError
 FloatArray = NDArray[np.float64]
 
 FULL = math.tau
-CLOSE = 1e-9  # beyond its ends a wall is hit as well, so that no ray slips through a corner
-FLAT = 1e-12  # instead of 0, where ray and wall are parallel [px]
+CLOSE = 1e-9  # relative extension of each wall, so that no ray passes through a corner
+FLAT = 1e-12  # determinant that replaces 0 where ray and wall are parallel [px]
 
 
 @dataclass(frozen=True)
 class LidarOptions:
-    """What a LIDAR is like.
+    """Parameters of a LIDAR.
 
-    count    rays
-    field    of view [rad]; less than a full circle is centred on `facing` and has an odd count
-    range    how far it sees [px]
+    count    number of rays R
+    field    field of view [rad]; below a full circle it is centred on `facing`, with an odd count
+    range    largest distance measured [px]
     noise    standard deviation of a distance [px]
-    dropout  probability that a ray sees nothing
-    facing   where the first ray of a full circle points [rad], 0 straight ahead, clockwise
+    dropout  probability that a ray returns the range
+    facing   direction of a full circle's first ray [rad], 0 straight ahead, clockwise
     """
 
     count: int = 24
@@ -55,7 +55,7 @@ class LidarOptions:
 
     @classmethod
     def of(cls, changes: Mapping[str, Any], **defaults: Any) -> LidarOptions:  # noqa: ANN401
-        """These defaults with changes by name."""
+        """The defaults with changes by name."""
         known = [field.name for field in fields(cls)]
         for name in changes:
             if name not in known:
@@ -64,7 +64,7 @@ class LidarOptions:
 
     @property
     def angles(self) -> FloatArray:
-        """(R,) of the rays from straight ahead [rad], clockwise."""
+        """Directions of the rays (R,) from straight ahead [rad], clockwise."""
         if self.field >= FULL:
             return self.facing + FULL * np.arange(self.count) / self.count
         half = self.field / 2 if self.count > 1 else 0.0
@@ -72,47 +72,47 @@ class LidarOptions:
 
 
 class Lidar:
-    """A LIDAR among the walls (W, 2, 2) [px] that it was last shown.
+    """A LIDAR among walls, which set_walls gives it.
 
-    options  what it is like
-    angles   (R,) of the rays from straight ahead [rad]
-    range    [px]
+    options  its parameters
+    angles   (R,) directions of the rays from straight ahead [rad]
+    range    largest distance measured [px]
     """
 
     def __init__(self, options: LidarOptions) -> None:
         self.options = options
         self.angles = options.angles
         self.range = float(options.range)
-        # the rays' directions, and the same turned by a quarter, (2, R, 2): of these two are those
-        # in any heading made
+        # (2, R, 2): ray directions at heading 0, and the same turned by 90 degrees; those of any
+        # heading are a combination of the two
         cosine, sine = np.cos(self.angles), np.sin(self.angles)
         self._fan = np.stack((np.stack((cosine, sine), 1), np.stack((-sine, cosine), 1)))
 
-    def show(self, walls: FloatArray) -> None:
-        """Look at these walls (W, 2, 2) [px] from now on."""
+    def set_walls(self, walls: FloatArray) -> None:
+        """Measure distances to these walls (W, 2, 2) [px] from now on."""
         start, along = walls[:, 0], walls[:, 1] - walls[:, 0]
         self._across = np.ascontiguousarray(np.stack((along[:, 1], -along[:, 0])))  # (2, W)
         self._offset = (start * self._across.T).sum(axis=1)  # (W,)
         self._turned = np.ascontiguousarray(np.stack((-start[:, 1], start[:, 0])))  # (2, W)
 
-    def look(self, x: float, y: float, heading: float) -> FloatArray:
-        """(R,) distances [px] from a place [px] in a heading [rad]; the range where no wall is."""
+    def distances(self, x: float, y: float, heading: float) -> FloatArray:
+        """Distances (R,) [px] from a position [px] and heading [rad]; the range without a hit."""
         ahead, beside = self._fan
         rays = math.cos(heading) * ahead + math.sin(heading) * beside
-        # place + t ray = from + u along;  [a, b] = ax by - ay bx
-        # t = [from - place, along] / [ray, along],  u = [from - place, ray] / [ray, along]
-        steep = rays @ self._across
-        steep[steep == 0.0] = FLAT
-        distance = (self._offset - np.array((x, y)) @ self._across) / steep
-        share = (rays @ (self._turned - np.array(((-y,), (x,))))) / steep
+        # p + t ray = start + u along;  [a, b] = ax by - ay bx
+        # t = [start - p, along] / [ray, along],  u = [start - p, ray] / [ray, along]
+        determinant = rays @ self._across
+        determinant[determinant == 0.0] = FLAT
+        distance = (self._offset - np.array((x, y)) @ self._across) / determinant
+        share = (rays @ (self._turned - np.array(((-y,), (x,))))) / determinant
         missed = (np.abs(share - 0.5) > 0.5 + CLOSE) | (distance < 0.0)
         distance[missed] = self.range
         nearest: FloatArray = distance.min(axis=1, initial=self.range)
         return nearest
 
     def measure(self, x: float, y: float, heading: float, rng: np.random.Generator) -> FloatArray:
-        """(R,) as `look`, with the noise and the dropouts of a sensor."""
-        distance = self.look(x, y, heading)
+        """Distances (R,) [px] with the sensor's noise and dropouts."""
+        distance = self.distances(x, y, heading)
         if self.options.noise:
             distance += rng.normal(0.0, self.options.noise, len(distance))
             distance = np.minimum(np.maximum(distance, 0.0), self.range)

@@ -1,23 +1,22 @@
-"""What a kart observes: named components, each in [-1, 1]."""
+"""Observation of a kart: named components, each in [-1, 1]."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
-
-if TYPE_CHECKING:
-    from spikedeploy.envs.kart.ends import KartState
-    from spikedeploy.envs.kart.env import KartEnv
+from spikedeploy.envs.kart.lidar import Lidar
+from spikedeploy.envs.kart.track import Track
+from spikedeploy.envs.kart.world import KartState
 
 FloatArray = NDArray[np.float64]
 
-SIZES = {  # of every component but the LIDAR's
+SIZES = {  # of every component except the LIDAR's
     "position": 2,
     "velocity": 2,
     "heading": 2,
@@ -29,14 +28,31 @@ CLASSIC_BOX = 54.0, 81.0, 990.0, 958.0  # left, top, right, bottom [px] on every
 CLASSIC_RAYS = 59  # 60 were asked for
 
 
-class Observer:
-    """Puts observations together.
+class ObservedKart(Protocol):
+    """What an Observer reads from the environment of a kart, see KartEnv."""
 
-    columns  name -> place in the observation
-    size     numbers in all
+    lidar: Lidar
+    track: Track
+
+    @property
+    def CLASSIC_SPEED(self) -> float:  # noqa: N802 - a constant of the class
+        """Speed observed as +1 [px/s]."""
+
+    def observed_velocity(self, state: KartState) -> tuple[float, float]:
+        """The two numbers of the velocity component, about +-1."""
+
+    def progress_at(self, state: KartState) -> float:
+        """Completed share of the path from the start, in [0, 1]."""
+
+
+class Observer:
+    """Assembles the observation of a kart.
+
+    columns  name -> slice of the observation
+    size     length of the observation
     """
 
-    def __init__(self, kart: KartEnv, names: Sequence[str], classic: bool) -> None:
+    def __init__(self, kart: ObservedKart, names: Sequence[str], classic: bool) -> None:
         known = ["lidar", *SIZES]
         for name in names:
             if name not in known:
@@ -46,50 +62,52 @@ class Observer:
         self._classic, self.columns = classic, _columns(names, len(kart.lidar.angles))
         self.size = max(place.stop for place in self.columns.values())
 
-    def __call__(self, kart: KartEnv, at: KartState, scan: FloatArray) -> FloatArray:
-        """The observation (obs,) of a situation in which the LIDAR measured `scan` (R,)."""
+    def __call__(self, kart: ObservedKart, state: KartState, scan: FloatArray) -> FloatArray:
+        """The observation (obs,) of a state in which the LIDAR measured `scan` (R,) [px]."""
         values = np.empty(self.size)
         for name, place in self.columns.items():
             lidar = name == "lidar"
-            values[place] = self._lidar(kart, scan) if lidar else self._part(kart, at, name)
-        # a maximum and a minimum do what np.clip does in a third of the time
+            values[place] = self._lidar(kart, scan) if lidar else self._part(kart, state, name)
+        # np.maximum and np.minimum take a third of the time of np.clip
         np.maximum(values, -1.0, out=values)
         np.minimum(values, 1.0, out=values)
         return values
 
-    def _lidar(self, kart: KartEnv, scan: FloatArray) -> FloatArray:
+    def _lidar(self, kart: ObservedKart, scan: FloatArray) -> FloatArray:
         """+1 for a wall at the kart's centre, -1 for none within range."""
         reach = kart.lidar.range
         if not self._classic:
             return 1.0 - scan * (2.0 / reach)
-        # what is not hit, or hit in the last 2 px, counts as range + range / 6 m, a number without
-        # a unit that the seed adds to pixels
+        # rays without a hit, or with one in the last 2 px, count as range + range / 600, as in
+        # kart-simulator, which adds the range in metres over 6 to a length in px
         most = reach + reach / 600.0
         length = np.where(scan > reach - 2.0, most, scan)
         return 1.0 - length * (2.0 / most)
 
-    def _part(self, kart: KartEnv, at: KartState, name: str) -> Sequence[float] | FloatArray:
+    def _part(
+        self, kart: ObservedKart, state: KartState, name: str
+    ) -> Sequence[float] | FloatArray:
         if name == "heading":
-            return math.cos(at.heading), math.sin(at.heading)
+            return math.cos(state.heading), math.sin(state.heading)
         if name == "velocity":
-            return kart.observed_velocity(at)
+            return kart.observed_velocity(state)
         if name == "speed":
-            speed = math.hypot(*at.velocity)
+            speed = math.hypot(*state.velocity)
             return (2.0 * speed / kart.CLASSIC_SPEED - 1.0,)
         if name == "position":
             left, top, right, bottom = CLASSIC_BOX if self._classic else kart.track.box
-            across, down = (at.x - left) / (right - left), (at.y - top) / (bottom - top)
+            across, down = (state.x - left) / (right - left), (state.y - top) / (bottom - top)
             return 2.0 * across - 1.0, 2.0 * down - 1.0
         if name == "progress":
-            return (2.0 * kart.progress_at(at) - 1.0,)
-        return self._gate(kart, at)
+            return (2.0 * kart.progress_at(state) - 1.0,)
+        return self._gate(kart, state)
 
-    def _gate(self, kart: KartEnv, at: KartState) -> Sequence[float]:
+    def _gate(self, kart: ObservedKart, state: KartState) -> Sequence[float]:
         """Cosine and sine of the next gate's bearing from the heading, and its distance."""
         middles = kart.track.midpoints
-        x, y = middles[min(at.next_gate, len(middles) - 1)]
-        bearing = math.atan2(y - at.y, x - at.x) - at.heading
-        distance = math.hypot(x - at.x, y - at.y)
+        x, y = middles[min(state.next_gate, len(middles) - 1)]
+        bearing = math.atan2(y - state.y, x - state.x) - state.heading
+        distance = math.hypot(x - state.x, y - state.y)
         return math.cos(bearing), math.sin(bearing), 1.0 - 2.0 * distance / kart.lidar.range
 
 

@@ -1,4 +1,4 @@
-"""What the karts' options stand for, and which of them are refused."""
+"""Options of the karts: their checks, and the objects that they name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from spikedeploy.envs.kart.reward import ClassicReward, PathReward, Reward
 
 
 def one_of(name: str, found: object, allowed: Sequence[object]) -> None:
-    """Refuse a value that an option does not have."""
+    """Raise EnvError unless the value of an option is one of those allowed."""
     if found not in allowed:
         raise EnvError(f"{name} {found!r} is unknown; known: {', '.join(map(repr, allowed))}")
 
@@ -23,18 +23,18 @@ def one_of(name: str, found: object, allowed: Sequence[object]) -> None:
 def lidar_options(
     given: LidarOptions | Mapping[str, Any] | None, reach: float, classic: bool
 ) -> LidarOptions:
-    """The options that were given, over those of the preset and the world's reach [px]."""
+    """The given options, over those of the preset and the environment's range `reach` [px]."""
     if isinstance(given, LidarOptions):
         return given
     defaults: dict[str, Any] = {"range": reach}
     if classic:
-        # the seed's rays begin straight behind the kart, and none points ahead
+        # kart-simulator's rays begin straight behind the kart, and none points ahead
         defaults |= {"count": CLASSIC_RAYS, "facing": -math.pi}
     return LidarOptions.of(given or {}, **defaults)
 
 
 def reward_of(reward: str | Mapping[str, float], classic: ClassicReward) -> Reward:
-    """The reward of this name, or with these weights; `classic` is the world's."""
+    """The reward of this name, or with these weights; `classic` is the environment's own."""
     if isinstance(reward, Mapping):
         return PathReward(reward)
     one_of("reward", reward, ("default", "classic"))
@@ -42,7 +42,7 @@ def reward_of(reward: str | Mapping[str, float], classic: ClassicReward) -> Rewa
 
 
 def action_name(action: Any, names: Sequence[str]) -> str:  # noqa: ANN401
-    """The name of one of several actions, or the reason why there is none."""
+    """Name of a discrete action; EnvError if there is no such action."""
     index = np.asarray(action)
     if index.shape or index.dtype.kind not in "iu" or not 0 <= index < len(names):
         raise EnvError(

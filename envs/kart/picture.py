@@ -1,4 +1,4 @@
-"""Pictures of a kart on its track; what `render` gives, and what windows and films are made of."""
+"""Pictures of a kart on its track, for `render`, windows and videos."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pygame
 from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.envs.kart.scene import PLAIN, Colour, Floats, Scene, scene
+from spikedeploy.envs.kart.track import RADIUS
 
-RADIUS = 19.2  # of a kart [px]
 SIZE = (720, 720)  # of a picture [screen px]
 
 KART: Colour = (76, 201, 240)
@@ -21,11 +21,11 @@ HIT: Colour = (242, 114, 123)
 RAY = (76, 201, 240, 60)
 TYRE: Colour = (8, 10, 14)
 HELMET: Colour = (244, 247, 252)
-FINE = 8  # times as large is a kart drawn, then turned and smoothed
+FINE = 8  # factor at which a kart is drawn, before it is rotated and downscaled
 
 
 class Place(Protocol):
-    """What a kart is drawn on: a Scene, or whatever else knows where points are."""
+    """Map from track to screen coordinates: a Scene, or a view that is drawn elsewhere."""
 
     @property
     def scale(self) -> float:
@@ -36,12 +36,12 @@ class Place(Protocol):
 
 
 def picture(world: Any, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
-    """(H, W, 3) of a kart environment as it stands."""
+    """Image (H, W, 3) of the current state of a kart environment."""
     return pixels(drawn(world, size))
 
 
 def drawn(world: Any, size: tuple[int, int] = SIZE) -> pygame.Surface:  # noqa: ANN401
-    """A surface with the track, its gates, what the LIDAR sees, and the kart."""
+    """A surface with the track, its gates, the LIDAR's rays and the kart."""
     place = scene(world.track, size)
     surface = place.ground.copy()
     draw_gates(surface, place, world.next_gate)
@@ -51,14 +51,14 @@ def drawn(world: Any, size: tuple[int, int] = SIZE) -> pygame.Surface:  # noqa: 
 
 
 def pixels(surface: pygame.Surface) -> NDArray[np.uint8]:
-    """(H, W, 3) of a surface."""
+    """Pixels (H, W, 3) of a surface."""
     turned = pygame.surfarray.array3d(surface).swapaxes(0, 1)
     found: NDArray[np.uint8] = np.ascontiguousarray(turned, np.uint8)
     return found
 
 
 def facing(world: Any) -> tuple[float, float, float]:  # noqa: ANN401
-    """x, y and where the kart looks; one without a heading looks where it goes."""
+    """Position and drawn heading; a kart without a heading points along its velocity."""
     x, y, heading = world.pose
     if not world.TURNS and np.hypot(*world.velocity) > 1.0:
         heading = np.arctan2(world.velocity[1], world.velocity[0])
@@ -66,13 +66,13 @@ def facing(world: Any) -> tuple[float, float, float]:  # noqa: ANN401
 
 
 def ray_angles(world: Any) -> Floats:  # noqa: ANN401
-    """Where the rays of a world's LIDAR point now (R,) [rad]."""
+    """Current directions of the LIDAR's rays (R,) [rad]."""
     angles: Floats = np.asarray(world.lidar.angles, np.float64)
     return angles + world.pose[2] if world.TURNS else angles
 
 
 def draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
-    """The gates but the finish, whose checkers lie on the ground; the next one glows."""
+    """Draw the gates, the next one highlighted; the finish is part of the ground."""
     width = max(2, round(4.0 * place.pen))
     for index, (a, b) in enumerate(place.at(place.track.gates)):
         if index == next_gate:
@@ -90,7 +90,7 @@ def draw_scan(
     distances: Floats,
     reach: float,
 ) -> None:
-    """The LIDAR's rays as far as they see, and a dot where they meet a wall."""
+    """Draw the LIDAR's rays, with a dot where they hit a wall."""
     centre = np.array(pose[:2])
     ends = centre + distances[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
     start, ends = place.at(centre), place.at(ends)
@@ -109,14 +109,14 @@ def draw_kart(
     colour: Colour,
     alpha: int = 255,
 ) -> None:
-    """A kart from above, as large as the circle that touches walls."""
+    """Draw a kart from above, as large as its collision circle."""
     turn = round(-np.degrees(pose[2])) % 360
     sprite = _sprite(colour, max(7, round(2 * RADIUS * place.scale)), turn, alpha)
     surface.blit(sprite, sprite.get_rect(center=tuple(np.rint(place.at(pose[:2])).astype(int))))
 
 
 def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
-    """A bright line in a soft band of its own colour."""
+    """Draw a bright line in a translucent band of the same colour."""
     veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
     for factor, alpha in ((7, 22), (4, 44)):
         pygame.draw.line(veil, (*NEXT, alpha), tuple(a), tuple(b), factor * width)
@@ -126,7 +126,7 @@ def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
 
 @lru_cache(maxsize=4096)
 def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
-    """A kart that is turned by whole degrees."""
+    """A kart rotated by whole degrees."""
     scale = size / (2 * RADIUS * FINE)
     sprite = pygame.transform.rotozoom(_large(colour), turn, scale)
     sprite.set_alpha(alpha)
@@ -135,7 +135,7 @@ def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
 
 @lru_cache(maxsize=64)
 def _large(colour: Colour) -> pygame.Surface:
-    """A kart that looks to the right, FINE times as large as in the world."""
+    """A kart facing right, at FINE times its size in the world."""
     side = round(2 * RADIUS * FINE)
     surface = pygame.Surface((side, side), pygame.SRCALPHA)
     pygame.draw.aacircle(surface, (*colour, 56), (side / 2, side / 2), side / 2 - 1)

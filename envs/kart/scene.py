@@ -1,4 +1,4 @@
-"""A track on a surface of some size: where its points are, and the ground that never changes."""
+"""A track scaled to a surface: its coordinates on screen and its static background."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ NIGHT: Colour = (15, 18, 25)  # around the track
 ROAD: Colour = (31, 37, 50)
 EDGE: Colour = (20, 24, 33)  # the road's shade along the walls
 WALL: Colour = (214, 222, 236)
-PLAIN: Colour = (64, 74, 96)  # gates that are still to come
+PLAIN: Colour = (64, 74, 96)  # gates that are still ahead
 MARGIN = 0.035  # of the surface's shorter side
-FINE = 2  # times as large is the ground drawn, then smoothed
+FINE = 2  # factor at which the ground is drawn, before it is downscaled
 
 pygame.font.init()
 
 
 class Scene:
-    """A track that fits a surface.
+    """A track scaled to fit a surface.
 
-    track    drawn
+    track    the track drawn
     size     (width, height) [screen px]
     scale    [screen px / px]
-    pen      by which lines and dots are as thick; no more than usual on a small track
-    ground   walls and road; draw on a copy
+    pen      factor on the widths of lines and dots, at most 1
+    ground   surface with walls and road; draw on a copy
     """
 
     def __init__(self, track: Track, size: tuple[int, int]) -> None:
@@ -40,8 +40,8 @@ class Scene:
         points = np.concatenate((track.walls, track.gates)).reshape(-1, 2)
         low, high = points.min(axis=0), points.max(axis=0)
         margin = MARGIN * min(size) + 4
-        room = np.array(size) - 2 * margin
-        self.scale = float((room / np.maximum(high - low, 1.0)).min())
+        inner = np.array(size) - 2 * margin
+        self.scale = float((inner / np.maximum(high - low, 1.0)).min())
         self.pen = min(self.scale, 1.0)
         self._offset = np.array(size) / 2 - self.scale * (low + high) / 2
         self.ground = self._ground()
@@ -52,7 +52,7 @@ class Scene:
         return found
 
     def _ground(self) -> pygame.Surface:
-        """Road and walls, drawn large and made small, which smooths every edge."""
+        """Draw road and walls, supersampled so that edges are smooth."""
         large = pygame.Surface((FINE * self.size[0], FINE * self.size[1]))
         large.fill(NIGHT)
         width = max(4, round(FINE * 5.0 * self.pen))
@@ -65,9 +65,9 @@ class Scene:
         return pygame.transform.smoothscale(large, self.size)
 
     def _road(self, size: tuple[int, int], width: int) -> pygame.Mask | None:
-        """Where one can drive from the start without crossing a wall or the finish.
+        """The area reachable from the start without crossing a wall or the finish.
 
-        Of a world without an outer wall that is everything, which is no road: None.
+        None where it is not bounded by an outer wall.
         """
         barriers = pygame.Surface(size)
         self._lines(barriers, WALL, width)
@@ -85,7 +85,7 @@ class Scene:
         width: int,
         within: pygame.Mask | None = None,
     ) -> None:
-        """Every wall with round ends; `within` leaves what is outside of it as it was."""
+        """Draw every wall with round ends, clipped to the mask `within`."""
         target = surface if within is None else surface.copy()
         for a, b in FINE * self.at(self.track.walls):
             thick_line(target, colour, a, b, width)
@@ -93,7 +93,7 @@ class Scene:
             within.to_surface(surface, setsurface=target, unsetcolor=None)
 
     def _checkers(self, surface: pygame.Surface) -> None:
-        """The finish, in two rows of squares."""
+        """Draw the finish as two rows of squares."""
         a, b = FINE * self.at(self.track.gates[-1])
         along = (b - a) / max(float(np.hypot(*(b - a))), 1.0)
         across = np.array([-along[1], along[0]])
@@ -110,11 +110,11 @@ class Scene:
 
 
 def thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, width: int) -> None:  # noqa: ANN401
-    """A line with round ends, so that corners close."""
+    """Draw a line with round ends, so that corners are closed."""
     pygame.draw.line(surface, colour, tuple(a), tuple(b), width)
     along = b - a
     length = float(np.hypot(*along))
-    if length > 0:  # pygame cuts lines off along an axis: the quadrangle is square to the line
+    if length > 0:  # pygame ends thick lines along an axis; a quadrangle ends them at a right angle
         across = np.array([-along[1], along[0]]) / length * width / 2
         corners = (a + across, b + across, b - across, a - across)
         pygame.draw.polygon(surface, colour, [tuple(corner) for corner in corners])
@@ -123,24 +123,24 @@ def thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, width
 
 
 def scene(track: Track, size: tuple[int, int]) -> Scene:
-    """The scene of a track, from memory where the same was drawn before."""
-    return _scene(_Drawn(track), size)
+    """The scene of a track, cached by what the track looks like."""
+    return _scene(_TrackKey(track), size)
 
 
 @lru_cache(maxsize=16)
-def _scene(drawn: _Drawn, size: tuple[int, int]) -> Scene:
-    return Scene(drawn.track, size)
+def _scene(key: _TrackKey, size: tuple[int, int]) -> Scene:
+    return Scene(key.track, size)
 
 
-class _Drawn:
-    """A track that is equal to another one when it looks the same."""
+class _TrackKey:
+    """A track as cache key: equal to another one with the same geometry."""
 
     def __init__(self, track: Track) -> None:
         self.track = track
-        self._looks = (track.walls.tobytes(), track.gates.tobytes(), track.start.tobytes())
+        self._geometry = (track.walls.tobytes(), track.gates.tobytes(), track.start.tobytes())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Drawn) and self._looks == other._looks
+        return isinstance(other, _TrackKey) and self._geometry == other._geometry
 
     def __hash__(self) -> int:
-        return hash(self._looks)
+        return hash(self._geometry)

@@ -1,4 +1,4 @@
-"""KartSteer-v0: a kart with throttle, brake and steering, which never slides."""
+"""KartSteer-v0: a kart with throttle, brake and steering, without lateral slip."""
 
 from __future__ import annotations
 
@@ -9,35 +9,36 @@ import gymnasium
 import numpy as np
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.ends import ClassicEnds, KartState
 from spikedeploy.envs.kart.env import CONTROL_DT, KartEnv
 from spikedeploy.envs.kart.options import action_name, one_of
 from spikedeploy.envs.kart.reward import ClassicReward
+from spikedeploy.envs.kart.stall import ClassicLimits
+from spikedeploy.envs.kart.world import KartState
 
-TOP = 599.0  # [px/s] from which on the throttle does nothing
+TOP = 599.0  # [px/s] speed at which the throttle has no effect
 GAIN = 7.488  # [px/s] per step of full throttle
 BRAKE = 11.98  # [px/s] per step of full brake
-DRAG = 1.005  # by which the velocity is divided at each step
-STEER = 0.2126  # that a step of full steering adds to the accumulator
-SHARE = 0.2  # [rad] of the accumulator by which the heading changes
-RELEASE = 3.0  # by which the accumulator is divided at each step
+DRAG = 1.005  # divisor of the speed at each step
+STEER = 0.2126  # added to the steering accumulator by a step of full steering
+SHARE = 0.2  # [rad] change of heading per unit of the accumulator
+RELEASE = 3.0  # divisor of the accumulator at each step
 TURN = STEER * SHARE * 1.5 / CONTROL_DT  # [rad/s] when steering is held: the sum of 1/3^k is 1.5
 
 
 class KartSteerEnv(KartEnv):
-    """Accelerate, brake and steer; the velocity always points where the kart does.
+    """Accelerate, brake and steer; the velocity always points along the heading.
 
     Five actions: none, accelerate, brake, left, right; or, with actions="continuous", (throttle,
-    steering) in [-1, 1], where a throttle below zero brakes. 103 steps from rest to the top speed
-    of 599 px/s; no reverse; steering held turns by 3.83 rad/s at any speed. Its motion is observed
-    as (2 v / 599 px/s - 1, turn / 3.83 rad/s).
+    steering) in [-1, 1], where negative throttle brakes. 103 steps from rest to the top speed of
+    599 px/s; no reverse; held steering turns at 3.83 rad/s at any speed. Velocity is observed as
+    (2 v / 599 px/s - 1, turn / 3.83 rad/s).
     """
 
     ACTIONS: ClassVar[tuple[str, ...]] = ("none", "accelerate", "brake", "left", "right")
     CLASSIC: ClassVar[ClassicReward] = ClassicReward(
         pace=2.0, backward=1.0, progress=0.5, steer=0.7, gate=1.0, crash=-500.0
     )
-    CLASSIC_ENDS: ClassVar[ClassicEnds] = ClassicEnds(still=120, deserting=30)
+    CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=120, receding=30)
     CLASSIC_SPEED: ClassVar[float] = TOP
     EFFECTS: ClassVar[dict[str, tuple[float, float]]] = {
         "none": (0.0, 0.0),
@@ -59,9 +60,9 @@ class KartSteerEnv(KartEnv):
         if self._continuous:
             self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
 
-    def observed_velocity(self, at: KartState) -> tuple[float, float]:
+    def observed_velocity(self, state: KartState) -> tuple[float, float]:
         """Forward speed and turn rate."""
-        return 2.0 * math.hypot(*at.velocity) / TOP - 1.0, at.turn / TURN
+        return 2.0 * math.hypot(*state.velocity) / TOP - 1.0, state.turn / TURN
 
     def _begin(self) -> None:
         super()._begin()
@@ -73,7 +74,9 @@ class KartSteerEnv(KartEnv):
             return self.EFFECTS[action_name(action, self.ACTIONS)]
         values = np.asarray(action, dtype=np.float64)
         if values.shape != (2,) or not np.isfinite(values).all():
-            raise EnvError(f"action {action!r}: two finite numbers are needed, throttle, steering")
+            raise EnvError(
+                f"action {action!r}: two finite numbers are needed, throttle and steering"
+            )
         throttle, steering = np.clip(values, -1.0, 1.0).tolist()
         return throttle, steering
 
@@ -88,7 +91,7 @@ class KartSteerEnv(KartEnv):
         self._kart.velocity = self._forward * math.cos(heading), self._forward * math.sin(heading)
 
     def _move(self) -> None:
-        """Turn the kart and its velocity alike, and slow it down."""
+        """Turn the kart together with its velocity, and apply drag."""
         change = SHARE * self._wheel
         self._wheel /= RELEASE
         self._forward /= DRAG

@@ -1,25 +1,41 @@
-"""The physics of one kart on one track: a circle among lines that are felt but stop nobody."""
+"""Physics of one kart on one track: a circle among line sensors, on pymunk."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import pymunk
 from numpy.typing import NDArray
 
-from spikedeploy.envs.kart.track import Track
-from spikedeploy.envs.kart.track_rules import RADIUS
+from spikedeploy.envs.kart.track import RADIUS, Track
 
 MASS = 1.0
 KART, WALL, GATE = 1, 2, 3  # collision types
 
 
+class KartState(NamedTuple):
+    """State of a kart that observation and reward are computed from.
+
+    x, y, heading  [px], [rad]
+    velocity       (2,) [px/s]
+    turn           turn rate [rad/s], clockwise
+    next_gate      index of the next gate; the number of gates when all are passed
+    """
+
+    x: float
+    y: float
+    heading: float
+    velocity: tuple[float, float]
+    turn: float
+    next_gate: int
+
+
 class KartWorld:
-    """A pymunk space with the walls and gates of a track, and a kart.
+    """A pymunk space with a kart and with the walls and gates of a track as sensors.
 
     kart          the body: position [px], velocity [px/s], angle [rad]
-    touched_wall  whether its rim met a wall in the last step
-    touching      indices of the gates that its rim is on
+    touched_wall  whether the kart touched a wall in the last step
+    touching      indices of the gates that the kart touches
     """
 
     def __init__(self, track: Track) -> None:
@@ -33,11 +49,11 @@ class KartWorld:
         self._rim = pymunk.Circle(self.kart, RADIUS)
         self._rim.collision_type = KART
         self._space.add(self.kart, self._rim)
-        self.forget()
+        self.clear()
 
-    def forget(self) -> None:
-        """Stand still, and touch nothing."""
-        # out and in again: the space would go on believing in touches of the last episode
+    def clear(self) -> None:
+        """Put the kart at rest and clear all contacts."""
+        # removed and added again: the space would keep the contacts of the last episode
         self._space.remove(self.kart, self._rim)
         self._space.add(self.kart, self._rim)
         self.kart.velocity, self.kart.angular_velocity, self.kart.angle = (0.0, 0.0), 0.0, 0.0
@@ -45,12 +61,12 @@ class KartWorld:
         self.touched_wall = False
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the kart somewhere [px], [rad]."""
+        """Set position [px] and heading [rad]."""
         self.kart.position, self.kart.angle = (x, y), heading
         self._space.reindex_shapes_for_body(self.kart)
 
     def step(self, dt: float) -> None:
-        """Move the kart for dt [s], and feel what its rim meets."""
+        """Advance by dt [s] and record contacts."""
         self.touched_wall = False
         self._space.step(dt)
 

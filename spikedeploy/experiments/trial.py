@@ -19,7 +19,7 @@ from spikedeploy.experiments.lock import exclusive
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.trainers.config import amended, differences, resolve
-from spikedeploy.trainers.ppo_config import PpoConfig
+from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
 
 STAMP = r"\d{8}-\d{6}(-\d+)?"

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.track import Track, load, parse
+from spikedeploy.envs.kart.track import Track
+from spikedeploy.envs.kart.track_file import load, parse
 from spikedeploy.envs.kart.track_rules import check
 from spikedeploy.files import write_text
 from spikedeploy.play.track_draft import Line, Point, TrackDraft

@@ -64,7 +64,7 @@ class TorchController:
 
         if not isinstance(self.policy, SpikingMlpPolicy):
             return self.policy.scores(batch)
-        return self.policy.presynaptic(raster(self.policy, batch, self._rng.draw_sequence)).mean
+        return self.policy.forward_spikes(raster(self.policy, batch, self._rng.draw_sequence)).mean
 
 
 def describe(path: Path) -> Candidate:

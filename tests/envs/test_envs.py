@@ -1,6 +1,7 @@
 """What every environment in the table must keep."""
 
 import functools
+import pickle
 import subprocess
 import sys
 
@@ -131,6 +132,16 @@ def test_vector_environments_agree_with_a_single_one(name):
     vector.close()
 
 
+@everyone
+def test_an_entry_survives_pickle_and_makes_vectors_by_id(name):
+    entry = pickle.loads(pickle.dumps(gymnasium.spec(envs.spec(name).id)))
+    observation, _ = gymnasium.make(entry).reset(seed=3)
+    vector = gymnasium.make_vec(entry.id, num_envs=2, vectorization_mode="sync")
+    observations, _ = vector.reset(seed=3)
+    np.testing.assert_array_equal(observations[0], observation)
+    vector.close()
+
+
 def test_worker_processes_agree_with_this_one():
     makers = [functools.partial(envs.make, name) for name in ("hexapod", "hexapod-command")]
     vector = gymnasium.vector.AsyncVectorEnv(
@@ -188,7 +199,7 @@ def test_registering_twice_changes_nothing():
 
 def test_the_table_is_read_without_loading_the_physics():
     code = (
-        "import sys, envs; envs.spec('hexapod'); "
+        "import sys; from spikedeploy import envs; envs.spec('hexapod'); "
         "sys.exit(bool({'mujoco', 'pymunk', 'pygame'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0

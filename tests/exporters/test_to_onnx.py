@@ -6,8 +6,8 @@ import torch
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.features import Features
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.trainers.policies.features import Features
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sac", 3, 7, "2026-01-01T00:00:00Z", "0.1.0")
 

@@ -14,7 +14,7 @@ from benchmarks.fuzz_corpus import chain, lif, write_corpus
 from benchmarks.fuzz_runs import fuzz, summary
 from benchmarks.fuzz_trials import attempt
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart import track_file
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.errors import ArtifactError, SpikedeployError, TraceError
 from spikedeploy.runtime.traces.verify import verify
@@ -150,11 +150,11 @@ def test_any_values_in_a_trace_are_refused_by_an_error_of_ours(tmp_path_factory,
 
 
 def test_a_track_of_a_million_pixels_is_refused(tmp_path):
-    record = json.loads((Path(track.__file__).parent / "tracks" / "small_S.json").read_text())
+    record = json.loads((Path(track_file.__file__).parent / "tracks" / "small_S.json").read_text())
     record["walls"][0][0][0] = 1e9
     (tmp_path / "a.json").write_text(json.dumps(record))
     with pytest.raises(EnvError, match="px wide; at most 20000"):
-        track.load(tmp_path / "a.json")
+        track_file.load(tmp_path / "a.json")
     (tmp_path / "b.json").write_text("[" * 100_000)
     with pytest.raises(EnvError, match="not a JSON file"):
-        track.load(tmp_path / "b.json")
+        track_file.load(tmp_path / "b.json")

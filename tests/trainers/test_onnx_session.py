@@ -1,8 +1,8 @@
 import pytest
 
 from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.onnx_session import session
-from spikedeploy.trainers.teachers import teacher
 
 
 def test_a_file_that_is_not_onnx_is_refused_in_one_line(tmp_path):

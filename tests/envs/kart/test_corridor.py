@@ -7,7 +7,7 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.corridor import cells_in, corridor
+from spikedeploy.envs.kart.corridor import corridor, length_of
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.kart.track_rules import check
 
@@ -59,13 +59,13 @@ def test_all_twelve_corridors_of_three_cells_turn_up_about_as_often():
     ("name", "cells"), [("corridor", 3), ("corridor-7", 7), ("big_S", None), ("corridors", None)]
 )
 def test_a_name_says_how_many_cells(name, cells):
-    assert cells_in(name) == cells
+    assert length_of(name) == cells
 
 
 @pytest.mark.parametrize("name", ["corridor-1", "corridor-65", "corridor-0"])
 def test_a_corridor_too_short_or_too_long_is_refused(name):
     with pytest.raises(EnvError, match=f"track '{name}': a corridor has 2 to 64 cells"):
-        cells_in(name)
+        length_of(name)
 
 
 def test_every_episode_has_its_own_corridor_and_the_seed_decides_which():
@@ -84,7 +84,7 @@ def test_what_the_kart_feels_and_sees_is_the_corridor_of_the_day():
     passed = []
     for seed in range(8):
         observation, info = env.reset(seed=seed)
-        np.testing.assert_array_equal(env.scan, env.lidar.look(*env.pose))
+        np.testing.assert_array_equal(env.scan, env.lidar.distances(*env.pose))
         over = False
         while not over:
             observation, _, terminated, truncated, info = env.step(int(driver.act(observation)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart import track_file
 from spikedeploy.envs.kart.track_rules import distances
 
 CELL = 6.0  # [px] of the driver's map
@@ -61,7 +61,7 @@ class MapDriver:
         return self.open[between[1:, 0], between[1:, 1]].all()
 
 
-@pytest.mark.parametrize("name", track.names())
+@pytest.mark.parametrize("name", track_file.names())
 def test_a_driver_with_a_map_finishes(name):
     env = envs.make("kart-gazebo", track=name).unwrapped
     for seed in (10_000, 10_001):

@@ -9,7 +9,7 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart import track_file
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.kart.lidar import LidarOptions
 from spikedeploy.envs.kart.steer import KartSteerEnv
@@ -377,7 +377,7 @@ def test_a_fixed_start_is_the_middle_of_all_starts(name):
 
 
 @everyone
-@pytest.mark.parametrize("course", [*track.names(), "corridor", "corridor-9"])
+@pytest.mark.parametrize("course", [*track_file.names(), "corridor", "corridor-9"])
 def test_every_track_can_be_driven_on(name, course):
     env = envs.make(name, track=course)
     env.action_space.seed(1)
@@ -435,7 +435,7 @@ def test_an_action_that_is_none_of_the_karts_is_refused(name, action):
 
 @pytest.mark.parametrize("action", [0, [0.0], [0.0, math.nan], [0.0, 0.0, 0.0]])
 def test_a_continuous_action_of_another_form_is_refused(action):
-    with pytest.raises(EnvError, match="two finite numbers are needed, throttle, steering"):
+    with pytest.raises(EnvError, match="two finite numbers are needed, throttle and steering"):
         kart("kart-steer", actions="continuous").step(action)
 
 

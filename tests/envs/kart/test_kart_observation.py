@@ -54,7 +54,7 @@ def test_a_wall_at_the_centre_is_seen_as_1_and_none_in_range_as_minus_1(name):
     place = env.OBSERVATION["lidar"]
     for x, y in ((300.0, 83.6), (448.0, 205.0), (890.0, 300.0)):
         seen = env.observe_at(x, y, 0.3, (0.0, 0.0), 0.0, 0)[place]
-        scan = env.lidar.look(x, y, 0.3)
+        scan = env.lidar.distances(x, y, 0.3)
         np.testing.assert_allclose(seen, 1.0 - 2.0 * scan / env.lidar.range)
     assert seen.max() > 0.9
     assert seen.min() == -1.0
@@ -66,7 +66,7 @@ def test_classic_rays_are_inverted_with_the_seeds_value_for_nothing(name, rim, r
     env = made(name, preset="classic")
     place = env.OBSERVATION["lidar"]
     scan = np.linspace(19.2, reach, 59)
-    seen = env._observer(env, env._at, scan)[place]
+    seen = env._observer(env, env._state, scan)[place]
     assert seen[0] == pytest.approx(rim, abs=0.005)
     most = reach + reach / 600  # c = metres / 6, added to px
     hit = scan <= reach - 2

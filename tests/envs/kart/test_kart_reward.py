@@ -123,8 +123,8 @@ def test_the_clock_is_not_paid_as_a_crash():
     [(KartGridEnv, 400.0, 0.38), (KartGazeboEnv, 440.0, 0.75), (KartSteerEnv, 599.0, 12.5)],
 )
 def test_classic_progress_at_full_speed_is_the_seeds(kind, speed, expected):
-    deed = REST._replace(approach=speed / 60, speed=speed)
-    assert kind.CLASSIC.terms(deed)["progress"] == pytest.approx(expected, rel=0.01)
+    outcome = REST._replace(approach=speed / 60, speed=speed)
+    assert kind.CLASSIC.terms(outcome)["progress"] == pytest.approx(expected, rel=0.01)
 
 
 def test_a_classic_grid_kart_pays_half_more_for_going_back():
@@ -139,9 +139,9 @@ def test_a_classic_grid_kart_pays_half_more_for_going_back():
     ("since", "expected"), [(0, 365.5), (50, 221.7), (100, 134.5), (200, 49.5), (500, 2.46)]
 )
 def test_a_classic_gate_pays_less_the_longer_it_took(since, expected):
-    deed = REST._replace(gates=1, since=since)
-    assert KartGridEnv.CLASSIC.terms(deed)["gate"] == pytest.approx(expected, rel=2e-3)
-    assert KartGazeboEnv.CLASSIC.terms(deed)["gate"] == pytest.approx(2 * expected, rel=2e-3)
+    outcome = REST._replace(gates=1, since=since)
+    assert KartGridEnv.CLASSIC.terms(outcome)["gate"] == pytest.approx(expected, rel=2e-3)
+    assert KartGazeboEnv.CLASSIC.terms(outcome)["gate"] == pytest.approx(2 * expected, rel=2e-3)
 
 
 @pytest.mark.parametrize(("kind", "crash"), [(KartGridEnv, -500), (KartGazeboEnv, -1000),

@@ -7,7 +7,7 @@ import pymunk
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart import track_file
 from spikedeploy.envs.kart.corridor import corridor
 from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
 
@@ -19,7 +19,7 @@ SQUARE = np.array(
 
 def among(walls, **options):
     lidar = Lidar(LidarOptions(**options))
-    lidar.show(walls)
+    lidar.set_walls(walls)
     return lidar
 
 
@@ -43,13 +43,13 @@ def places(walls, rng, count):
     return np.column_stack((where, rng.uniform(-10, 10, count)))
 
 
-@pytest.mark.parametrize("name", track.names())
+@pytest.mark.parametrize("name", track_file.names())
 def test_distances_are_those_of_pymunks_segment_query(name):
-    walls, rng = track.load(name).walls, np.random.default_rng(3)
+    walls, rng = track_file.load(name).walls, np.random.default_rng(3)
     lidar = among(walls, count=37, range=400.0)
     for x, y, heading in places(walls, rng, 60):
         expected = oracle(walls, lidar, x, y, heading)
-        np.testing.assert_allclose(lidar.look(x, y, heading), expected, atol=1e-6)
+        np.testing.assert_allclose(lidar.distances(x, y, heading), expected, atol=1e-6)
 
 
 def test_distances_in_corridors_are_those_of_pymunks_segment_query():
@@ -59,7 +59,7 @@ def test_distances_in_corridors_are_those_of_pymunks_segment_query():
         lidar = among(walls, count=24, range=600.0)
         x, y, heading = places(walls, rng, 1)[0]
         expected = oracle(walls, lidar, x, y, heading)
-        np.testing.assert_allclose(lidar.look(x, y, heading), expected, atol=1e-6)
+        np.testing.assert_allclose(lidar.distances(x, y, heading), expected, atol=1e-6)
 
 
 def test_the_first_of_24_rays_points_straight_ahead_and_the_next_15_degrees_clockwise():
@@ -70,7 +70,7 @@ def test_the_first_of_24_rays_points_straight_ahead_and_the_next_15_degrees_cloc
 
 
 def test_distances_in_a_square_are_known_by_hand():
-    scan = among(SQUARE, count=8, range=350.0).look(40.0, 0.0, 0.0)
+    scan = among(SQUARE, count=8, range=350.0).distances(40.0, 0.0, 0.0)
     # ahead, then clockwise: down right, down, down left, back, up left, up, up right
     diagonal = math.sqrt(2)
     expected = [60, 60 * diagonal, 100, 100 * diagonal, 140, 100 * diagonal, 100, 60 * diagonal]
@@ -78,12 +78,12 @@ def test_distances_in_a_square_are_known_by_hand():
 
 
 def test_the_scan_turns_with_the_heading():
-    scan = among(SQUARE, count=4).look(40.0, 10.0, math.pi / 2)
+    scan = among(SQUARE, count=4).distances(40.0, 10.0, math.pi / 2)
     np.testing.assert_allclose(scan, [90, 140, 110, 60])
 
 
 def test_what_is_out_of_range_is_reported_at_the_range():
-    scan = among(SQUARE, count=4, range=99.0).look(40.0, 0.0, 0.0)
+    scan = among(SQUARE, count=4, range=99.0).distances(40.0, 0.0, 0.0)
     np.testing.assert_allclose(scan, [60, 99, 99, 99])
 
 
@@ -91,13 +91,13 @@ def test_what_is_out_of_range_is_reported_at_the_range():
 def test_no_ray_slips_through_a_corner(heading):
     lidar = among(SQUARE, count=4, range=300.0)
     aim = math.atan2(100 - 7.3, 100 - 41.9)  # straight at a corner, whatever the rounding
-    assert lidar.look(41.9, 7.3, aim)[0] == pytest.approx(math.hypot(58.1, 92.7))
-    assert lidar.look(41.9, 7.3, heading).max() < 290
+    assert lidar.distances(41.9, 7.3, aim)[0] == pytest.approx(math.hypot(58.1, 92.7))
+    assert lidar.distances(41.9, 7.3, heading).max() < 290
 
 
 def test_a_ray_along_a_wall_passes_it():
     wall = np.array([[[10.0, 0.0], [50.0, 0.0]]])
-    scan = among(wall, count=4, range=100.0).look(20.0, 5.0, 0.0)
+    scan = among(wall, count=4, range=100.0).distances(20.0, 5.0, 0.0)
     np.testing.assert_allclose(scan, [100, 100, 100, 5])
 
 
@@ -112,7 +112,7 @@ def test_one_ray_looks_straight_ahead():
 
 def test_noise_has_the_standard_deviation_that_was_asked_for():
     lidar, rng = among(SQUARE, noise=5.0), np.random.default_rng(0)
-    exact = lidar.look(0.0, 0.0, 0.2)
+    exact = lidar.distances(0.0, 0.0, 0.2)
     scans = np.array([lidar.measure(0.0, 0.0, 0.2, rng) for _ in range(400)])
     np.testing.assert_allclose(scans.mean(axis=0), exact, atol=1.0)
     assert (scans - exact).std() == pytest.approx(5.0, rel=0.05)
@@ -130,7 +130,7 @@ def test_a_ray_that_drops_out_sees_nothing():
     scans = np.array([lidar.measure(0.0, 0.0, 0.0, rng) for _ in range(400)])
     lost = scans == lidar.range
     assert lost.mean() == pytest.approx(0.25, abs=0.02)
-    exact = np.broadcast_to(lidar.look(0.0, 0.0, 0.0), scans.shape)
+    exact = np.broadcast_to(lidar.distances(0.0, 0.0, 0.0), scans.shape)
     np.testing.assert_array_equal(scans[~lost], exact[~lost])
 
 

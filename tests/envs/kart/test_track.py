@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track
+from spikedeploy.envs.kart import track_file
 from spikedeploy.envs.kart.track_rules import distances
 
 LANE = {  # a lane 400 px long and 100 px wide, open at its right end, where the finish is
@@ -17,7 +17,7 @@ LANE = {  # a lane 400 px long and 100 px wide, open at its right end, where the
     "gates": [[[200, 0], [200, 100]], [[395, 0], [395, 100]]],
     "start": {"position": [60, 50], "spread": 10, "heading": [-0.5, 0.5]},
 }
-everyone = pytest.mark.parametrize("name", track.names())
+everyone = pytest.mark.parametrize("name", track_file.names())
 
 
 def changed(**fields):
@@ -36,7 +36,7 @@ def written(folder, content):
 
 def refusal(folder, content):
     with pytest.raises(EnvError) as caught:
-        track.load(written(folder, content))
+        track_file.load(written(folder, content))
     message = str(caught.value)
     assert "mine.json" in message
     assert "\n" not in message
@@ -44,11 +44,11 @@ def refusal(folder, content):
 
 
 def test_the_shipped_tracks_are_two_bends_a_circuit_and_three_rooms():
-    assert track.names() == ("big_S", "circuit", "room_1", "room_2", "room_3", "small_S")
+    assert track_file.names() == ("big_S", "circuit", "room_1", "room_2", "room_3", "small_S")
 
 
 def test_big_s_has_the_seeds_walls_gates_and_length():
-    found = track.load("big_S")
+    found = track_file.load("big_S")
     assert found.walls.shape == (12, 2, 2)
     assert found.box == (54.0, 81.0, 990.0, 958.0)
     assert found.midpoints[:2] == ((448.0, 205.0), (807.5, 256.0))
@@ -60,7 +60,7 @@ def test_big_s_has_the_seeds_walls_gates_and_length():
 
 
 def test_small_s_has_the_seeds_walls_gates_and_length():
-    found = track.load("small_S")
+    found = track_file.load("small_S")
     assert found.walls.shape == (12, 2, 2)
     assert found.box == (270.0, 401.0, 562.0, 824.0)
     assert len(found.gates) == 5
@@ -68,7 +68,7 @@ def test_small_s_has_the_seeds_walls_gates_and_length():
 
 
 def test_the_circuit_ends_where_it_begins():
-    found = track.load("circuit")
+    found = track_file.load("circuit")
     for line in found.polylines:
         np.testing.assert_array_equal(line[0], line[-1])
     assert math.dist(found.midpoints[-1], found.start) < 200
@@ -77,7 +77,7 @@ def test_the_circuit_ends_where_it_begins():
 
 @everyone
 def test_the_way_that_remains_is_the_sum_of_the_legs(name):
-    found = track.load(name)
+    found = track_file.load(name)
     points = [found.start, *found.midpoints]
     way = sum(math.dist(a, b) for a, b in pairwise(points))
     assert found.length == pytest.approx(way)
@@ -87,7 +87,7 @@ def test_the_way_that_remains_is_the_sum_of_the_legs(name):
 
 @everyone
 def test_a_kart_has_room_wherever_it_starts(name):
-    found = track.load(name)
+    found = track_file.load(name)
     corners = found.start + found.spread * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     assert distances(corners, found.walls).min() > 19.2
 
@@ -95,7 +95,7 @@ def test_a_kart_has_room_wherever_it_starts(name):
 def test_a_track_file_of_ones_own_is_loaded_by_its_path(tmp_path):
     path = written(tmp_path, LANE)
     for name in (path, str(path)):
-        found = track.load(name)
+        found = track_file.load(name)
         assert found.name == "lane"
         assert found.walls.tolist() == [
             [[400, 0], [0, 0]],
@@ -107,13 +107,13 @@ def test_a_track_file_of_ones_own_is_loaded_by_its_path(tmp_path):
 
 def test_a_file_that_was_changed_is_read_again(tmp_path):
     path = written(tmp_path, LANE)
-    assert track.load(path).name == "lane"
+    assert track_file.load(path).name == "lane"
     path.write_text(json.dumps(changed(name="other")))
-    assert track.load(path).name == "other"
+    assert track_file.load(path).name == "other"
 
 
 def test_a_goal_that_sways_moves_the_finish_alone():
-    found = track.load("room_1")
+    found = track_file.load("room_1")
     moved = [found.swayed(np.random.default_rng(seed)) for seed in range(50)]
     shifts = np.array([each.gates[-1, :, 1] - found.gates[-1, :, 1] for each in moved])
     np.testing.assert_allclose(shifts[:, 0], shifts[:, 1])
@@ -132,14 +132,14 @@ def test_distances_to_segments_are_known_by_hand():
 
 def test_an_unknown_name_is_answered_with_a_suggestion():
     with pytest.raises(EnvError, match=r"unknown track 'bigS'; did you mean 'big_S'\?"):
-        track.load("bigS")
+        track_file.load("bigS")
     with pytest.raises(EnvError, match=r"known: big_S, circuit, .* corridor"):
-        track.load("monza")
+        track_file.load("monza")
 
 
 def test_a_missing_file_is_named():
     with pytest.raises(EnvError, match=r"nowhere\.json: No such file"):
-        track.load("nowhere.json")
+        track_file.load("nowhere.json")
 
 
 def test_what_is_not_json_is_refused(tmp_path):
@@ -160,8 +160,8 @@ def test_what_is_not_json_is_refused(tmp_path):
         (changed(walls=[[[0, 0], [1, float("nan")]]]), "wall 1: must be numbers"),
         (changed(walls=[*LANE["walls"], [[1, 2], [1, 2]]]), "wall 2: points 1 and 2 are the same"),
         (changed(gates=[[[1, 2], [3, 4], [5, 6]]]), "gate 1 has 3 points; a gate has two"),
-        (begun(spread=-1), "spread -1.0 and sway 0.0 must not be below 0"),
-        (begun(heading=[1, -1]), "heading [1.0, -1.0] must not fall"),
+        (begun(spread=-1), "spread -1.0 and sway 0.0 must not be negative"),
+        (begun(heading=[1, -1]), "heading [1.0, -1.0] must be in ascending order"),
         (begun(heading=1), "start heading: must be numbers of shape (2,)"),
     ],
 )
@@ -177,11 +177,11 @@ def test_a_form_that_no_track_has_is_refused_by_its_place(tmp_path, content, mes
         # the finish leaves the right end open
         (changed(gates=[LANE["gates"][0], [[395, 0], [395, 50]]]), "the walls are open"),
         (begun(position=[60, 300]), "or the start is outside of them"),
-        (begun(position=[60, 85]), "starts 5.0 px from a wall"),
-        (begun(spread=40), "starts 10.0 px from a wall"),
+        (begun(position=[60, 85]), "can start 5.0 px from a wall"),
+        (begun(spread=40), "can start 10.0 px from a wall"),
         (
             changed(gates=[[[200, 300], [200, 400]], LANE["gates"][1]]),
-            "gate 1 is off the track: no kart gets from the start to (200, 300)-(200, 400)",
+            "gate 1 is off the track: no kart can get from the start to (200, 300)-(200, 400)",
         ),
         (
             changed(gates=[[[200, 40], [200, 160]], LANE["gates"][1]]),
@@ -204,4 +204,4 @@ def test_a_track_that_nobody_can_drive_is_refused_with_the_reason(tmp_path, cont
 
 def test_a_gate_may_stick_out_of_the_walls_a_little(tmp_path):
     path = written(tmp_path, changed(gates=[[[200, -5], [200, 110]], LANE["gates"][1]]))
-    assert len(track.load(path).gates) == 2
+    assert len(track_file.load(path).gates) == 2

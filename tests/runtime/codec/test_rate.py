@@ -7,7 +7,7 @@ from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record
-from spikedeploy.trainers.rate import TorchRateEncoder as TorchEncoder
+from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TorchEncoder
 
 
 def encoder(mode="regular", observed=1):

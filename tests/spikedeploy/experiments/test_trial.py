@@ -72,7 +72,7 @@ def test_a_longer_budget_goes_on_with_the_same_run(tmp_path):
 
 
 def test_an_interrupted_training_goes_on_where_it_stopped(monkeypatch, tmp_path):
-    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.train import Interrupt
 
     asked = iter([False, False, False, True])
     monkeypatch.setattr(Interrupt, "__call__", lambda self: next(asked, False))

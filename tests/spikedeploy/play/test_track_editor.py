@@ -7,7 +7,7 @@ import pygame
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.track import load
+from spikedeploy.envs.kart.track_file import load
 from spikedeploy.play import window
 from spikedeploy.play.draft_files import as_text, draft_of, open_draft, save, save_draft
 from spikedeploy.play.track_draft import History, TrackDraft
@@ -127,7 +127,7 @@ def test_a_sketch_that_the_validator_agrees_to_is_a_track(tmp_path):
         (TrackDraft("a"), "there is no start; S places it"),
         (LANE.without((0.0, 0.0)), "the walls are open"),
         (LANE.new_gate().added((60.0, 0.0)), "gate 3: 1 point; a line needs two"),
-        (LANE.started((5.0, 50.0)), "starts 5.0 px from a wall"),
+        (LANE.started((5.0, 50.0)), "can start 5.0 px from a wall"),
     ],
 )
 def test_what_is_no_track_is_refused_with_the_validators_words(draft, line, tmp_path):

@@ -11,10 +11,11 @@ from spikedeploy.policies.registry import find
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.shipping.export_run import kind_of, recorded
 from spikedeploy.shipping.publish_run import publish_run
-from spikedeploy.trainers.config import MlpConfig, PopsanConfig, SacConfig
-from spikedeploy.trainers.features import Features
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
+from spikedeploy.trainers.policies.features import Features
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sac.config import SacConfig
 from tests import stroll_env
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)

@@ -1,0 +1,93 @@
+"""Rendering of the hexapod: off-screen frames, or a window."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.hexapod.robot import Robot
+
+WIDTH, HEIGHT = 640, 480  # [pixels]
+
+
+class Camera:
+    """Off-screen frames of a robot, from the camera of its model that follows it."""
+
+    def __init__(self, subject: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
+        self._model, self._data = subject.model, subject.data
+        try:
+            self._gl = mujoco.GLContext(width, height)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:  # every GL library raises its own type
+            raise EnvError(
+                f"no OpenGL to draw with ({error}); on Debian: apt-get install libegl1 libgl1"
+            ) from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=200)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
+        self._view = mujoco.MjvCamera()
+        self._view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._view.fixedcamid = self._model.camera("chase").id
+        self._option = mujoco.MjvOption()
+        self._frame = mujoco.MjrRect(0, 0, width, height)
+
+    def update_ground(self) -> None:
+        """Upload the height field after it has changed."""
+        self._gl.make_current()
+        mujoco.mjr_uploadHField(self._model, self._context, 0)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Frame (H, W, 3) of the current state."""
+        self._gl.make_current()
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._view, everything, self._scene
+        )
+        mujoco.mjr_render(self._frame, self._scene, self._context)
+        pixels = np.empty((self._frame.height, self._frame.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, self._frame, self._context)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+
+class CameraWindow:
+    """MuJoCo's viewer, slowed to real time."""
+
+    def __init__(self, subject: Robot, period: float) -> None:
+        import mujoco.viewer as viewer  # needs a display, so only when a window is wanted
+
+        try:
+            self._viewer: Any = viewer.launch_passive(subject.model, subject.data)
+        except Exception as error:  # every windowing library raises its own type
+            raise EnvError(f"no window ({error}); render_mode='rgb_array' needs none") from error
+        view = self._viewer.cam  # follows the robot; the mouse turns it
+        view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        view.trackbodyid = subject.model.body("torso").id
+        view.distance, view.azimuth, view.elevation = 1.0, 55.0, -25.0
+        self._period = period
+        self._due = time.monotonic()
+
+    def update_ground(self) -> None:
+        """Upload the height field after it has changed."""
+        self._viewer.update_hfield(0)
+
+    def picture(self) -> None:
+        """Show the current state, after waiting for its time."""
+        self._due = max(self._due + self._period, time.monotonic() - self._period)
+        time.sleep(max(0.0, self._due - time.monotonic()))
+        self._viewer.sync()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._viewer.close()

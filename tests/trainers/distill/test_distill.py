@@ -1,0 +1,237 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy import envs
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.exporters.to_onnx import to_onnx
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.config import EnvConfig, ValidationConfig, resolve
+from spikedeploy.trainers.distill.config import DistillConfig
+from spikedeploy.trainers.distill.dagger import DaggerDataset, collect
+from spikedeploy.trainers.distill.distill import Distill, DistillLearner
+from spikedeploy.trainers.distill.teachers import Teacher, of_policy, score, teacher
+from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
+from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.train import train
+
+HEXAPOD = "spikedeploy/Hexapod-v0"
+STUDENTS = ("distill", "distill-256", "linear", "phase", "bilinear")
+
+
+@pytest.fixture(scope="module")
+def onnx(tmp_path_factory):
+    torch.manual_seed(1)
+    path = tmp_path_factory.mktemp("teacher") / "teacher.onnx"
+    return to_onnx(MlpPolicy(77, 18, hidden=(8,)), Provenance(HEXAPOD), path)
+
+
+def config(onnx="", **changes):
+    return resolve(DistillConfig, "smoke-distill", overrides=[f"teacher={onnx}"]).model_copy(
+        update=changes
+    )
+
+
+def never():
+    return False
+
+
+def constant(action):
+    return Teacher(lambda observation: np.tile(action, (len(observation), 1)), 77, 18)
+
+
+def test_a_student_learns_what_its_teacher_does():
+    torch.manual_seed(0)
+    student = PopsanPolicy(6, 2, hidden=(32, 32), populations=5)
+    observation = torch.randn(256, 6)
+    label = torch.tanh(observation[:, :2])
+    settings = config(learning_rate=3e-3, precision="float32")
+    learner = DistillLearner(settings, student)
+    errors = [float(learner.update(observation, label, k / 150)["loss"]) for k in range(150)]
+    assert errors[-1] < 0.2 * errors[0]
+
+
+def test_the_learning_rate_falls_as_half_a_cosine():
+    learner = DistillLearner(config(learning_rate=0.01), MlpPolicy(6, 2, hidden=()))
+    rates = []
+    for progress in (0.0, 0.5, 1.0):
+        learner.update(torch.randn(4, 6), torch.zeros(4, 2), progress)
+        rates.append(learner.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([0.01, 0.005, 0.0])
+
+
+def test_only_rates_above_their_target_are_penalised():
+    student = PopsanPolicy(6, 2, hidden=(32,), populations=5)
+    observation, label = torch.randn(64, 6), torch.zeros(64, 2)
+    rates = {"rate_penalty": 2.0, "input_penalty": 3.0}
+
+    def penalty(**targets):
+        return float(
+            DistillLearner(config(**rates, **targets), student).update(observation, label, 1.0)[
+                "rate_penalty"
+            ]
+        )
+
+    with torch.no_grad():
+        spikes = [float(raster.mean()) for raster in student.spikes(observation)]
+    assert penalty(rate_target=1.0, input_target=1.0) == 0
+    assert penalty(rate_target=1.0, input_target=0.0) == pytest.approx(3 * spikes[0], rel=0.02)
+    expected = 2 * sum(spikes[1:])
+    assert penalty(rate_target=0.0, input_target=1.0) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_rate_penalty_makes_neurons_fire_less():
+    def rate(penalty):
+        torch.manual_seed(0)
+        student = PopsanPolicy(6, 2, hidden=(32,), populations=5)
+        settings = config(rate_penalty=penalty, rate_target=0.05, learning_rate=1e-2)
+        learner = DistillLearner(settings, student)
+        observation = torch.randn(64, 6)
+        for _ in range(40):
+            learner.update(observation, torch.tanh(observation[:, :2]), 0.0)
+        with torch.no_grad():
+            return float(student.spikes(observation)[1].mean())
+
+    assert rate(5.0) < 0.7 * rate(0.0)
+
+
+def test_iteration_zero_acts_as_the_teacher_and_the_next_as_the_student():
+    settings = config(env=EnvConfig(count=2), states=20)
+    one, other = constant(np.full(18, 0.5)), constant(np.full(18, -0.5))
+    previous = envs.make("hexapod").unwrapped.OBSERVATION["previous"]
+    with_teacher = collect(settings, 0, one, other, never)
+    with_student = collect(settings, 1, one, other, never)
+    assert with_teacher.observation.shape == (20, 77)
+    np.testing.assert_array_equal(with_student.label, np.full((20, 18), 0.5))
+    # the filtered command follows what was executed
+    assert with_teacher.observation[-1, previous].mean() > 0.1
+    assert with_student.observation[-1, previous].mean() < -0.1
+
+
+def test_mixing_lets_the_teacher_execute_some_actions():
+    settings = config(env=EnvConfig(count=2), states=40, mixing=0.5)
+    labelled = constant(np.full(18, 0.5))
+    steps = []
+    student = Teacher(lambda o: steps.append(len(o)) or np.full((2, 18), -0.5), 77, 18)
+    found = collect(settings, 1, labelled, student, never)
+    previous = found.observation[-10:, envs.make("hexapod").unwrapped.OBSERVATION["previous"]]
+    assert -0.2 < previous.mean() < 0.2
+    assert steps
+
+
+def test_an_iteration_visits_the_same_states_when_it_is_repeated():
+    settings = config(env=EnvConfig(count=2), states=20, noise=0.1)
+    still = constant(np.zeros(18))
+    first, second = (collect(settings, 1, still, still, never).observation for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    other = collect(settings, 2, still, still, never).observation
+    assert not np.array_equal(first, other)
+
+
+def test_states_are_all_kept_and_drawn_at_random():
+    dataset = DaggerDataset(3, 1)
+    dataset.add(np.full((4, 3), 1.0), np.full((4, 1), 10.0))
+    dataset.add(np.full((4, 3), 2.0), np.full((4, 1), 20.0))
+    observation, action = dataset.sample(200, np.random.default_rng(0))
+    assert len(dataset) == 8
+    assert 60 < int((observation[:, 0] == 1).sum()) < 140
+    np.testing.assert_array_equal(action[:, 0], 10 * observation[:, 0])
+
+
+def test_a_run_leaves_what_every_run_leaves_and_measures_itself_by_its_teacher(onnx, tmp_path):
+    run = train("smoke-distill", overrides=[f"teacher={onnx}"], runs=tmp_path, quiet=True)
+    rows = read(run / "metrics.csv")
+    assert (rows[-1]["updates"], rows[-1]["env_steps"], rows[-1]["iteration"]) == (40, 120, 1)
+    state = json.loads((run / "checkpoints" / "best.json").read_text())
+    assert state["eval_of_teacher"] == pytest.approx(state["eval_return"] / state["teacher_return"])
+    best = max(row["eval_return"] for row in rows if "eval_return" in row)
+    assert state["best"] == pytest.approx(best)
+    assert {"sparsity_lif1", "sparsity_lif2", "sparsity_lif3"} <= rows[-1].keys()
+    policy = load_policy(run)
+    assert isinstance(policy, PopsanPolicy)
+    assert float(policy.normalizer.std.min()) > 0
+    assert not torch.equal(policy.normalizer.mean, torch.zeros(77))
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bits(onnx, tmp_path):
+    whole = train("smoke-distill", overrides=[f"teacher={onnx}"], runs=tmp_path, quiet=True)
+
+    class Quiet:
+        def at(self, *_):
+            self.count = getattr(self, "count", 0) + 1
+
+        add = rewind = lambda self, *_: None
+
+    settings = config(onnx)
+    part = RunFolder.create(tmp_path, settings)
+    bar = Quiet()
+    # stopped in iteration 0, and once more while iteration 1 is collected
+    Distill(settings, part).learn(bar, lambda: getattr(bar, "count", 0) >= 13)
+    assert part.load("last")[0]["updates"] == 13
+    Distill(settings, part).learn(bar, lambda: bar.count >= 20)
+    state = part.load("last")[0]
+    assert (state["updates"], state["iterations"]) == (20, 1)
+    train("smoke-distill", resume=part.path, runs=tmp_path, quiet=True)
+    expected, found = (load_policy(path, "last").state_dict() for path in (whole, part.path))
+    assert all(torch.equal(expected[key], found[key]) for key in expected)
+
+
+def test_a_policy_may_learn_from_a_run_an_onnx_file_or_a_nir_file(onnx, tmp_path):
+    observation = np.random.default_rng(0).normal(size=(5, 77))
+    torch.manual_seed(1)
+    expected = of_policy(MlpPolicy(77, 18, hidden=(8,))).act_all(observation)
+    np.testing.assert_allclose(
+        teacher(str(onnx), "hexapod").act_all(observation), expected, atol=1e-5
+    )
+    policy = PopsanPolicy(77, 18, hidden=(8,), populations=2)
+    written = to_nir(policy, Provenance(HEXAPOD), tmp_path / "p.nir")
+    found = teacher(str(written), "hexapod")
+    assert (found.observations, found.actions) == (77, 18)
+    np.testing.assert_allclose(
+        found.act_all(observation), of_policy(policy.double()).act_all(observation), atol=1e-5
+    )
+    run = RunFolder.create(tmp_path, config())
+    run.save("last", policy.float(), {})
+    assert teacher(str(run.path), HEXAPOD).env == "hexapod"
+
+
+def test_the_teachers_score_is_its_return_on_the_validation_seeds():
+    still = constant(np.zeros(18))
+    validation = ValidationConfig(episodes=2, limit=5)
+    env = envs.make("hexapod", max_steps=5)
+    totals = []
+    for seed in (5_000, 5_001):
+        env.reset(seed=seed)
+        totals.append(sum(env.step(np.zeros(18))[1] for _ in range(5)))
+    assert score(still, EnvConfig(), validation) == pytest.approx(np.mean(totals))
+
+
+def test_a_missing_or_unfit_teacher_is_refused_before_anything_is_trained(onnx, tmp_path):
+    run = RunFolder.create(tmp_path, config())
+    with pytest.raises(ConfigError, match="--set teacher=PATH"):
+        Distill(config(), run)
+    with pytest.raises(ConfigError, match="no teacher at"):
+        Distill(config(tmp_path / "none.onnx"), run)
+    with pytest.raises(ConfigError, match="no run folder"):
+        Distill(config(tmp_path / "none"), run)
+    with pytest.raises(ConfigError, match="Hexapod-v0, not in hexapod-command"):
+        Distill(config(onnx, env=EnvConfig(name="hexapod-command")), run)
+    small = to_onnx(MlpPolicy(6, 2, hidden=()), Provenance(HEXAPOD), tmp_path / "small.onnx")
+    with pytest.raises(ConfigError, match="takes 6 observations"):
+        Distill(config(small), run)
+
+
+@pytest.mark.parametrize("task", ["hexapod", "hexapod-command"])
+def test_students_and_controls_learn_from_the_same_data(task):
+    budgets = set()
+    for student in STUDENTS:
+        assert RECIPES[f"{task}-{student}"].algorithm == "distill"
+        found = resolve(DistillConfig, f"{task}-{student}")
+        budgets.add((found.env.name, found.iterations, found.states, found.updates, found.batch))
+    assert len(budgets) == 1
+    assert budgets.pop()[0] == task

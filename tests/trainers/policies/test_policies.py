@@ -1,0 +1,169 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, build, from_config
+from spikedeploy.trainers.policies.features import features
+from spikedeploy.trainers.policies.normaliser import Moments, TorchNormaliser
+
+SMALL = {"hidden": (16, 12), "populations": 4, "timesteps": 5}
+
+
+@pytest.fixture
+def popsan():
+    torch.manual_seed(0)
+    return PopsanPolicy(6, 3, **SMALL).double().requires_grad_(False)
+
+
+@pytest.fixture
+def observations():
+    return torch.randn(20, 6, generator=torch.manual_seed(1), dtype=torch.float64)
+
+
+def numpy_spikes(policy, observation):
+    """The whole network written out in NumPy, one timestep after the other."""
+    normalizer, encoder = policy.normalizer, policy.encoder
+    x = (observation.numpy() - normalizer.mean.numpy()) / normalizer.std.numpy()
+    x = np.clip(x, -normalizer.clip, normalizer.clip)
+    drive = np.exp(-0.5 * ((x[:, :, None] - encoder.mean.numpy()) / encoder.std.numpy()) ** 2)
+    drive = drive.reshape(len(x), -1)
+    volt = np.zeros_like(drive)
+    states = [(np.zeros((len(x), layer.out_features)),) * 2 for layer in policy.layers]
+    record = [[] for _ in range(1 + len(states))]
+    for _ in range(policy.timesteps):
+        volt = volt + drive
+        spikes = (volt > encoder.threshold).astype(float)
+        volt = volt - encoder.threshold * spikes
+        record[0].append(spikes)
+        for k, layer in enumerate(policy.layers):
+            current, membrane = states[k]
+            current = policy.alpha * current + spikes @ layer.weight.numpy().T + layer.bias.numpy()
+            membrane = policy.beta * membrane + current
+            spikes = (membrane > policy.threshold).astype(float)
+            states[k] = current, membrane * (1 - spikes)
+            record[k + 1].append(spikes)
+    return [np.stack(raster, axis=1) for raster in record]
+
+
+def test_every_spike_and_the_action_equal_numpy_in_float64(popsan, observations):
+    trace = popsan.trace(observations)
+    rasters = numpy_spikes(popsan, observations)
+    for name, raster in zip(("input", "lif1", "lif2", "lif3"), rasters, strict=True):
+        assert raster.sum() > 0
+        assert np.array_equal(trace[name].numpy(), raster), name
+    rates = rasters[-1].mean(1).reshape(len(observations), popsan.actions, -1)
+    mean = (rates * popsan.decoder_weight.numpy()).sum(-1) + popsan.decoder_bias.numpy()
+    np.testing.assert_allclose(trace["action"].numpy(), np.tanh(mean), atol=1e-12)
+
+
+def test_the_action_of_the_trace_is_that_of_the_policy(popsan, observations):
+    assert torch.equal(popsan.trace(observations)["action"], popsan(observations))
+
+
+def test_a_policy_has_no_memory_of_the_inference_before(popsan, observations):
+    assert torch.equal(popsan(observations), popsan(observations))
+    torch.testing.assert_close(popsan(observations[:3]), popsan(observations)[:3])
+
+
+def test_every_parameter_of_a_popsan_learns(observations):
+    torch.manual_seed(0)
+    policy = PopsanPolicy(6, 3, **SMALL)
+    policy(observations.float()).square().sum().backward()
+    for name, parameter in policy.named_parameters():
+        assert parameter.grad.abs().sum() > 0, name
+
+
+def test_encoder_starts_as_in_the_paper(popsan):
+    assert popsan.encoder.mean[0].tolist() == [-3.0, -1.0, 1.0, 3.0]
+    torch.testing.assert_close(popsan.encoder.std.square(), torch.full((6, 4), 0.15).double())
+
+
+def test_spiking_layers_are_alive_and_sparse_at_the_start():
+    torch.manual_seed(0)
+    policy = PopsanPolicy(77, 18).requires_grad_(False)
+    rates = policy.latent(torch.randn(64, 77)).rates
+    assert all(0.01 < rate < 0.6 for rate in rates)
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        MlpPolicy(6, 3, (8, 8), clip=2.0),
+        MlpPolicy(6, 3, ()),
+        MlpPolicy(6, 3, (), features("phase", 6, {"phase": slice(0, 2)})),
+        PopsanPolicy(6, 3, **SMALL, surrogate="rectangular", threshold=0.7),
+    ],
+    ids=["mlp", "linear", "phase", "popsan"],
+)
+def test_a_policy_is_rebuilt_from_its_spec_and_weights(policy):
+    copy = build(json.loads(json.dumps(policy.spec())))
+    copy.load_state_dict(policy.state_dict())
+    observation = torch.randn(5, 6)
+    assert torch.equal(copy(observation), policy(observation))
+    assert policy(observation).abs().max() <= 1
+
+
+def test_a_policy_without_hidden_layers_is_linear_before_tanh():
+    policy = MlpPolicy(4, 2, ()).double()
+    a, b = torch.rand(1, 4).double(), torch.rand(1, 4).double()
+    middle = policy.latent((a + b) / 2).mean
+    torch.testing.assert_close(middle, (policy.latent(a).mean + policy.latent(b).mean) / 2)
+
+
+def test_phase_features_see_nothing_else():
+    policy = from_config(MlpConfig(hidden=(8,), features="phase"), 6, 3, columns=COLUMNS)
+    observation = torch.randn(4, 6)
+    other = observation.clone()
+    other[:, [0, 3, 4, 5]] += 1.0
+    assert torch.equal(policy(observation), policy(other))
+
+
+COLUMNS = {"phase": slice(1, 3), "command": slice(4, 6)}
+
+
+def test_bilinear_features_are_waves_times_commands():
+    phase, command = 0.7, (0.3, -2.0)
+    row = [9.0, np.sin(phase), np.cos(phase), 9.0, *command]
+    waves = [1.0, np.sin(phase), np.cos(phase), np.sin(2 * phase), np.cos(2 * phase)]
+    expected = [scale * wave for scale in (1.0, *command) for wave in waves][1:]
+    found = features("bilinear", 6, COLUMNS)(torch.tensor([row], dtype=torch.float64))
+    np.testing.assert_allclose(found[0], expected)
+
+
+def test_features_without_a_phase_are_refused():
+    with pytest.raises(ConfigError, match="phase"):
+        features("bilinear", 6, None)
+
+
+def test_an_unknown_kind_of_policy_is_refused():
+    with pytest.raises(ConfigError, match="unknown kind of policy 'popsam': did you mean popsan"):
+        build({"kind": "popsam"})
+
+
+def test_configurations_give_the_policies_they_describe():
+    policy = from_config(PopsanConfig(hidden=(8,), populations=2), 6, 3, clip=3.0)
+    assert isinstance(policy, PopsanPolicy)
+    assert [layer.out_features for layer in policy.layers] == [8, 6]
+    assert policy.normalizer.clip == 3.0
+
+
+def test_running_moments_equal_those_of_all_data():
+    data = np.random.default_rng(0).normal(3.0, 2.0, (1000, 4))
+    moments = Moments.empty(4)
+    for part in np.array_split(data, 37):
+        moments.add(part)
+    np.testing.assert_allclose(moments.mean, data.mean(0))
+    np.testing.assert_allclose(moments.std, data.std(0))
+
+
+def test_a_constant_observation_is_not_blown_up():
+    moments = Moments.empty(1)
+    moments.add(np.full((10, 1), 5.0))
+    normalizer = TorchNormaliser(1)
+    normalizer.adopt(moments)
+    assert normalizer(torch.tensor([[5.001]])).abs() < 0.2
+    assert normalizer(torch.tensor([[50.0]])) == 4.0

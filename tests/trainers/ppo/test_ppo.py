@@ -1,0 +1,168 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy import envs, zoo
+from spikedeploy.envs.ghosts import Ghosts
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import PopsanConfig, resolve
+from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.policies import build, from_config
+from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.ppo.learner import PpoLearner
+from spikedeploy.trainers.ppo.ppo import Ppo
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.train import train
+from tests.choosing import Choosing
+from tests.pointing import Pointing
+
+QUICK = [
+    "env.count=8", "steps=4096", "horizon=64", "minibatch=64", "validation.every=2048",
+    "validation.episodes=4", "gamma=0.0", "actor_rate.start=3e-3", "actor_rate.end=3e-3",
+    "critic_hidden=[16]", "checkpoint_every=2048", "validation.limit=10",
+]  # fmt: skip
+SPIKING = ["policy.hidden=[32]", "policy.timesteps=8"]
+
+
+@pytest.fixture(params=[Choosing, Pointing])
+def world(request, monkeypatch):
+    monkeypatch.setattr(envs, "make", lambda name, **options: request.param())
+    return request.param
+
+
+@pytest.mark.parametrize(
+    ("recipe", "settings"),
+    [
+        ("kart-grid-small", ["policy.hidden=[32]"]),
+        ("smoke-kart", SPIKING),
+        ("smoke-kart", [*SPIKING, "policy.coding=bernoulli", "policy.timesteps=16"]),
+        ("smoke-kart", [*SPIKING, "policy.coding=population"]),
+    ],
+)
+def test_it_learns_within_seconds_whatever_the_head_and_the_code(recipe, settings, tmp_path, world):
+    run = train(recipe, overrides=[*QUICK, *settings], runs=tmp_path, quiet=True)
+    first, *_, last = (row["episode_return"] for row in read(run / "metrics.csv"))
+    # of 10: random choices earn 2.5, random pointing about -1.3
+    assert last > first + 1.5
+    policy = load_policy(run)
+    seen = torch.rand(200, 2) * 1.6 - 0.8
+    if world is Choosing:
+        right = (seen[:, 0] > 0).long() + 2 * (seen[:, 1] > 0).long()
+        assert (policy(seen) == right).float().mean() > 0.5
+    else:
+        assert (policy(seen) - seen).abs().mean() < 0.45
+
+
+def test_a_resumed_run_goes_on_where_it_stopped(tmp_path, world):
+    settings = [*QUICK, *SPIKING]
+    run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
+    train("smoke-kart", overrides=["steps=6144"], resume=run, quiet=True)
+    rows = read(run / "metrics.csv")
+    assert [row["env_steps"] for row in rows] == list(range(512, 6145, 512))
+    episodes = read(run / "episodes.csv")
+    assert len(episodes) == rows[-1]["episodes"]
+    assert sum(row["steps"] for row in episodes) <= 6144
+
+
+@pytest.mark.parametrize("world", [Choosing], indirect=True)
+def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world):
+    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
+    episodes = read(run / "episodes.csv")
+    # eight copies, stepped in turn, end together every ten steps of each
+    assert [row["env_steps"] for row in episodes[:9]] == [*range(73, 81), 153]
+    assert all(row["steps"] == 10 for row in episodes)
+    finishes = sum(row["finish"] for row in episodes)
+    assert read(run / "metrics.csv")[-1]["finishes"] == finishes > 0
+
+
+@pytest.mark.parametrize("world", [Choosing], indirect=True)
+def test_training_ends_after_as_many_finishes_as_were_asked_for(tmp_path, world):
+    settings = [*QUICK, *SPIKING, "stop_at_finishes=5"]
+    run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
+    last = read(run / "metrics.csv")[-1]
+    assert last["finishes"] >= 5
+    assert last["env_steps"] < 4096
+    assert "eval_return" in last  # the last policy is judged, too
+    state, _ = RunFolder(run).load("last")
+    assert state["finished"]
+
+
+def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():
+    torch.manual_seed(0)
+    policy = build(
+        {"kind": "spiking-mlp", "observations": 3, "actions": 4, "coding": "bernoulli",
+         "head": "discrete"}
+    )  # fmt: skip
+    learner = PpoLearner(resolve(PpoConfig, "smoke-kart"), policy)
+    observation = torch.zeros(5, 3)
+    encoded, drawn, log_probability = learner.explore(observation)
+    assert encoded.dtype == torch.uint8
+    assert not torch.equal(encoded, policy.sample_encoding(observation))
+    again = learner.head.log_probability(policy.forward_encoded(encoded).mean, drawn)
+    assert torch.equal(again, log_probability)
+
+
+def test_at_first_all_actions_are_nearly_alike():
+    policy = build({"kind": "spiking-mlp", "observations": 3, "actions": 4, "head": "discrete"})
+    PpoLearner(resolve(PpoConfig, "smoke-kart"), policy)
+    shares = policy.scores(torch.rand(50, 3)).softmax(-1)
+    assert (shares - 0.25).abs().max() < 0.01
+
+
+def test_a_policy_that_observes_only_the_phase_is_refused():
+    with pytest.raises(ConfigError, match="ppo learns from all observations"):
+        resolve(PpoConfig, "kart-grid-ann", overrides=["policy.features=phase"])
+
+
+@pytest.mark.parametrize("world", [Choosing], indirect=True)
+def test_observations_are_normalised_until_that_is_frozen(tmp_path, world):
+    config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, "normaliser.finish=600"])
+    learner = Ppo(config, RunFolder.create(tmp_path, config))
+    seen = []
+    for _ in range(3):
+        learner._envs.step(np.zeros(8, np.int64))
+        seen.append(learner.policy.normalizer.std.clone())
+        learner.collect()
+    assert torch.equal(seen[0], torch.ones(2))
+    assert not torch.equal(seen[1], seen[0])
+
+
+def test_the_drives_of_training_are_kept_as_ghosts(tmp_path):
+    run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
+    files = sorted((run / "ghosts").glob("*.npz"))
+    drives = [drive for file in files for drive in Ghosts.load(file).drives]
+    episodes = read(run / "episodes.csv")
+    assert [drive.env_step for drive in drives] == [row["env_steps"] for row in episodes]
+    assert [drive.steps for drive in drives] == [row["steps"] for row in episodes]
+    assert len(drives) > 0
+    assert all(0 <= drive.seed < 5_000 for drive in drives)
+
+
+def test_a_resumed_run_keeps_no_ghosts_of_what_it_drives_again(tmp_path):
+    run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
+    later = run / "ghosts" / "00099.npz"
+    later.write_bytes(b"of a drive after the checkpoint")
+    train("smoke-kart", resume=run, overrides=["steps=384"], quiet=True)
+    assert not later.exists()
+
+
+@pytest.mark.parametrize("world", [Choosing], indirect=True)
+def test_a_world_without_poses_leaves_no_ghosts(tmp_path, world):
+    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
+    assert not (run / "ghosts").exists()
+
+
+@pytest.mark.parametrize(("recipe", "name"), [("smoke", "sac"), ("smoke-distill", "distill")])
+def test_algorithms_for_continuous_actions_refuse_discrete_ones(recipe, name, tmp_path):
+    settings = ["env.name=kart-grid"]
+    if name == "distill":
+        settings.append(f"teacher={Path(zoo.__file__).parent / 'kart-grid/ann.onnx'}")
+    with pytest.raises(ConfigError, match=f"{name} learns continuous actions, and .*Grid"):
+        train(recipe, overrides=settings, runs=tmp_path, quiet=True)
+
+
+def test_a_popsan_refuses_to_choose():
+    with pytest.raises(ConfigError, match="a popsan has continuous actions"):
+        from_config(PopsanConfig(), 3, 4, head="discrete")

@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy import envs
+from spikedeploy.trainers.config import EnvConfig, resolve
+from spikedeploy.trainers.env_batch import EnvBatch
+from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.policies import MlpPolicy
+from spikedeploy.trainers.run_folder import load_policy
+from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sac.learner import GaussianActor, SacLearner
+from spikedeploy.trainers.sac.replay import ReplayBatch
+from spikedeploy.trainers.train import train
+from spikedeploy.trainers.validation import Validator
+from tests.pointing import Pointing
+
+
+@pytest.fixture
+def pointing(monkeypatch):
+    Pointing.seeds = ()
+    monkeypatch.setattr(envs, "make", lambda name, **options: Pointing())
+
+
+QUICK = [
+    "steps=400", "warm_up=100", "update_every=1", "batch=32", "policy.hidden=[32]", "tau=0.05",
+    "critic_hidden=[32]", "learning_rate=1e-2", "validation.every=200", "validation.limit=10",
+    "temperature.start=0.02", "temperature.end=0.02", "mean_penalty=0", "gamma=0.0",
+    "log_every=200", "precision=float32", "env.count=4",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("recipe", ["smoke", "smoke-popsan"])
+def test_it_learns_to_point_in_a_few_hundred_updates(recipe, tmp_path, pointing):
+    run = train(recipe, overrides=QUICK, runs=tmp_path, quiet=True)
+    returns = [row["eval_return"] for row in read(run / "metrics.csv") if "eval_return" in row]
+    assert len(returns) == 2
+    # random actions earn -2, perfect ones 10
+    assert max(returns) > 5.0
+    policy = load_policy(run)
+    goals = torch.rand(200, 2) * 1.6 - 0.8
+    assert (policy(goals) - goals).abs().mean() < 0.2
+
+
+def test_training_never_touches_the_seeds_of_validation_and_evaluation(pointing):
+    batch = EnvBatch(EnvConfig(count=3), np.random.default_rng(0))
+    for _ in range(200):
+        batch.step(batch.uniform())
+    assert len(set(Pointing.seeds)) > 30
+    assert max(Pointing.seeds) < 5_000
+
+
+def test_validation_uses_the_same_seeds_every_time(pointing):
+    config = resolve(SacConfig, "smoke", overrides=["validation.episodes=3"]).validation
+    validate = Validator(EnvConfig(), config)
+    Pointing.seeds = ()
+    first, second = validate(MlpPolicy(2, 2, ())), validate(MlpPolicy(2, 2, ()))
+    assert Pointing.seeds == (5000, 5001, 5002) * 2
+    assert first["eval_speed"] == second["eval_speed"] == 0.5
+    assert first["eval_falls"] == 0.0
+
+
+def test_the_support_force_reaches_the_environment_in_training_only(pointing):
+    batch = EnvBatch(EnvConfig(count=1), np.random.default_rng(0))
+    batch.support_force(0.75)
+    assert batch._envs[0].support_force == 0.75
+    validate = Validator(EnvConfig(), resolve(SacConfig, "smoke").validation)
+    validate(MlpPolicy(2, 2, ()))
+    assert not any(hasattr(env, "support_force") for env in validate._envs)
+
+
+def learner(*overrides):
+    torch.manual_seed(0)
+    config = resolve(SacConfig, "smoke", overrides=["precision=float32", *overrides])
+    return SacLearner(config, MlpPolicy(2, 2, (16,)))
+
+
+def random_batch(size=64, **changes):
+    generator = torch.manual_seed(1)
+    parts = {
+        "observation": torch.rand(size, 2, generator=generator),
+        "action": torch.rand(size, 2, generator=generator),
+        "reward": torch.ones(size),
+        "terminated": torch.zeros(size),
+        "following": torch.rand(size, 2, generator=generator),
+    }
+    return ReplayBatch(**{**parts, **changes})
+
+
+def test_nothing_is_expected_after_a_termination():
+    sac = learner()
+    goal = sac._goal(random_batch(terminated=torch.ones(64)), temperature=0.05)
+    assert torch.equal(goal, torch.ones(64))
+
+
+def test_critics_come_to_agree_with_a_return_that_is_known():
+    sac = learner("learning_rate=0.01")
+    batch = random_batch(terminated=torch.ones(64), reward=torch.full((64,), 3.0))
+    for _ in range(200):
+        losses = sac.update(batch, temperature=0.0)
+    assert losses["critic_loss"] < 0.01
+    assert abs(sac.critic(batch.observation, batch.action)[0].mean() - 3.0) < 0.2
+
+
+def test_targets_follow_by_tau():
+    sac = learner("tau=0.25")
+    before = [parameter.clone() for parameter in sac.target.parameters()]
+    sac.update(random_batch(), temperature=0.05)
+    for old, new, source in zip(
+        before, sac.target.parameters(), sac.critic.parameters(), strict=True
+    ):
+        torch.testing.assert_close(new, old + 0.25 * (source - old))
+
+
+def test_the_penalty_keeps_the_mean_away_from_saturation():
+    sizes = []
+    for weight in (0.0, 10.0):
+        sac = learner(f"mean_penalty={weight}", "learning_rate=0.01")
+        for _ in range(50):
+            sac.update(random_batch(), temperature=0.05)
+        sizes.append(sac.actor.policy.latent(random_batch().observation).mean.abs().mean())
+    assert sizes[1] < 0.5 * sizes[0]
+
+
+def test_the_log_probability_is_that_of_a_squashed_gaussian():
+    torch.manual_seed(0)
+    actor = GaussianActor(MlpPolicy(2, 1, ()), epsilon=0.0).double().requires_grad_(False)
+    observation = torch.zeros(1, 2, dtype=torch.float64)
+    action, log_prob, latent = actor(observation)
+    std = actor.log_std(latent.hidden).exp()
+    gauss = torch.distributions.Normal(latent.mean, std)
+    squashed = torch.distributions.TransformedDistribution(
+        gauss, [torch.distributions.TanhTransform()]
+    )
+    torch.testing.assert_close(log_prob, squashed.log_prob(action).sum(-1))
+
+
+def test_the_spread_is_no_part_of_the_policy():
+    actor = GaussianActor(MlpPolicy(2, 1, (4,)))
+    assert not any("log_std" in name for name in actor.policy.state_dict())
+
+
+def test_sac_refuses_policies_that_do_not_observe_everything():
+    with pytest.raises(Exception, match="distil policies that observe less"):
+        resolve(SacConfig, "smoke", overrides=["policy.features=phase"])
+
+
+def test_the_saved_policy_averages_the_actors_weights():
+    sac = learner("averaging=0.5")
+    first = sac.actor.policy.layers[0].weight
+    steps = []
+    for updates in range(1, 4):
+        with torch.no_grad():
+            first += 1.0
+        steps.append(first.detach().clone())
+        sac.average(updates)
+    # 10 / (1 + 9) = 1, 10 / (2 + 9) and 10 / (3 + 9) of the newest weights, each above 0.5
+    kept = steps[0].lerp(steps[1], 10 / 11).lerp(steps[2], 10 / 12)
+    torch.testing.assert_close(sac.policy.layers[0].weight, kept)
+
+
+def test_learning_moves_the_actor_and_leaves_the_saved_policy_to_the_average():
+    sac = learner()
+    before = sac.policy.layers[0].weight.clone()
+    sac.update(random_batch(), temperature=0.05)
+    torch.testing.assert_close(sac.policy.layers[0].weight, before, rtol=0, atol=0)
+    assert not torch.equal(sac.actor.policy.layers[0].weight, before)

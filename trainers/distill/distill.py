@@ -1,0 +1,202 @@
+"""Distillation by DAgger: a student learns what its teacher would do in the student's own states.
+
+Iteration 0 collects states under the teacher's actions, later ones under the student's, so that the
+student learns to recover from its own mistakes. The teacher labels all states, and the student
+learns from all that were collected so far (Ross et al. 2011).
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers import adam
+from spikedeploy.trainers.distill.config import DistillConfig
+from spikedeploy.trainers.distill.dagger import DaggerDataset, collect, iteration_envs
+from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
+from spikedeploy.trainers.policies import Policy, PopsanPolicy, from_config
+from spikedeploy.trainers.policies.neurons import excess_rate, firing_rates, mean_rate
+from spikedeploy.trainers.policies.normaliser import Moments
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import Runner
+
+
+class Distill(Runner[DistillConfig]):
+    """One run of distillation.
+
+    updates, iterations: counters, continued by a resumed run
+    dataset: all labelled states so far
+    teacher_return: mean return of the teacher on the validation seeds
+    """
+
+    Config = DistillConfig
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "updates",
+        "env_steps",
+        "iteration",
+        "loss",
+        "rate_penalty",
+        "updates_per_s",
+        "episode_return",
+        "eval_return",
+        "eval_of_teacher",
+        "eval_speed",
+        "eval_cot",
+        "eval_falls",
+        "eval_speed_rmse",
+        "eval_turn_rmse",
+    )
+    COUNTERS = ("updates", "env_steps", "iterations", "teacher_return", "best")
+    SPEED = "updates_per_s"
+    learner: "DistillLearner"
+
+    def __init__(self, config: DistillConfig, run: RunFolder) -> None:
+        super().__init__(
+            config,
+            run,
+            total=config.updates,
+            log_every=config.log_every,
+            checkpoint_every=config.checkpoint_every,
+        )
+        self._teacher = teacher(config.teacher, config.env.name)
+        envs = iteration_envs(config, 0)
+        envs.require_continuous("distill")
+        sizes = envs.observation.shape[1], envs.actions
+        if sizes != (self._teacher.observations, self._teacher.actions):
+            raise ConfigError(
+                f"the teacher {config.teacher} takes {self._teacher.observations} observations and "
+                f"gives {self._teacher.actions} actions; {config.env.name} has {sizes}"
+            )
+        self.policy = from_config(config.policy, *sizes, config.normaliser.clip, envs.columns)
+        self.learner = DistillLearner(config, self.policy)
+        self.dataset = DaggerDataset(*sizes)
+        self.updates = self.iterations = 0
+        self.teacher_return = np.nan
+        self._losses: Mapping[str, Tensor] = {}
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps so far, each of which has become a labelled state."""
+        return len(self.dataset)
+
+    def _begin(self) -> None:
+        self.teacher_return = score(self._teacher, self._config.env, self._config.validation)
+
+    def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        if self._due_for_collection and not self._collect(stopped):
+            return False
+        self._update()
+        return True
+
+    @property
+    def _due_for_collection(self) -> bool:
+        """Whether the updates for the iterations collected so far are done."""
+        done = self.updates * self._config.iterations // self._config.updates
+        return self.iterations <= done
+
+    def _collect(self, stopped: Callable[[], bool]) -> bool:
+        """Collect the labelled states of an iteration; return whether it was not stopped."""
+        student = of_policy(self.policy)
+        found = collect(self._config, self.iterations, self._teacher, student, stopped)
+        if found is None:
+            return False
+        self.dataset.add(found.observation, found.label)
+        self._returns = found.returns
+        self.iterations += 1
+        self._fit_normaliser()
+        return True
+
+    @torch.no_grad()
+    def _fit_normaliser(self) -> None:
+        """Fit the normaliser to the dataset, unless it is frozen."""
+        if self.iterations > 1 and self.env_steps > self._config.normaliser.finish:
+            return
+        seen = self.policy.features_of(self.dataset.observation.double()).numpy()
+        moments = Moments.empty(seen.shape[1])
+        moments.add(seen)
+        self.policy.normalizer.adopt(moments)
+
+    def _update(self) -> None:
+        """Take one gradient step on a random batch of the dataset."""
+        observation, label = self.dataset.sample(self._config.batch, self._rng)
+        progress = self.updates / self._config.updates
+        self._losses = self.learner.update(observation, label, progress)
+        self.updates += 1
+
+    def _evaluate(self) -> dict[str, float]:
+        row = super()._evaluate()
+        row["eval_of_teacher"] = row["eval_return"] / self.teacher_return
+        return row
+
+    def _metrics(self) -> dict[str, float]:
+        return {
+            "updates": self.updates,
+            "env_steps": self.env_steps,
+            "iteration": self.iterations - 1,
+            **{name: float(loss) for name, loss in self._losses.items()},
+        }
+
+    def _tensors(self) -> dict[str, Tensor]:
+        return self.dataset.tensors()
+
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        self.dataset.load(tensors)
+        self.updates, self.iterations = state["updates"], state["iterations"]
+        self.teacher_return = state["teacher_return"]
+
+
+class DistillLearner:
+    """A student, and gradient updates of it towards its teacher.
+
+    student: the policy that learns
+    """
+
+    def __init__(self, config: DistillConfig, student: Policy) -> None:
+        self._config = config
+        self.student = student
+        self.optimizer = adam.adam(student, config.learning_rate)
+
+    def update(self, observation: Tensor, label: Tensor, progress: float) -> dict[str, Tensor]:
+        """Take one gradient step towards labels (B, act); `progress` runs from 0 to 1."""
+        # lr = lr_0 (1 + cos(pi progress)) / 2
+        rate = self._config.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        action, penalty = self._act(observation)
+        error = (action - label).square().mean()
+        self.optimizer.zero_grad()
+        (error + penalty).backward()  # type: ignore[no-untyped-call]
+        self.optimizer.step()
+        return {"loss": error.detach(), "rate_penalty": penalty.detach()}
+
+    def _act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the student's actions (B, act), and the penalty of its firing rates."""
+        enabled = self._config.precision == "bfloat16"
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
+            if not isinstance(self.student, PopsanPolicy):
+                latent = self.student.latent(observation)
+                return self.student.decide(latent.mean), self._penalty((), latent.rates)
+            spikes = self.student.spikes(observation)
+            action = torch.tanh(self.student.decode(firing_rates(spikes[-1])))
+        encoder, *layers = (mean_rate(raster) for raster in spikes)
+        return action, self._penalty([encoder], layers)
+
+    def _penalty(self, encoders: Iterable[Tensor], layers: Iterable[Tensor]) -> Tensor:
+        """Return the penalty of mean firing rates above their targets."""
+        config = self._config
+        inputs = config.input_penalty * excess_rate(encoders, config.input_target)
+        return inputs + config.rate_penalty * excess_rate(layers, config.rate_target)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors of a checkpoint except the student's, by name."""
+        state = adam.tensors(self.optimizer)
+        return {f"adam.{name}": value for name, value in state.items()}
+
+    def load(self, named: dict[str, Tensor]) -> None:
+        """Restore the tensors of a checkpoint, the student's under "policy." included."""
+        self.student.load_state_dict(adam.under("policy", named))
+        adam.load(self.optimizer, adam.under("adam", named))

@@ -1,0 +1,76 @@
+"""Policies: torch modules from observation to action, the part that is deployed.
+
+POLICIES is the table of kinds; `from_config` builds a policy from a configuration, `build` from
+the spec in a checkpoint.
+
+policy.py       Policy, and what it computes before an action is chosen
+mlp.py          float multilayer perceptron, or a linear map
+popsan.py       population-coded spiking actor
+spiking_mlp.py  spiking multilayer perceptron with a linear readout
+neurons.py      LIF and CuBa-LIF layers with surrogate gradients, firing rates
+encoders.py     population and rate codes
+features.py     inputs of control policies
+normaliser.py   observation normalisation and running statistics
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import PolicyConfig, known
+from spikedeploy.trainers.policies.features import Features, features
+from spikedeploy.trainers.policies.mlp import MlpPolicy
+from spikedeploy.trainers.policies.policy import Head, Latent, Policy
+from spikedeploy.trainers.policies.popsan import PopsanPolicy
+from spikedeploy.trainers.policies.spiking_mlp import SpikingMlpPolicy
+
+__all__ = [
+    "POLICIES",
+    "Head",
+    "Latent",
+    "MlpPolicy",
+    "Policy",
+    "PopsanPolicy",
+    "SpikingMlpPolicy",
+    "build",
+    "from_config",
+]
+
+POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy] | type[SpikingMlpPolicy]] = {
+    "mlp": MlpPolicy,
+    "popsan": PopsanPolicy,
+    "spiking-mlp": SpikingMlpPolicy,
+}
+
+
+def build(spec: Mapping[str, Any]) -> Policy:
+    """Return an untrained policy from the result of `Policy.spec`."""
+    settings = dict(spec)
+    policy = POLICIES[known(settings.pop("kind"), POLICIES, "kind of policy")]
+    if "features" in settings:
+        settings["features"] = Features(
+            observations=settings["observations"], **settings["features"]
+        )
+    return policy(**settings)
+
+
+def from_config(
+    config: PolicyConfig,
+    observations: int,
+    actions: int,
+    clip: float = 4.0,
+    columns: Mapping[str, slice] | None = None,
+    head: Head = "continuous",
+) -> Policy:
+    """Return an untrained policy as configured; `columns` is the environment's OBSERVATION."""
+    spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
+    if "features" in spec:
+        spec["features"] = features(spec["features"], observations, columns).spec()
+    if head == "discrete":
+        if config.kind == "popsan":
+            raise ConfigError(
+                "a popsan has continuous actions, and this environment takes discrete ones: choose "
+                "policy.kind spiking-mlp or mlp"
+            )
+        spec["head"] = head
+    return build(spec)

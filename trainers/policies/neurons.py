@@ -1,0 +1,179 @@
+"""Spiking neurons with surrogate gradients, fused over time, and their firing rates.
+
+`cuba_lif` and `integrate_and_fire` run a whole layer over all timesteps in one autograd node. The
+forward pass is the arithmetic of files and chips; the backward pass of `cuba_lif` equals snnTorch's
+`Synaptic` with reset_mechanism="zero", reset_delay=False, in which the gradient also flows through
+the reset.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from spikedeploy.runtime.errors import ConfigError
+
+LOW_PRECISION = (torch.bfloat16, torch.float16)
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """Surrogate derivative of a spike, as a function of membrane minus threshold.
+
+    name: key of `SURROGATES`
+    width: alpha of atan and slope of fast-sigmoid [1/membrane], half-width of rectangular
+        [membrane]
+    """
+
+    name: str
+    width: float
+
+    def __call__(self, excess: Tensor) -> Tensor:
+        """Return d spike / d membrane."""
+        return SURROGATES[self.name][0](excess, self.width)
+
+
+def atan(excess: Tensor, alpha: float) -> Tensor:
+    """Return the derivative of a scaled arctangent (Fang et al. 2021), as snnTorch's `atan`."""
+    # ds/dv = (alpha / 2) / (1 + (pi / 2 * alpha * (v - threshold))^2)
+    return (excess * (math.pi / 2 * alpha)).square_().add_(1).reciprocal_().mul_(alpha / 2)
+
+
+def rectangular(excess: Tensor, width: float) -> Tensor:
+    """Return one near the threshold, zero elsewhere (Tang et al. 2020)."""
+    # ds/dv = |v - threshold| < width
+    return (excess.abs() < width).to(excess.dtype)
+
+
+def fast_sigmoid(excess: Tensor, slope: float) -> Tensor:
+    """Return the derivative of x / (1 + k |x|) (Zenke and Ganguli 2018), as snnTorch's."""
+    # ds/dv = 1 / (1 + k |v - threshold|)^2
+    return excess.abs().mul_(slope).add_(1).square_().reciprocal_()
+
+
+SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
+    "atan": (atan, 2.0),
+    "fast-sigmoid": (fast_sigmoid, 25.0),
+    "rectangular": (rectangular, 0.5),
+}
+
+
+def surrogate(name: str, width: float | None = None) -> Surrogate:
+    """Return a surrogate by name; width None takes that of its paper."""
+    if name not in SURROGATES:
+        raise ConfigError(f"unknown surrogate '{name}': known: {', '.join(SURROGATES)}")
+    return Surrogate(name, SURROGATES[name][1] if width is None else width)
+
+
+def cuba_lif(
+    drive: Tensor, alpha: float, beta: float, threshold: float, gradient: Surrogate
+) -> Tensor:
+    """Return the spikes (T, B, N) of a current-based leaky integrate-and-fire layer at rest.
+
+    drive: (T, B, N) weighted input of each timestep, bias included
+    alpha, beta: decay factors of current and membrane per timestep
+    threshold: a membrane above it spikes and is set to zero
+    """
+    spikes: Tensor = _CubaLif.apply(drive, alpha, beta, threshold, gradient)  # type: ignore[no-untyped-call]
+    return spikes
+
+
+def lif(drive: Tensor, beta: float, threshold: float, gradient: Surrogate) -> Tensor:
+    """Return the spikes (T, B, N) of a leaky integrate-and-fire layer at rest; see `cuba_lif`."""
+    return cuba_lif(drive, 0.0, beta, threshold, gradient)
+
+
+class _CubaLif(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        alpha: float,
+        beta: float,
+        threshold: float,
+        gradient: Surrogate,
+    ) -> Tensor:
+        state = torch.float32 if drive.dtype in LOW_PRECISION else drive.dtype
+        membrane = torch.empty(drive.shape, dtype=state)  # before the reset, of every timestep
+        current = torch.zeros(drive.shape[1:], dtype=state)
+        previous = torch.zeros(drive.shape[1:], dtype=state)  # membrane after the reset
+        for x, v in zip(drive.to(state), membrane, strict=True):
+            # I = alpha I + x ; V = beta V + I ; s = V > threshold ; V = (1 - s) V
+            current.mul_(alpha).add_(x)
+            torch.add(previous.mul_(beta), current, out=v)
+            # subtracting the values above the threshold is twice as fast as a masked fill
+            torch.sub(v, functional.threshold(v, threshold, 0.0), out=previous)
+        ctx.save_for_backward(membrane)
+        ctx.constants = alpha, beta, threshold, gradient
+        return (membrane > threshold).to(drive.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        (membrane,) = ctx.saved_tensors
+        alpha, beta, threshold, gradient = ctx.constants
+        excess = membrane - threshold
+        below = (excess <= 0).to(excess.dtype)
+        slope = gradient(excess)
+        # dV'/dV = (1 - s) - V ds/dV, V' the membrane after the reset
+        passed = below.addcmul_(membrane, slope, value=-1.0)
+        result = slope.mul_(upstream)  # filled in place, from the last timestep to the first
+        to_current, to_membrane = torch.zeros_like(membrane[0]), torch.zeros_like(membrane[0])
+        for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
+            torch.mul(g.addcmul_(to_membrane, share), beta, out=to_membrane)
+            to_current = g.add_(to_current, alpha=alpha)
+        return result.to(upstream.dtype), None, None, None, None
+
+
+def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:
+    """Return the spikes (T, B, N) of integrate-and-fire neurons with a constant drive.
+
+    drive: (B, N) added to the membrane at every timestep
+    threshold: a membrane above it spikes and is reduced by it
+
+    Straight-through gradient: that of each spike is passed to its drive (Tang et al. 2020).
+    """
+    spikes: Tensor = _IntegrateAndFire.apply(drive, threshold, timesteps)  # type: ignore[no-untyped-call]
+    return spikes
+
+
+class _IntegrateAndFire(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        threshold: float,
+        timesteps: int,
+    ) -> Tensor:
+        spikes = torch.empty((timesteps, *drive.shape), dtype=drive.dtype)
+        membrane = torch.zeros_like(drive)
+        for t in range(timesteps):
+            # v = v + A ; s = v > threshold ; v = v - threshold s
+            membrane.add_(drive)
+            torch.gt(membrane, threshold, out=spikes[t])
+            membrane.sub_(spikes[t], alpha=threshold)
+        return spikes
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        return upstream.sum(0), None, None
+
+
+def firing_rates(spikes: Tensor) -> Tensor:
+    """Return firing rates (B, N) of spikes (T, B, N)."""
+    precise = torch.float32 if spikes.dtype == torch.bfloat16 else spikes.dtype
+    return spikes.mean(0, dtype=precise)
+
+
+def mean_rate(spikes: Tensor) -> Tensor:
+    """Return the mean firing rate of a layer, a scalar."""
+    return spikes.mean(dtype=torch.float32)
+
+
+def excess_rate(rates: Iterable[Tensor], target: float) -> Tensor:
+    """Return by how much mean rates exceed a target, summed over layers; zero for no layers."""
+    # sum over layers of max(0, rate - target)
+    return sum(((rate - target).relu() for rate in rates), start=torch.zeros(()))

@@ -1,0 +1,9 @@
+"""Proximal policy optimisation, for discrete and continuous actions: on-policy.
+
+config.py    its settings
+ppo.py       the algorithm
+learner.py   policy, critic and their gradient updates
+batch.py     batches and advantages
+heads.py     distributions from which actions are drawn
+episodes.py  logs of training episodes: CSV file and ghosts
+"""

@@ -1,0 +1,70 @@
+"""Configuration of proximal policy optimisation."""
+
+from pydantic import Field, model_validator
+
+from spikedeploy.trainers.config import (
+    Count,
+    EnvConfig,
+    MlpConfig,
+    NormaliserConfig,
+    Positive,
+    Ramp,
+    Rate,
+    RunConfig,
+    Share,
+    ValidationConfig,
+)
+
+
+class PpoConfig(RunConfig):
+    """Proximal policy optimisation with a clipped surrogate (Schulman et al. 2017).
+
+    steps: environment steps in total, of all copies together
+    horizon: steps of each copy between two updates; a batch has `env.count` times as many
+    epochs, minibatch: passes over a batch, and rows per gradient update
+    trace: lambda of generalised advantage estimation
+    clip: limit on the change of an action's probability ratio
+    entropy: weight of the policy's entropy in its loss, along environment steps
+    temperature: divisor of a discrete head's logits when actions are sampled, along environment
+        steps. It ends low, so that training visits the states that greedy actions lead to, such as
+        turning left and right forever, which a policy that samples its actions never does
+    target_kl: mean divergence from the acting policy after which the epochs end; 0 for no limit
+    gradient_norm: limit on the norm of the gradient, for actor and critic each
+    actor_rate: learning rate of the policy, along environment steps
+    critic_rate: learning rate of the critic
+    spread: initial standard deviation of a continuous head's exploration, before tanh
+    rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
+        neuron and timestep]; no effect on an MLP
+    stop_at_finishes: finished episodes after which training ends; 0 for no limit
+    ghosts: whether training episodes are saved for `replay`, in environments with poses
+    """
+
+    env: EnvConfig = EnvConfig(name="kart-grid", count=16)
+    normaliser: NormaliserConfig = NormaliserConfig(finish=0)
+    validation: ValidationConfig = ValidationConfig(every=20_000, episodes=20)
+    steps: Positive = 300_000
+    horizon: Positive = 128
+    epochs: Positive = 6
+    minibatch: Positive = 256
+    gamma: Share = 0.99
+    trace: Share = 0.95
+    clip: Rate = 0.2
+    entropy: Ramp = Ramp(start=0.01, end=0.0, finish=200_000)
+    temperature: Ramp = Ramp(start=1.0, end=0.1, begin=120_000, finish=200_000)
+    target_kl: float = Field(default=0.03, ge=0)
+    gradient_norm: Rate = 0.5
+    actor_rate: Ramp = Ramp(start=1e-3, end=0.0, finish=300_000)
+    critic_rate: Rate = 1e-3
+    critic_hidden: tuple[Positive, ...] = (128, 128)
+    spread: Rate = 0.6
+    rate_penalty: float = Field(default=0.0, ge=0)
+    rate_target: Share = 0.2
+    stop_at_finishes: Count = 0
+    ghosts: bool = True
+    checkpoint_every: Positive = 50_000
+
+    @model_validator(mode="after")
+    def _observes_everything(self) -> "PpoConfig":
+        if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
+            raise ValueError("ppo learns from all observations: distil policies that observe less")
+        return self

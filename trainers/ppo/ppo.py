@@ -1,0 +1,151 @@
+"""Proximal policy optimisation: act in a batch of environments, learn from the newest steps."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from spikedeploy.trainers.env_batch import Steps
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.ppo.batch import Transition
+from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.ppo.episodes import EpisodeLog, GhostLog, has_poses
+from spikedeploy.trainers.ppo.learner import PpoLearner
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import EnvRunner
+
+
+class Ppo(EnvRunner[PpoConfig]):
+    """One run of proximal policy optimisation.
+
+    iterations: batches collected and learned from so far
+    """
+
+    Config = PpoConfig
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "env_steps",
+        "iterations",
+        "episodes",
+        "finishes",
+        "episode_return",
+        "actor_loss",
+        "critic_loss",
+        "entropy",
+        "kl",
+        "clipped",
+        "learning_rate",
+        "steps_per_s",
+        "eval_return",
+        "eval_finish",
+        "eval_crash",
+        "eval_gates",
+        "eval_speed",
+    )
+    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes")
+    learner: PpoLearner
+
+    def __init__(self, config: PpoConfig, run: RunFolder) -> None:
+        super().__init__(
+            config,
+            run,
+            total=config.steps,
+            log_every=1,  # every iteration
+            checkpoint_every=config.checkpoint_every,
+        )
+        self.policy = from_config(
+            config.policy,
+            self._envs.observation.shape[1],
+            self._envs.actions,
+            config.normaliser.clip,
+            self._envs.columns,
+            self._envs.head,
+        )
+        self.learner = PpoLearner(config, self.policy)
+        self.iterations = 0
+        self._learned: dict[str, float] = {}
+        self._log: EpisodeLog | None = None
+        self._ghosts: GhostLog | None = None
+
+    def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
+        """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
+        self._log = EpisodeLog(self._run.path / "episodes.csv", len(self._envs))
+        if self._config.ghosts and has_poses(self._envs):
+            self._ghosts = GhostLog(self._run.path / "ghosts", self._envs, self._config.env)
+        super().learn(journal, stopped)
+
+    @property
+    def finishes(self) -> int:
+        """Episodes that ended at the finish."""
+        return self._log.finishes if self._log else 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are taken, or as many episodes finished as were asked for."""
+        enough = 0 < self._config.stop_at_finishes <= self.finishes
+        return enough or super().finished
+
+    def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        before = self.env_steps
+        self.learner.schedule(before)
+        self._learned = self.learner.learn(self.collect(self._log))
+        self._learned["learning_rate"] = self._config.actor_rate.at(before)
+        self.iterations += 1
+        self._count_episodes()
+        if self._ghosts:
+            self._ghosts.save(self.iterations)
+        return True
+
+    def collect(self, log: EpisodeLog | None = None) -> list[Transition]:
+        """Take `horizon` steps in every environment."""
+        transitions = []
+        for _ in range(self._config.horizon):
+            observation = torch.from_numpy(self._envs.observation).float()
+            encoded, drawn, log_probability = self.learner.explore(observation)
+            steps = self._envs.step(self.learner.head.action(drawn).numpy())
+            transitions.append(_transition(observation, steps, encoded, drawn, log_probability))
+            if log:
+                log.add(steps, self.env_steps)
+            if self._ghosts:
+                self._ghosts.add(steps, self.env_steps)
+            self.env_steps += len(self._envs)
+        self._update_normaliser(transitions)
+        return transitions
+
+    def _update_normaliser(self, transitions: list[Transition]) -> None:
+        """Add the observations to the normaliser, unless it is frozen."""
+        begin = self.env_steps - len(transitions) * len(self._envs)
+        if begin < self._config.normaliser.finish:
+            for transition in transitions:
+                seen = self.policy.features_of(transition.observation)
+                self._moments.add(seen.double().numpy())
+            self.policy.normalizer.adopt(self._moments)
+
+    def _metrics(self) -> dict[str, float]:
+        names = ("env_steps", "iterations", "episodes", "finishes")
+        return {**{name: getattr(self, name) for name in names}, **self._learned}
+
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        super()._restore(state, tensors)
+        self.iterations = state["iterations"]
+        if self._log:
+            self._log.finishes = state["finishes"]
+            self._log.rewind(self.env_steps)
+        if self._ghosts:
+            self._ghosts.rewind(self.iterations)
+
+
+def _transition(
+    observation: Tensor, steps: Steps, encoded: Tensor, drawn: Tensor, log_probability: Tensor
+) -> Transition:
+    return Transition(
+        encoded=encoded,
+        observation=observation,
+        following=torch.from_numpy(steps.following).float(),
+        drawn=drawn,
+        log_probability=log_probability,
+        reward=torch.from_numpy(steps.reward).float(),
+        terminated=torch.from_numpy(steps.terminated),
+        ended=torch.from_numpy(steps.terminated | steps.truncated),
+    )

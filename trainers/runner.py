@@ -1,0 +1,207 @@
+"""Runner: what all algorithms share, from the training loop to checkpoints and resuming."""
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Generic, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from spikedeploy.trainers.config import C, RunConfig
+from spikedeploy.trainers.env_batch import EnvBatch
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.policies.normaliser import Moments
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.validation import Validator, sparsities
+
+
+class Learner(Protocol):
+    """Networks and optimisers of an algorithm, which checkpoints hold."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors of a checkpoint except the policy's, by name."""
+
+    def load(self, named: dict[str, Tensor]) -> None:
+        """Restore the tensors of a checkpoint, the policy's under "policy." included."""
+
+
+class Runner(ABC, Generic[C]):
+    """One run of an algorithm.
+
+    Config: model of the configuration
+    COLUMNS: names of the metrics, of which the first is the step
+    COUNTERS: attributes saved in checkpoints, of which the first is the step
+    SPEED: name of the metric of steps per second
+    VALIDATES_AT_END: whether the last policy is validated, even if it is not due
+    policy: what is validated and saved
+    best: highest validation return so far
+    """
+
+    Config: ClassVar[type[RunConfig]]
+    COLUMNS: ClassVar[tuple[str, ...]]
+    COUNTERS: ClassVar[tuple[str, ...]]
+    SPEED: ClassVar[str] = "steps_per_s"
+    VALIDATES_AT_END: ClassVar[bool] = True
+    policy: Policy
+    learner: Learner
+
+    @classmethod
+    def columns(cls, config: RunConfig) -> tuple[str, ...]:
+        """Return the names of the metrics, of which the first is the step."""
+        return (*cls.COLUMNS, *sparsities(config.policy))
+
+    def __init__(
+        self, config: C, run: RunFolder, *, total: int, log_every: int, checkpoint_every: int
+    ) -> None:
+        self._config, self._run = config, run
+        self._total, self._log_every, self._checkpoint_every = total, log_every, checkpoint_every
+        torch.manual_seed(config.seed)
+        self._rng = np.random.default_rng(config.seed)
+        self._validator = Validator(config.env, config.validation)
+        self.best = -np.inf
+        self._returns: list[float] = []  # of the episodes since the last row of metrics
+        self._clock = time.perf_counter(), 0
+
+    def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
+        """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
+        if self._run.checkpoint("last").is_file():
+            self._resume()
+            journal.rewind(self.step)
+        else:
+            self._begin()
+        if self.finished:
+            return
+        self._clock = time.perf_counter(), self.step
+        while not (self.finished or stopped()):
+            before = self.step
+            if not self._iterate(stopped):
+                break
+            journal.at(self.step, self._total)
+            self._report(journal, before)
+        self._checkpoint()
+
+    @property
+    def step(self) -> int:
+        """Steps so far: environment steps or updates, whichever the algorithm counts."""
+        step: int = getattr(self, self.COUNTERS[0])
+        return step
+
+    @property
+    def finished(self) -> bool:
+        """Whether training has reached its end."""
+        return self.step >= self._total
+
+    # What an algorithm adds.
+
+    @abstractmethod
+    def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        """Collect and learn; return whether it was completed and not stopped."""
+
+    @abstractmethod
+    def _metrics(self) -> dict[str, float]:
+        """Return the algorithm's metrics of training."""
+
+    @abstractmethod
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        """Restore counters and everything else that `_state` and `_tensors` saved."""
+
+    def _begin(self) -> None:
+        """Prepare a new run, as opposed to one that is resumed."""
+
+    def _state(self) -> dict[str, Any]:
+        """Return more numbers for the checkpoint "last"."""
+        return {}
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Return more tensors for the checkpoint "last"."""
+        return {}
+
+    def _evaluate(self) -> dict[str, float]:
+        """Return the validation metrics of the policy."""
+        return self._validator(self.policy)
+
+    # What they share.
+
+    def _due(self, every: int, before: int) -> bool:
+        """Return whether a multiple of `every` was reached since step `before`."""
+        return self.step // every > before // every
+
+    def _report(self, journal: Journal, before: int) -> None:
+        """Validate, write metrics and save checkpoints where they are due."""
+        row: dict[str, float] = {}
+        at_end = self.finished and self.VALIDATES_AT_END
+        if at_end or self._due(self._config.validation.every, before):
+            row = self._validate()
+        if row or self._due(self._log_every, before):
+            journal.add({**self._row(), **row})
+        if self._due(self._checkpoint_every, before):
+            self._checkpoint()
+
+    def _validate(self) -> dict[str, float]:
+        """Validate the policy, and save it as "best" if it is."""
+        row = self._evaluate()
+        if row["eval_return"] >= self.best:
+            self.best = row["eval_return"]
+            self._run.save("best", self.policy, {**self._counters(), **row})
+        return row
+
+    def _row(self) -> dict[str, float]:
+        """Return the metrics of training since the last row."""
+        (then, step), now = self._clock, time.perf_counter()
+        self._clock = now, self.step
+        row = {**self._metrics(), self.SPEED: (self.step - step) / (now - then)}
+        returns, self._returns = self._returns, []
+        return {**row, "episode_return": float(np.mean(returns))} if returns else row
+
+    def _counters(self) -> dict[str, Any]:
+        counters = {name: getattr(self, name) for name in self.COUNTERS}
+        return {**counters, "best": self.best if np.isfinite(self.best) else None}
+
+    def _checkpoint(self) -> None:
+        """Save everything that resuming needs."""
+        state = {**self._counters(), **self._state(), "rng": self._rng.bit_generator.state}
+        self._run.save("last", self.policy, state, {**self.learner.tensors(), **self._tensors()})
+
+    def _resume(self) -> None:
+        """Restore the checkpoint "last"."""
+        state, tensors = self._run.load("last")
+        self.learner.load(tensors)
+        self.best = -np.inf if state["best"] is None else state["best"]
+        self._rng.bit_generator.state = state["rng"]
+        self._restore(state, tensors)
+
+
+class EnvRunner(Runner[C]):
+    """A run that counts environment steps and normalises by running moments.
+
+    env_steps, episodes: counters, continued by a resumed run; unfinished episodes start anew
+    """
+
+    def __init__(
+        self, config: C, run: RunFolder, *, total: int, log_every: int, checkpoint_every: int
+    ) -> None:
+        super().__init__(
+            config, run, total=total, log_every=log_every, checkpoint_every=checkpoint_every
+        )
+        self._envs = EnvBatch(config.env, self._rng)
+        self._moments = Moments.empty(self._envs.observation.shape[1])
+        self.env_steps = self.episodes = 0
+
+    def _count_episodes(self) -> None:
+        """Take over the returns of the episodes that ended."""
+        self._returns, self._envs.returns = self._envs.returns, []
+        self.episodes += len(self._returns)
+
+    def _state(self) -> dict[str, Any]:
+        return {"finished": self.finished, "observed": self._moments.count}
+
+    def _tensors(self) -> dict[str, Tensor]:
+        return {**self._moments.tensors(), "torch_rng": torch.get_rng_state()}
+
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        self.env_steps, self.episodes = state["env_steps"], state["episodes"]
+        self._moments = Moments.restored(tensors, state["observed"])
+        torch.set_rng_state(tensors["torch_rng"])

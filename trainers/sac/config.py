@@ -1,0 +1,56 @@
+"""Configuration of soft actor-critic."""
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from spikedeploy.trainers.config import (
+    MlpConfig,
+    Positive,
+    Ramp,
+    Rate,
+    RunConfig,
+    Share,
+)
+
+
+class SacConfig(RunConfig):
+    """Soft actor-critic with a scheduled, not learned, temperature (Haarnoja et al. 2018).
+
+    steps: environment steps in total; 500 episodes of 1,000
+    warm_up: steps with uniform random actions before the first update
+    update_every: environment steps per gradient update
+    epsilon: added inside the logarithm of the tanh correction
+    averaging: weight of the newest parameters in the averaged policy, which is validated and
+        saved; 1 saves the actor's own
+    mean_penalty: weight of the squared pre-tanh mean in the actor's loss
+    rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
+        neuron and timestep]; no effect on an MLP
+    support_force: fraction of the full upward force on the robot, along environment steps
+    """
+
+    steps: Positive = 500_000
+    warm_up: Positive = 10_000
+    update_every: Positive = 4
+    batch: Positive = 128
+    buffer: Positive = 1_000_000
+    critic_hidden: tuple[Positive, ...] = (512, 512)
+    learning_rate: Rate = 3e-4
+    gamma: Share = 0.99
+    tau: Share = 0.005
+    temperature: Ramp = Ramp(start=0.05, end=0.02, begin=50_000, finish=180_000)
+    epsilon: Rate = 1e-6
+    averaging: Share = 1e-4
+    mean_penalty: float = Field(default=0.05, ge=0)
+    rate_penalty: float = Field(default=0.0, ge=0)
+    rate_target: Share = 0.13
+    support_force: Ramp = Ramp(start=1.0, end=0.0, finish=150_000)
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    log_every: Positive = 1_000
+    checkpoint_every: Positive = 25_000
+
+    @model_validator(mode="after")
+    def _observes_everything(self) -> "SacConfig":
+        if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
+            raise ValueError("sac learns from all observations: distil policies that observe less")
+        return self

@@ -1,0 +1,91 @@
+"""Replay buffer: a preallocated ring of transitions, one row of memory for each."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.numpy import load_file, save_file
+from torch import Tensor
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.atomic import replacing
+
+
+@dataclass(frozen=True)
+class ReplayBatch:
+    """Transitions drawn at random.
+
+    observation, following: (B, obs) raw, before and after the action
+    action: (B, act)
+    reward: (B,)
+    terminated: (B,) 1 at terminal states, 0 where the episode continued or was truncated
+    """
+
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    terminated: Tensor
+    following: Tensor
+
+
+class ReplayBuffer:
+    """The last `capacity` transitions, in float32.
+
+    size: number of transitions held
+    """
+
+    def __init__(self, capacity: int, observations: int, actions: int) -> None:
+        self.widths = [observations, actions, 1, 1, observations]
+        # np.zeros takes no memory until it is written: memory grows with the transitions held
+        self.rows = np.zeros((capacity, sum(self.widths)), np.float32)
+        self.size = 0
+        self.next = 0
+
+    def add(
+        self,
+        observation: NDArray[np.float64],
+        action: NDArray[np.float64],
+        reward: NDArray[np.float64],
+        terminated: NDArray[np.bool_],
+        following: NDArray[np.float64],
+    ) -> None:
+        """Add transitions, one for each row of the arguments (B, ...)."""
+        parts = (observation, action, reward[:, None], terminated[:, None], following)
+        count, capacity = len(reward), len(self.rows)
+        places = np.arange(self.next, self.next + count) % capacity
+        self.rows[places] = np.concatenate(parts, axis=1)
+        self.next = (self.next + count) % capacity
+        self.size = min(self.size + count, capacity)
+
+    def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
+        """Return transitions drawn uniformly with replacement."""
+        rows = torch.from_numpy(self.rows[rng.integers(self.size, size=count)])
+        observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
+        return ReplayBatch(observation, action, reward[:, 0], terminated[:, 0], following)
+
+    def save(self, path: Path) -> None:
+        """Write the transitions held, oldest first."""
+        start = self.next if self.size == len(self.rows) else 0
+        held = np.concatenate([self.rows[start : self.size], self.rows[:start]])
+        with replacing(path) as temporary:
+            save_file({"rows": held}, temporary)
+
+    def load(self, path: Path) -> None:
+        """Load the transitions of a file; if there are too many, the newest."""
+        if not path.is_file():
+            raise ConfigError(
+                f"{path} is missing: resuming a run needs its replay, which a finished run no "
+                "longer has. Start a new run with more steps."
+            )
+        held = load_file(path)["rows"]
+        if held.shape[1] != self.rows.shape[1]:
+            raise ConfigError(
+                f"{path} holds transitions of {held.shape[1]} numbers, this task has "
+                f"{self.rows.shape[1]}: was it written for another environment?"
+            )
+        held = held[-len(self.rows) :]
+        self.rows[: len(held)] = held
+        self.size = len(held)
+        self.next = self.size % len(self.rows)

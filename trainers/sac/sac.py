@@ -1,0 +1,133 @@
+"""Soft actor-critic: act in a batch of environments, learn from replay."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import EnvRunner
+from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sac.learner import SacLearner
+from spikedeploy.trainers.sac.replay import ReplayBuffer
+
+
+class Sac(EnvRunner[SacConfig]):
+    """One run of soft actor-critic.
+
+    updates: gradient updates so far
+    """
+
+    Config = SacConfig
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "env_steps",
+        "updates",
+        "episodes",
+        "episode_return",
+        "support_force",
+        "temperature",
+        "actor_loss",
+        "critic_loss",
+        "entropy",
+        "steps_per_s",
+        "eval_return",
+        "eval_speed",
+        "eval_cot",
+        "eval_falls",
+        "eval_speed_rmse",
+        "eval_turn_rmse",
+    )
+    COUNTERS = ("env_steps", "updates", "episodes", "best")
+    VALIDATES_AT_END = False
+    learner: SacLearner
+
+    def __init__(self, config: SacConfig, run: RunFolder) -> None:
+        super().__init__(
+            config,
+            run,
+            total=config.steps,
+            log_every=config.log_every,
+            checkpoint_every=config.checkpoint_every,
+        )
+        self._envs.require_continuous("sac")
+        sizes = self._envs.observation.shape[1], self._envs.actions
+        self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
+        self.learner = SacLearner(config, self.policy)
+        self._buffer = ReplayBuffer(min(config.buffer, config.steps), *sizes)
+        self.updates = 0
+        self._losses: Mapping[str, Tensor] = {}
+
+    def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        self._collect()
+        self._update()
+        return True
+
+    @property
+    def _temperature(self) -> float:
+        return self._config.temperature.at(self.env_steps)
+
+    @property
+    def _support_force(self) -> float:
+        return self._config.support_force.at(self.env_steps)
+
+    def _collect(self) -> None:
+        """Take one step in every environment, and store it."""
+        self._envs.support_force(self._support_force)
+        steps = self._envs.step(self._actions())
+        self._buffer.add(
+            steps.observation, steps.action, steps.reward, steps.terminated, steps.following
+        )
+        if self.env_steps < self._config.normaliser.finish:
+            self._moments.add(steps.observation)
+            self.learner.adopt(self._moments)
+        self.env_steps += len(self._envs)
+
+    @torch.no_grad()
+    def _actions(self) -> NDArray[np.float64]:
+        """Return exploring actions (B, act): uniform during warm-up, then the actor's."""
+        if self.env_steps < self._config.warm_up:
+            return self._envs.uniform()
+        observation = torch.from_numpy(self._envs.observation).float()
+        action: Tensor = self.learner.actor(observation)[0]
+        return action.double().numpy()
+
+    def _update(self) -> None:
+        """Make the updates that are due after the steps so far."""
+        wanted = (self.env_steps - self._config.warm_up) // self._config.update_every
+        while self.updates < wanted:
+            batch = self._buffer.sample(self._config.batch, self._rng)
+            self._losses = self.learner.update(batch, self._temperature)
+            self.updates += 1
+            self.learner.average(self.updates)
+
+    def _row(self) -> dict[str, float]:
+        self._count_episodes()
+        return super()._row()
+
+    def _metrics(self) -> dict[str, float]:
+        return {
+            "env_steps": self.env_steps,
+            "updates": self.updates,
+            "episodes": self.episodes,
+            "support_force": self._support_force,
+            "temperature": self._temperature,
+            **{name: float(loss) for name, loss in self._losses.items()},
+        }
+
+    def _checkpoint(self) -> None:
+        """Save everything that resuming needs; a finished run needs no replay."""
+        if not self.finished:
+            self._buffer.save(self._run.replay)
+        super()._checkpoint()
+        if self.finished:
+            self._run.replay.unlink(missing_ok=True)
+
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        super()._restore(state, tensors)
+        self.updates = state["updates"]
+        if not self.finished:
+            self._buffer.load(self._run.replay)
