@@ -28,7 +28,7 @@ class Measures:
 
     neurobench  NeuroBench's metrics
     events      layer -> event -> count
-    memory      layer -> words read and written
+    memory      layer -> weights and states read and written
     latencies   energy table -> [s]; for a Xylo from its clock cycles
     static      energy table -> [J] of static power in that time, where it is known
     """
