@@ -163,12 +163,13 @@ def python(request, folder):
     """
     file, home = request.getfixturevalue(f"{request.param}_file"), folder / f"in {request.param}"
     called(sys.executable, "-m", "venv", home, cwd=folder)
+    pip = [home / "bin/python", "-m", "pip", "--disable-pip-version-check"]
+    # older Pythons put one into every environment that is too old to build this project
+    called(*pip, "uninstall", "--yes", "setuptools", cwd=folder)
     site = next(home.glob("lib/python*/site-packages"))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    called(
-        home / "bin/python", "-m", "pip", "install", "--no-deps", "--no-index", "--force-reinstall",
-        "--no-build-isolation", "--disable-pip-version-check", file, cwd=folder,
-    )  # fmt: skip
+    offline = ["--no-deps", "--no-index", "--no-build-isolation", "--force-reinstall"]
+    called(*pip, "install", *offline, file, cwd=folder)
     return home / "bin/python"
 
 
