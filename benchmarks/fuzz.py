@@ -1,14 +1,14 @@
-"""Damaged files into everything that reads files: only our own errors, bounded time and memory.
+"""Fuzz everything that reads files: only our own errors, bounded time and memory.
 
     python benchmarks/fuzz.py [--files 10000] [--seed 0] [--keep FOLDER] [--json]
 
-Sound files of every primitive, with and without our metadata, traces, tracks and rasters are
-damaged: bytes; values, shapes, types, links and edges of the HDF5 tree; values of JSON. Each is
+Valid files of every primitive, with and without our metadata, traces, tracks and rasters are
+mutated: bytes; values, shapes, types, links and edges of the HDF5 tree; values of JSON. Each is
 loaded, written again, read as another tool would, compiled for every chip with and without limits,
-and run for three timesteps on some; traces are verified. It happens in a process of its own with a
-limit of memory; one that dies or takes too long is a violation like any error that is not ours, and
-a new one goes on behind it.
-The same seed and version damage the same way. The exit code is 1 where anything was violated.
+and run for three timesteps on some; traces are verified. That happens in a process of its own with
+a memory limit; one that dies or takes too long is a violation, like any error that is not ours, and
+another takes its place. The same seed and version give the same mutations. Exits with 1 on a
+violation.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others
@@ -25,7 +25,7 @@ from benchmarks.fuzz_runs import describe, fuzz, summary
 
 
 def main() -> None:
-    """Try the files and print what came of them."""
+    """Try the files and print the outcomes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--files", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0, help="number of the first file")

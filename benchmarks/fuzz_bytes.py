@@ -1,4 +1,4 @@
-"""Damage to the bytes of a file, whatever they mean."""
+"""Mutations of a file's bytes, whatever its format."""
 
 from pathlib import Path
 from typing import TypeAlias
@@ -9,7 +9,7 @@ Rng: TypeAlias = np.random.Generator
 
 
 def flip(path: Path, rng: Rng) -> None:
-    """Some bytes become others."""
+    """Some bytes are replaced."""
     content = bytearray(path.read_bytes())
     for _ in range(rng.integers(1, 20)):
         content[rng.integers(len(content))] = rng.integers(256)
@@ -17,13 +17,13 @@ def flip(path: Path, rng: Rng) -> None:
 
 
 def cut(path: Path, rng: Rng) -> None:
-    """The end is missing."""
+    """The file is cut short."""
     content = path.read_bytes()
     path.write_bytes(content[: rng.integers(1, len(content) + 1)])
 
 
 def overwrite(path: Path, rng: Rng) -> None:
-    """A row of bytes is all ones, or all zeros."""
+    """A run of bytes is all ones or all zeros."""
     content = bytearray(path.read_bytes())
     first, length = int(rng.integers(len(content))), int(rng.integers(1, 64))
     length = min(length, len(content) - first)
@@ -32,7 +32,7 @@ def overwrite(path: Path, rng: Rng) -> None:
 
 
 def insert(path: Path, rng: Rng) -> None:
-    """A piece of the file is there twice."""
+    """A piece of the file is duplicated."""
     content = path.read_bytes()
     first, length = int(rng.integers(len(content))), int(rng.integers(1, 64))
     at = int(rng.integers(len(content)))

@@ -1,4 +1,4 @@
-"""The sound files that fuzzing starts from: all primitives, our metadata, traces, tracks."""
+"""Valid files that fuzzing starts from: all primitives, our metadata, traces, tracks."""
 
 import json
 from itertools import pairwise
@@ -97,7 +97,7 @@ def series() -> nir.NIRGraph:
 
 
 def every_neuron() -> nir.NIRGraph:
-    """The nodes that no chip has."""
+    """Nodes that no chip supports."""
     full = {v: np.full(3, v) for v in (0.0, 0.5, 2e-3, 4e-3, 4.0, 2.0, 1000.0)}
     return chain(
         [3],
@@ -111,14 +111,14 @@ def every_neuron() -> nir.NIRGraph:
 
 
 def nested() -> nir.NIRGraph:
-    """A graph in a graph in a graph."""
+    """Graphs nested three deep."""
     inner = chain([3], [3], cells=lif(3), weights=nir.Linear(np.eye(3)))
     middle = chain([3], [3], inner=inner, cells=cuba(3))
     return chain([3], [3], weights=nir.Affine(np.eye(3), np.zeros(3)), middle=middle)
 
 
 def two_ways() -> nir.NIRGraph:
-    """Two inputs, two outputs, a skip."""
+    """Two inputs, two outputs and a skip connection."""
     nodes = {
         "a": nir.Input(np.array([2])),
         "b": nir.Input(np.array([2])),
@@ -132,7 +132,7 @@ def two_ways() -> nir.NIRGraph:
 
 
 def loop() -> nir.NIRGraph:
-    """A layer that hears itself, and is heard over a delay."""
+    """A recurrent layer, and a delay behind it."""
     graph = chain([2], [2], cells=lif(2), more=lif(2))
     back = {"again": nir.Linear(np.eye(2)), "later": nir.Delay(np.full(2, 2e-3))}
     edges = [("cells", "again"), ("again", "cells"), ("more", "later"), ("later", "cells")]
@@ -140,7 +140,7 @@ def loop() -> nir.NIRGraph:
 
 
 def population() -> Artifact:
-    """A policy with a population code and an origin."""
+    """A policy with a population code and provenance."""
     rng = np.random.default_rng(2)
     layers = {
         "in": nir.Affine(rng.normal(size=(5, 6)), np.zeros(5)),
@@ -153,7 +153,7 @@ def population() -> Artifact:
 
 
 def rate() -> Artifact:
-    """A policy with a rate code, and no origin whose digest would show that it was changed."""
+    """A policy with a rate code, without provenance, whose digest would show the change."""
     rng = np.random.default_rng(3)
     layers = {
         "in": nir.Affine(rng.normal(size=(5, 4)), np.zeros(5)),
@@ -166,7 +166,7 @@ def rate() -> Artifact:
 
 
 def loihi_trace(source: str) -> dict[str, object]:
-    """Two neurons of Loihi that hear three axons for four timesteps."""
+    """Two Loihi neurons, three presynaptic axons, four timesteps."""
     zeros = [[0, 0]] * 4
     return {
         "source": source,

@@ -1,4 +1,4 @@
-"""Damage to the tree of an HDF5 file: its arrays, groups and links."""
+"""Mutations of an HDF5 file's tree: its arrays, groups and links."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -32,7 +32,7 @@ def _one(file: h5py.File, rng: Rng, kind: type) -> str:
 
 
 def replace(file: h5py.File, name: str, value: object, **how: object) -> None:
-    """Another value under the same name."""
+    """Replace a value under the same name."""
     del file[name]
     file.create_dataset(name, data=value, **how)
 
@@ -57,7 +57,7 @@ def strange_value(path: Path, rng: Rng) -> None:
 
 
 def other_value(path: Path, rng: Rng) -> None:
-    """Numbers are others that might be meant: turned, scaled, or small whole ones."""
+    """Plausible other numbers: reversed, scaled, or small whole ones."""
     with h5py.File(path, "r+") as file:
         name = a_dataset(file, rng)
         value = np.asarray(file[name][()])
@@ -77,7 +77,7 @@ def other_value(path: Path, rng: Rng) -> None:
 
 
 def strange_shape(path: Path, rng: Rng) -> None:
-    """An array without axes, empty, longer, turned, or with another axis."""
+    """An array without axes, empty, longer, transposed, or with another axis."""
     with h5py.File(path, "r+") as file:
         name = a_dataset(file, rng)
         value = np.asarray(file[name][()])
@@ -95,7 +95,7 @@ def strange_shape(path: Path, rng: Rng) -> None:
 
 
 def strange_type(path: Path, rng: Rng) -> None:
-    """Texts, truths, complex numbers, records, references, dates, or nothing, for numbers."""
+    """Another type for numbers: text, bool, complex, records, references, dates or nothing."""
     with h5py.File(path, "r+") as file:
         name = a_dataset(file, rng)
         shape = np.shape(file[name][()])
@@ -117,13 +117,13 @@ def strange_type(path: Path, rng: Rng) -> None:
 
 
 def missing(path: Path, rng: Rng) -> None:
-    """A group or an array is gone."""
+    """A group or an array is deleted."""
     with h5py.File(path, "r+") as file:
         del file[a_dataset(file, rng) if rng.random() < 0.5 else a_group(file, rng)]
 
 
 def renamed(path: Path, rng: Rng) -> None:
-    """A group or an array has another name."""
+    """A group or an array is renamed."""
     names = ("a/b", "x", "input", "output", "é", "a.b", " ", "nodes", "metadata", "type", "z" * 999)
     with h5py.File(path, "r+") as file:
         name = a_dataset(file, rng) if rng.random() < 0.5 else a_group(file, rng)
@@ -142,7 +142,7 @@ def stray(path: Path, rng: Rng) -> None:
 
 
 def other_kind(path: Path, rng: Rng) -> None:
-    """A node says that it is something else."""
+    """A node has another type."""
     with h5py.File(path, "r+") as file:
         types: list[str] = []
         file.visititems(lambda n, _: types.append(n) if n.endswith("/type") else None)
@@ -150,7 +150,7 @@ def other_kind(path: Path, rng: Rng) -> None:
 
 
 def other_edges(path: Path, rng: Rng) -> None:
-    """Edges that make cycles, are there twice, lead nowhere, or are no pairs."""
+    """Edges that form cycles, are duplicated, lead nowhere, or are not pairs."""
     with h5py.File(path, "r+") as file:
         names = [*file["node/nodes"], "nobody"]
         edges = [tuple(edge) for edge in file["node/edges"][()].astype(str)]
@@ -163,7 +163,7 @@ def other_edges(path: Path, rng: Rng) -> None:
 
 
 def huge_claim(path: Path, rng: Rng) -> None:
-    """An array of which nothing is stored, or which packs a thousand times smaller."""
+    """An array with nothing stored, or one that is compressed a thousandfold."""
     with h5py.File(path, "r+") as file:
         name = a_dataset(file, rng)
         del file[name]
@@ -190,7 +190,7 @@ def huge_shape(path: Path, rng: Rng) -> None:
 
 
 def link(path: Path, rng: Rng) -> None:
-    """A link to itself, to what is around it, to nothing, or to another file."""
+    """A link to itself, to its parent, to nothing, or to another file."""
     with h5py.File(path, "r+") as file:
         group = file[a_group(file, rng)]
         targets: list[Any] = [
@@ -208,7 +208,7 @@ def link(path: Path, rng: Rng) -> None:
 
 
 def elsewhere(path: Path, rng: Rng) -> None:
-    """An array whose numbers are in another file."""
+    """An array with external storage."""
     with h5py.File(path, "r+") as file:
         name = a_dataset(file, rng)
         shape = np.shape(file[name][()])
@@ -222,7 +222,7 @@ def elsewhere(path: Path, rng: Rng) -> None:
 
 
 def deep(path: Path, rng: Rng) -> None:
-    """Graphs in graphs in graphs, or groups in groups."""
+    """Deeply nested graphs or groups."""
     with h5py.File(path, "r+") as file:
         group = file["node"] if rng.random() < 0.5 else file[a_group(file, rng)]
         for _ in range(rng.choice([3, 20, 150])):
@@ -233,7 +233,7 @@ def deep(path: Path, rng: Rng) -> None:
 
 
 def many(path: Path, rng: Rng) -> None:
-    """A long row of nodes."""
+    """A long chain of nodes."""
     with h5py.File(path, "r+") as file:
         nodes, before = file["node/nodes"], "input"
         edges = [tuple(edge) for edge in file["node/edges"][()].astype(str)]
@@ -247,7 +247,7 @@ def many(path: Path, rng: Rng) -> None:
 
 
 def attribute(path: Path, rng: Rng) -> None:
-    """A remark where none belongs."""
+    """An attribute where none belongs."""
     with h5py.File(path, "r+") as file:
         file[a_group(file, rng)].attrs["remark"] = rng.random(int(rng.integers(1, 100)))
 

@@ -1,4 +1,4 @@
-"""Damage to the values of a JSON file."""
+"""Mutations of a JSON file's values."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ Rng: TypeAlias = np.random.Generator
 
 
 def json_value(path: Path, rng: Rng) -> None:
-    """A value anywhere in the tree is another."""
+    """A value anywhere in the tree is replaced."""
     tree = json.loads(path.read_text())
     places: list[tuple[Any, Any]] = []
     _walk(tree, places)
@@ -24,7 +24,7 @@ def json_value(path: Path, rng: Rng) -> None:
 
 
 def json_missing(path: Path, rng: Rng) -> None:
-    """A value anywhere in the tree is gone."""
+    """A value anywhere in the tree is deleted."""
     tree = json.loads(path.read_text())
     places: list[tuple[Any, Any]] = []
     _walk(tree, places)
@@ -34,7 +34,7 @@ def json_missing(path: Path, rng: Rng) -> None:
 
 
 def json_deep(path: Path, rng: Rng) -> None:
-    """Lists in lists in lists."""
+    """Deeply nested lists."""
     tree = json.loads(path.read_text())
     key = rng.choice(list(tree))
     depth = int(rng.choice([3, 40, 100_000]))

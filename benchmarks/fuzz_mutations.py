@@ -1,4 +1,4 @@
-"""Damage to a file: to its bytes, and to what is in it where its format is known."""
+"""Mutations of a file: of its bytes, and of its contents where its format is known."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ STRUCTURED: dict[str, list[Callable[[Path, Rng], None]]] = {".nir": HDF5, ".json
 
 
 def mutate(source: Path, target: Path, rng: Rng) -> str:
-    """Write the source, damaged once or several times; what was done."""
+    """Write the source with one or several mutations; the names of those."""
     target.write_bytes(source.read_bytes())
     by_kind = STRUCTURED.get(source.suffix, [])
     done = []

@@ -1,4 +1,4 @@
-"""A run of fuzzing: a process that tries files one after the other, and what came of each."""
+"""A fuzzing run: a process that tries files one after another, and the outcome of each."""
 
 import multiprocessing
 import resource
@@ -24,7 +24,7 @@ BYTES = 6 << 30  # of address space, for numpy, its threads and the file
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a file.
+    """The outcome of one file.
 
     read: whether it was; then a chip may still have refused it.
     refused: names of the errors of ours.
@@ -90,13 +90,13 @@ class Worker:
         return Outcome(number, "", "", False, (), how, time.perf_counter() - began, 0.0)
 
     def end(self) -> None:
-        """Nothing more comes."""
+        """End the process's input."""
         self._pipe.send(None)
         self._process.join()
 
 
 def serve(pipe: Connection, corpus: list[Path], seed: int, folder: Path) -> None:
-    """Try the files whose numbers come, until none does."""
+    """Try the files whose numbers arrive, until the input ends."""
     resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
     while (number := pipe.recv()) is not None:
         pipe.send(tried(number, corpus, seed, folder))
@@ -125,14 +125,14 @@ def tried(number: int, corpus: list[Path], seed: int, folder: Path) -> Outcome:
 
 
 def _forget_highest() -> None:
-    """Begin to measure the highest memory anew, where the system can."""
+    """Reset the peak of resident memory, where the system can."""
     clear = Path("/proc/self/clear_refs")
     if clear.exists():
         clear.write_text("5")
 
 
 def _highest() -> float:
-    """Highest resident memory [MB] since; where the system cannot say, since the process began."""
+    """Peak resident memory [MB] since the reset, or since the process began."""
     status = Path("/proc/self/status")
     if status.exists():
         return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024

@@ -1,4 +1,4 @@
-"""What is done with each file of a fuzzing run: all that the product does with such a file."""
+"""A trial of one file: everything that spikedeploy does with such a file."""
 
 import warnings
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ OURS = (SpikedeployError, EnvError)
 
 
 def attempt(path: Path, rng: np.random.Generator) -> tuple[bool, tuple[str, ...]]:
-    """Whether the file was read, and names of errors that were raised on purpose.
+    """Whether the file was read, and names of the errors of ours that were raised.
 
     Anything else comes through.
     """
@@ -77,14 +77,14 @@ def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
 
 
 def _where(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
-    """Chips to run on, and whether within their limits: always one interpreted."""
+    """Chips to run on, and whether within their limits; one is always interpreted."""
     chips = [str(rng.choice(list(CHIPS))), str(rng.choice(INTERPRETED))]
     return zip(("float", "ideal", *chips), (True, True, *(rng.random(2) < 0.5)), strict=True)
 
 
 @contextmanager
 def _ours(refused: list[str]) -> Iterator[None]:
-    """Note an error that was raised on purpose."""
+    """Note an error of ours."""
     try:
         yield
     except OURS as error:
@@ -92,7 +92,7 @@ def _ours(refused: list[str]) -> Iterator[None]:
 
 
 def _judged(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
-    """Every chip's rules and compiler; what they refuse is no news, as one of many always does."""
+    """Every chip's rules and compiler; refusals are not noted, as some chip always refuses."""
     quantisation = QUANTISATIONS[int(rng.integers(len(QUANTISATIONS)))]
     for name in CHIPS:
         check(artifact, chip(name))
@@ -105,14 +105,14 @@ def _read_like(path: Path, _: Artifact, rng: np.random.Generator) -> None:
 
 
 def _kept(path: Path, artifact: Artifact, _: np.random.Generator) -> None:
-    """Write it, and read what was written."""
+    """Write the file and read it back."""
     copy = path.with_suffix(".copy")
     save(artifact, copy)
     load(copy)
 
 
 def _driven(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
-    """An observation through the codec."""
+    """Encode an observation."""
     if artifact.codec is None:
         return
     observation = rng.normal(size=(1, artifact.codec.encoder.observed))
@@ -120,7 +120,7 @@ def _driven(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
 
 
 def _text(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    """A trace file is verified; any may be taken for a track."""
+    """Verify a trace; read any file as a track."""
     for read in (verify, track_file.load):
         with _ours(refused):
             read(path)

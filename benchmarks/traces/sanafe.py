@@ -102,12 +102,12 @@ def _truenorth(network: dict[str, Any]) -> dict[str, Any]:
     _connect(source, target, weights)
     simulator = _on_one_core(architecture, net, source, target)
     result = simulator.sim(len(raster), potential_trace=True, spike_trace=True)
-    spikes = np.zeros((len(raster), weights.shape[1]), np.int64)
-    for row, fired in enumerate(result["spike_trace"]):
-        for neuron in fired:
-            spikes[row, neuron.neuron_offset] = 1
+    fired = np.zeros((len(raster), weights.shape[1]), np.int64)
+    for row, neurons in enumerate(result["spike_trace"]):
+        for neuron in neurons:
+            fired[row, neuron.neuron_offset] = 1
     membranes = np.array(result["potential_trace"]).astype(np.int64)
-    return {"membrane": membranes.tolist(), "spikes": spikes.tolist()}
+    return {"membrane": membranes.tolist(), "spikes": fired.tolist()}
 
 
 def _connect(source: Any, target: Any, weights: Any) -> None:  # noqa: ANN401

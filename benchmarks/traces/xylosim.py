@@ -65,4 +65,5 @@ def _synapses(weights: Any) -> list[list[XyloSynapse]]:  # noqa: ANN401
 
 def _by_step(recorded: Any) -> list[list[int]]:  # noqa: ANN401
     """From (N, T) to (T, N)."""
-    return np.array(recorded).T.tolist()
+    rows: list[list[int]] = np.array(recorded).T.tolist()
+    return rows

@@ -1,4 +1,4 @@
-"""Damaged files bring out only errors of ours; benchmarks/fuzz.py tries ten thousand."""
+"""Damaged files raise only errors of ours; benchmarks/fuzz.py tries ten thousand."""
 
 import json
 from pathlib import Path
@@ -22,19 +22,19 @@ from spikedeploy.runtime.traces.verify import verify
 FILES = 300
 
 
-def test_damaged_files_bring_out_only_errors_of_ours(tmp_path):
+def test_damaged_files_raise_only_errors_of_ours(tmp_path):
     outcomes = list(fuzz(range(FILES), 1, tmp_path))
     assert not any(outcome.violation for outcome in outcomes), summary(outcomes)
     reasons = {name for outcome in outcomes for name in outcome.refused}
     assert {"ArtifactError", "TraceError", "ObservationError"} <= reasons
 
 
-def test_the_files_that_fuzzing_starts_from_are_sound(tmp_path):
+def test_the_files_that_fuzzing_starts_from_are_valid(tmp_path):
     rng = np.random.default_rng(0)
     for path in write_corpus(tmp_path / "corpus"):
         read, refused = attempt(path, rng)
         assert read, (path, refused)
-        # a track is no trace, a trace is no track; chips refuse by their rules
+        # a track is not a trace and a trace is not a track; chips refuse by their rules
         allowed = {"TraceError", "EnvError"} if path.suffix == ".json" else {"RuleError"}
         assert set(refused) <= allowed | {"ArtifactError", "ConventionError"}, (path, refused)
         if path.suffix == ".nir":
@@ -43,7 +43,7 @@ def test_the_files_that_fuzzing_starts_from_are_sound(tmp_path):
 
 @pytest.fixture
 def damaged(tmp_path):
-    """Write a sound file, damage it with h5py, and load it; the error."""
+    """Write a valid file, damage it with h5py, and load it; the error."""
 
     def attempt_to_load(damage):
         path = tmp_path / "a.nir"
@@ -99,7 +99,7 @@ def into(nodes, name, make):
     ],
     ids=["soft", "external link", "circle", "elsewhere", "deep", "claim", "type", "reference"],
 )
-def test_a_container_that_leads_out_or_round_is_refused_by_name(damage, message, damaged):
+def test_links_and_storage_outside_the_file_are_refused_by_name(damage, message, damaged):
     assert message in damaged(damage)
 
 
@@ -121,7 +121,7 @@ def sized(kernel, shape, padding=0):
     ],
     ids=["numbers", "windows", "multiplications"],
 )
-def test_a_timestep_that_would_take_minutes_is_refused_before_it_begins(network, message, tmp_path):
+def test_a_timestep_that_would_take_minutes_is_refused_at_load(network, message, tmp_path):
     nir.write(tmp_path / "a.nir", network)
     with pytest.raises(ArtifactError, match=message):
         load(tmp_path / "a.nir")

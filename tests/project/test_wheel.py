@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import tarfile
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -90,8 +89,7 @@ def wheel(wheel_file):
 @pytest.fixture(scope="module")
 def unpacked(sdist_file, folder):
     """The source distribution as a folder."""
-    with tarfile.open(sdist_file) as file:
-        file.extractall(folder / "unpacked", filter="data")
+    called(sys.executable, "-m", "tarfile", "-e", sdist_file, folder / "unpacked", cwd=folder)
     (tree,) = (folder / "unpacked").iterdir()
     return tree
 
@@ -164,13 +162,14 @@ def python(request, folder):
     What spikedeploy depends on is seen from there; an editable install of it is not.
     """
     file, home = request.getfixturevalue(f"{request.param}_file"), folder / f"in {request.param}"
-    called(sys.executable, "-m", "venv", "--without-pip", home, cwd=folder)
+    called(sys.executable, "-m", "venv", home, cwd=folder)
+    pip = [home / "bin/python", "-m", "pip", "--disable-pip-version-check"]
+    # older Pythons put one into every environment that is too old to build this project
+    called(*pip, "uninstall", "--yes", "setuptools", cwd=folder)
     site = next(home.glob("lib/python*/site-packages"))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    called(
-        sys.executable, "-m", "pip", "--python", home / "bin/python", "install", "--no-deps",
-        "--no-index", "--no-build-isolation", "--disable-pip-version-check", file, cwd=folder,
-    )  # fmt: skip
+    offline = ["--no-deps", "--no-index", "--no-build-isolation", "--force-reinstall"]
+    called(*pip, "install", *offline, file, cwd=folder)
     return home / "bin/python"
 
 
