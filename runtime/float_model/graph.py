@@ -5,6 +5,7 @@ walks the edges, sums what arrives at a node, and calls the node.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import nir
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, build
+from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, Node, build
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
 from spikedeploy.runtime.graph.ports import named, ports
@@ -38,15 +39,19 @@ class FloatGraph:
         self.spiking = _spiking(self.graph)
         self.timing = timing(self.graph, self.convention)
         self.sources = {name: sources(self.graph, name) for name in self.timing.names}
-        self.nodes = {
-            name: build(name, self.graph.nodes[name], self.convention, self.dtype)
-            for name in self.timing.names
-        }
-        for name, timesteps in self.timing.delays.items():
-            # without the timestep that its late edges take
-            self.nodes[name] = Delay(name, timesteps)
+        self.nodes = self._built()
         # what each node put out in the timestep before, (B, 1, *shape)
         self.before: dict[str, Array] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Nodes without a state are functions, which pickle does not take; copies build them."""
+        kinds = (FloatNeurons, Delay)
+        states = {name: node for name, node in self.nodes.items() if isinstance(node, kinds)}
+        return {**self.__dict__, "nodes": states}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.nodes = {**self._built(), **state["nodes"]}
 
     def reset(self) -> None:
         """Begin again: currents and membranes are 0, and nothing is on its way."""
@@ -82,6 +87,17 @@ class FloatGraph:
         for port in self.outputs:
             trace["output" if len(self.outputs) == 1 else port.name] = values[port.name]
         return trace
+
+    def _built(self) -> dict[str, Node]:
+        """The nodes, without a state."""
+        nodes = {
+            name: build(name, self.graph.nodes[name], self.convention, self.dtype)
+            for name in self.timing.names
+        }
+        for name, timesteps in self.timing.delays.items():
+            # without the timestep that its late edges take
+            nodes[name] = Delay(name, timesteps)
+        return nodes
 
     def _advance(self, x: Mapping[str, Array]) -> dict[str, Array]:
         """Output (B, T, *shape) of every node for the next T timesteps."""

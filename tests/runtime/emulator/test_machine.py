@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.machine_pool import CHUNK, MachinePool
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError

@@ -16,7 +16,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program, Synapses
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator import backend
-from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.machine_pool import CHUNK, MachinePool
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
