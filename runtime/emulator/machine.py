@@ -61,7 +61,9 @@ class Machine:
         # where several layers leave the chip, the host needs the spikes of all
         self._trace = trace or bool(program.outlets)
         self._backend_class = backend_class(program, backend)
-        self._ledger = ledger if isinstance(ledger, LedgerBuilder) else LedgerBuilder(program, ledger)
+        self._ledger = (
+            ledger if isinstance(ledger, LedgerBuilder) else LedgerBuilder(program, ledger)
+        )
         self._prepared_for: tuple[RunMode, int] = ("row", 1)
         self._backend: Backend | None = None
         self._running = False

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName, Recording
@@ -17,6 +18,13 @@ from spikedeploy.runtime.emulator.ledger_builder import Rows
 from spikedeploy.runtime.emulator.machine_pool import MachinePool
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.ports import Port
+
+FLOAT = "float"
+
+
+def chip_called(name: str) -> Chip | None:
+    """The chip of that name; None for "float", the float twin."""
+    return None if name == FLOAT else datasheet(name)
 
 
 class RunningNetwork(Protocol):

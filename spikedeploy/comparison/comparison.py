@@ -13,8 +13,8 @@ from spikedeploy.comparison.costs import priced_by
 from spikedeploy.comparison.episodes import Episode
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference, share
-from spikedeploy.policies.policies import BASELINES, FLOAT
-from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.policies.policies import BASELINES
+from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
 
@@ -192,7 +192,7 @@ def _tables(row: Row) -> tuple[str, ...]:
     """The tables that belong to a row: those of its chip, or of a network without spikes."""
     if row.entry.chip is None:
         return tuple(row.episodes[0].costs.energy_j)
-    return priced_by(None if row.entry.chip == FLOAT else datasheet(row.entry.chip))
+    return priced_by(chip_called(row.entry.chip))
 
 
 def _metrics(row: Row) -> dict[str, float]:

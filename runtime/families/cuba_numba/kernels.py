@@ -12,14 +12,14 @@ from spikedeploy.runtime.families.cuba_numba.counting import count
 from spikedeploy.runtime.families.cuba_numba.jit import jit, kept_on_disk
 from spikedeploy.runtime.families.cuba_numba.layout import (
     BIAS,
-    IN_INTEGERS,
     CURRENT_DECAY,
-    NO_CURRENT,
+    IN_INTEGERS,
     IS_OUTPUT,
     LENGTHS,
     MEMBRANE_DECAY,
     NEURON,
     NEURONS,
+    NO_CURRENT,
     PROVEN,
     RASTER,
     REMEMBERS,
@@ -41,7 +41,12 @@ from spikedeploy.runtime.families.cuba_numba.layout import (
     KernelNeurons,
 )
 from spikedeploy.runtime.families.cuba_numba.neurons import active, float_step, integer_step
-from spikedeploy.runtime.families.cuba_numba.spikes import list_spikes, sum_weights, widen, zero_or_one
+from spikedeploy.runtime.families.cuba_numba.spikes import (
+    list_spikes,
+    sum_weights,
+    widen,
+    zero_or_one,
+)
 
 
 @kept_on_disk
@@ -106,7 +111,9 @@ def run(
         for b in range(batch):
             for row in range(timesteps):
                 for layer in range(len(layers)):
-                    _timesteps(constants, memory, counts, b, layer, row, row + 1, slots, step, counting)
+                    _timesteps(
+                        constants, memory, counts, b, layer, row, row + 1, slots, step, counting
+                    )
     else:
         # the weights of a layer stay in the cache for the whole batch
         for layer in range(len(layers)):
