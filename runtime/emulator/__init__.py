@@ -6,9 +6,6 @@ float_machine       the float twin with the calls of a Machine
 interpreter         the arithmetic of the chips as its specification, in chip time
 interpreter_backend the interpreter as a backend
 ledger              what a chip did, counted, so that any table of energies can price it
-ledger_builder      the ledger while it grows
 machine             a chip with a program on it, running
-machine_pool        machines for batches of any size, with one ledger
-network             float or chip: the one place that decides
-serial_calls        a lock for objects that are copied
+network             a network on a chip or in float: the one place that decides
 """

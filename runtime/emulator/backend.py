@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder
+from spikedeploy.runtime.emulator.ledger import LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 # "numpy" needs nothing else; "numba" compiles, several times faster; "auto" compiles where it can;

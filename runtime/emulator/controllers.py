@@ -10,10 +10,9 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
-from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.ledger_builder import Rows
+from spikedeploy.runtime.emulator.ledger import Ledger, Rows
+from spikedeploy.runtime.emulator.machine import SerialCalls
 from spikedeploy.runtime.emulator.network import running
-from spikedeploy.runtime.emulator.serial_calls import SerialCalls
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 
 STREAM = 2  # keeps the draws apart from those of an environment with the same seed

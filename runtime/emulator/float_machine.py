@@ -11,10 +11,8 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording
-from spikedeploy.runtime.emulator.ledger import Ledger, count
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder, Rows
-from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.serial_calls import SerialCalls
+from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows, count
+from spikedeploy.runtime.emulator.machine import Machine, SerialCalls
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, named

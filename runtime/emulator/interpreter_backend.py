@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.compiler.program import Layer, Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
-from spikedeploy.runtime.emulator.ledger import count
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder
+from spikedeploy.runtime.emulator.ledger import LedgerBuilder, count
 
 
 class InterpreterBackend:

@@ -1,5 +1,6 @@
 """A chip with a program on it, running."""
 
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,25 @@ from spikedeploy.runtime.emulator.backend import (
     schedule,
 )
 from spikedeploy.runtime.emulator.interpreter import Interpreter
-from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder, Rows
-from spikedeploy.runtime.emulator.serial_calls import SerialCalls
+from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 Floats = NDArray[np.float64]
+
+
+class SerialCalls:
+    """Makes calls from several threads wait for one another; a copy has a lock of its own.
+
+    lock: to be held during a call.
+    """
+
+    __slots__ = ("lock",)
+
+    def __init__(self) -> None:
+        self.lock = Lock()
+
+    def __reduce__(self) -> "tuple[type[SerialCalls], tuple[()]]":
+        return SerialCalls, ()
 
 
 class Machine:

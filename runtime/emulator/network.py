@@ -1,4 +1,4 @@
-"""Float or chip: the one place that decides what runs a policy's network."""
+"""A network on a chip or in float: the one place that decides, and machines for any batch."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -11,15 +11,16 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import BackendName, Recording
+from spikedeploy.runtime.emulator.backend import BackendName, Recording, joined
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
-from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.ledger_builder import Rows
-from spikedeploy.runtime.emulator.machine_pool import MachinePool
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
+from spikedeploy.runtime.emulator.machine import Machine, SerialCalls
+from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.graph.ports import Port
 
 FLOAT = "float"
+# inferences that are computed at once: enough to fill matrix products, few enough for the cache
+CHUNK = 64
 
 
 def chip_called(name: str) -> Chip | None:
@@ -59,6 +60,98 @@ class RunningNetwork(Protocol):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What the chip does otherwise than the file says; sentences."""
+
+
+class MachinePool:
+    """A Machine for each batch size that comes along; copied and called as a Machine is.
+
+    program: what they run.
+    ledger: rows to keep, as in LedgerBuilder.
+    backend: what computes, as in Machine.
+    trace: whether `infer` leaves a Recording of each layer in `recordings`.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        ledger: Rows = "each",
+        backend: BackendName = "numpy",
+        trace: bool = False,
+    ) -> None:
+        self.program = program
+        self.recordings: dict[str, Recording] = {}
+        self._backend: BackendName = backend
+        self._trace = trace
+        self._ledger = LedgerBuilder(program, ledger)
+        self._machines: dict[int, Machine] = {}
+        self._calls = SerialCalls()
+
+    def reset(self) -> None:
+        """Forget every current, membrane and spike; the ledger stays."""
+        with self._calls.lock:
+            for machine in self._machines.values():
+                machine.reset()
+
+    def infer(self, spikes: NDArray[Any] | Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """Output (B, T, act) of the spikes (B, T, M); states as the convention says.
+
+        States that are kept belong to a batch size: do not change it without `reset`.
+
+        spikes: or a raster (B, T, *shape) of each Input node, by name.
+        """
+        raster = self._joined(spikes) if isinstance(spikes, Mapping) else spikes
+        batch = len(raster)
+        with self._calls.lock:
+            if batch <= CHUNK or self.program.convention.state == "kept":
+                machine = self._machine(batch)
+                output = machine.infer(raster)
+                self.recordings = machine.recordings
+                return output
+            chunks = [raster[at : at + CHUNK] for at in range(0, batch, CHUNK)]
+            outputs, recorded = [], []
+            for chunk in chunks:
+                machine = self._machine(len(chunk))
+                outputs.append(machine.infer(chunk))
+                recorded.append(machine.recordings)
+            self.recordings = joined(recorded, axis=0)
+            return np.concatenate(outputs)
+
+    @property
+    def ledger(self) -> Ledger:
+        """What happened since the pool was made."""
+        with self._calls.lock:
+            return self._ledger.ledger()
+
+    @property
+    def spikes(self) -> dict[str, NDArray[Any]]:
+        """(B, T, N) of each layer in the last inference, where it was traced."""
+        return {name: recording.spikes for name, recording in self.recordings.items()}
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """The Output nodes side by side in the output."""
+        return self.program.outputs
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the chip does otherwise than the file says; sentences."""
+        return self.program.remarks
+
+    def _machine(self, batch: int) -> Machine:
+        if batch not in self._machines:
+            self._machines[batch] = Machine(
+                self.program, batch, self._ledger, self._trace, self._backend
+            )
+        return self._machines[batch]
+
+    def _joined(self, spikes: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        for name, rows in spikes.items():
+            if rows.dtype.kind not in "bu":
+                raise ObservationError(
+                    f"the raster of node {name!r} holds {rows.dtype} values; a chip takes spikes, "
+                    "0 or 1. Encode them, or play them into --chip float."
+                )
+        return self.program.joined(spikes)
 
 
 def running(

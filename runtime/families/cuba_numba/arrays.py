@@ -104,7 +104,7 @@ def _layers(program: Program, fixed: CubaFixedPoint) -> Integers:
 
 
 def _too_much(layer: Layer, fixed: CubaFixedPoint, drive: float) -> bool:
-    """Whether what is added in a tick could overflow the accumulator, or hide an inexact decay.
+    """Whether what is added in a timestep could overflow the accumulator, or hide an inexact decay.
 
     Where it cannot, a sum that float64 may hold was made from a decay that it computed exactly.
     """
@@ -163,7 +163,7 @@ def _exact(fixed: CubaFixedPoint) -> int:
     return 1 << (EXACT_BITS - 2 - fixed.decay_bits)
 
 
-class NativeMemory:
+class WindowMemory:
     """Memory for windows of T timesteps of a batch of B, with views of what is in it.
 
     constants: of the program; here they know their places.

@@ -44,7 +44,7 @@ def _compiled(function: Function, *, cache: bool) -> Function:
         cache=cache,
         nogil=True,
         error_model="numpy",
-        # arguments are tuples of arrays, which take longer to hand over than a tick to compute
+        # arguments are tuples of arrays, which take longer to hand over than a timestep to compute
         forceinline=True,
         # no arrays are made, so none are counted; what would allocate does not compile
         _nrt=False,

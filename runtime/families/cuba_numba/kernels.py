@@ -8,7 +8,6 @@ exactly. Where a number does not fit its register, the same timestep is computed
 the specification, from the state before it, which is still there.
 """
 
-from spikedeploy.runtime.families.cuba_numba.counting import count
 from spikedeploy.runtime.families.cuba_numba.jit import jit, kept_on_disk
 from spikedeploy.runtime.families.cuba_numba.layout import (
     BIAS,
@@ -42,6 +41,7 @@ from spikedeploy.runtime.families.cuba_numba.layout import (
 )
 from spikedeploy.runtime.families.cuba_numba.neurons import active, float_step, integer_step
 from spikedeploy.runtime.families.cuba_numba.spikes import (
+    count,
     list_spikes,
     sum_weights,
     widen,

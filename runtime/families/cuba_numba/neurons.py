@@ -101,14 +101,14 @@ def active(bias: Array, before: Array, after: Array) -> int:
 
 @jit
 def _decayed(x: Number, factor: Number, bits: Number) -> Number:
-    """What runtime.chips.registers.decay leaves."""
+    """What the decay of runtime.chips.registers leaves."""
     left = abs(x) * factor >> bits
     return left if x >= 0 else -left
 
 
 @jit
 def _fit(x: Number, register: Array) -> Number:
-    """What Register.fit holds."""
+    """What a Register holds of x."""
     overflow, half = register[0], np.int64(1) << (register[1] - 1)
     if overflow == WRAP:
         return (x + half) % (2 * half) - half

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, not_spikes
-from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder
+from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.cuba_numba.arrays import OVERFLOWS, NativeMemory, constants
+from spikedeploy.runtime.families.cuba_numba.arrays import OVERFLOWS, WindowMemory, constants
 from spikedeploy.runtime.families.cuba_numpy.pipeline import NumpyPipeline
 
 
@@ -30,7 +29,7 @@ class NumbaPipeline:
             raise ConfigError(str(self.obstacle(program)))
         slots = timesteps + 1 if schedule.trace else 2
         known = constants(program, fixed, schedule.delays)
-        self._memory = memory = NativeMemory(known, timesteps, batch, slots)
+        self._memory = memory = WindowMemory(known, timesteps, batch, slots)
         self._counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
         self._presynaptic = np.zeros((timesteps, batch, program.layer(program.output).size))
         self._input = memory.rows(0)

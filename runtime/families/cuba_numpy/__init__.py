@@ -1,6 +1,5 @@
 """The NumPy kernels of CuBa-LIF neurons, equal to the interpreter bit for bit.
 
-delay_buffer     spikes that have not arrived yet
 event_counter    the events of a window
 layer_kernel     a layer's whole window of timesteps in few NumPy calls
 neuron_update    the neurons of a layer from timestep to timestep

@@ -17,7 +17,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.machine_pool import MachinePool
+from spikedeploy.runtime.emulator.network import MachinePool
 from tests.equality import runs
 from tests.networks import popsan, spiking_mlp
 from tests.programs import random_programs, rasters

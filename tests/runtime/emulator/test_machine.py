@@ -11,7 +11,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.machine_pool import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.equality import check_like_the_interpreter, runs
 from tests.networks import popsan

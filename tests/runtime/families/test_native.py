@@ -22,7 +22,7 @@ from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.machine_pool import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba_numba import arrays, kernels, layout, pipeline
