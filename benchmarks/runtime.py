@@ -22,18 +22,17 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import torch
 
 from benchmarks.nets import SHIFT, Net, Raster, bernoulli, encoded, kart, popsan, widened
 from benchmarks.peers import peers
-from spikedeploy.runtime.emulator.controllers import MachinePool
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.raster import Scratch
+from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.families.cuba.bounds import bounds
+from spikedeploy.runtime.families.cuba_numpy.raster import Scratch
 from spikedeploy.runtime.families.cuba_numpy.sums import gathering
 
 INPUTS = 20  # rasters of a round at batch 1
@@ -164,14 +163,13 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
 def gatherer(net: Net, raster: Raster) -> Machine:
     """A NumPy machine whose layers, one by one, fetch the weights of spikes and nothing else."""
     machine = Machine(net.program, 1, "none")
-    with patch("spikedeploy.runtime.families.cuba_numpy.pipeline.suits", return_value=False):
-        machine.infer(raster)
-    fixed = net.program.chip.fixed
-    for window, layer in zip(machine._pipeline.windows, net.program.layers, strict=True):
-        partial = bounds(net.program, layer, fixed, net.timesteps).partial
+    machine.infer(raster)
+    for kernel in machine._backend._kernels:
+        layer, arriving = kernel.layer, kernel._input
+        partial = bounds(net.program, layer, net.program.chip.arithmetic, net.timesteps).partial
         weight = layer.synapses[0].weight
-        window._drive._first = gathering(
-            weight, layer.bias, partial, 1 << SHIFT, window._drive.sums, Scratch(8 * weight.size)
+        arriving._first = gathering(
+            weight, layer.bias, partial, 1 << SHIFT, arriving._sums, Scratch(8 * weight.size)
         )
     return machine
 

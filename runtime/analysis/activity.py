@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.registers import decay
 from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.cuba_numpy.pipeline import Recording
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.float_model.nodes import FloatNeurons
 

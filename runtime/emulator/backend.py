@@ -1,75 +1,178 @@
-"""The backends: what computes a program; all of them compute the same."""
+"""What computes a program: one Protocol for all backends, and the choice among them."""
 
-from importlib.util import find_spec
-from typing import Literal, get_args
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.emulator.ledger import LedgerBuilder
+from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 # "numpy" needs nothing else; "numba" compiles, several times faster; "auto" compiles where it can;
-# "interpreter" is the specification of them all. What has no fast kernels is interpreted by "numpy"
-# and "auto" too.
-Backend = Literal["numpy", "numba", "auto", "interpreter"]
-# what registers may do when a number does not fit, of all that `runtime.fixed` has
-OVERFLOWS = ("none", "wrap", "wrap-once", "clip")
+# "interpreter" is their specification. An arithmetic without kernels is interpreted by "numpy" and
+# "auto" too.
+BackendName = Literal["numpy", "numba", "auto", "interpreter"]
+# which of them a name stands for, the first that can run the program
+PREFERENCES: Mapping[str, tuple[str, ...]] = {
+    "numpy": ("numpy", "interpreter"),
+    "numba": ("numba",),
+    "auto": ("numba", "numpy", "interpreter"),
+    "interpreter": ("interpreter",),
+}
+INTERPRETER = "spikedeploy.runtime.emulator.interpreter_backend:InterpreterBackend"
+# of chips whose arithmetic is None: `ideal`, which computes in float64
+FLOAT64 = {
+    "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
+    "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
+}
+
+# "window": all timesteps of a layer at once; "row": one timestep of all layers after another, which
+# closes loops; "step": one timestep of the chip, with the delays of the chip
+RunMode = Literal["window", "row", "step"]
+
+# what a backend needs to go on, arrays by name; only a backend of the same class reads them
+SavedState = dict[str, NDArray[Any]]
 
 
-def compiles(program: Program, backend: Backend) -> bool:
-    """Whether the program is to run compiled; the compiler itself is not loaded."""
-    if backend not in get_args(Backend):
-        choices = ", ".join(map(repr, get_args(Backend)))
-        raise ConfigError(f"backend {backend!r} is unknown. Choose one of {choices}.")
-    if backend in ("numpy", "interpreter"):
-        return False
-    obstacle = _obstacle(program)
-    if obstacle and backend == "numba":
-        raise ConfigError(f"backend 'numba': {obstacle} Or choose backend='numpy'.")
-    return obstacle is None
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a layer did in a window; integers on integer chips.
+
+    current: (B, T, N) after each timestep [state units]; (B, T, K, N) where neurons have K.
+    membrane: (B, T, N) after each timestep, resets included [state units].
+    spikes: (B, T, N).
+    """
+
+    current: NDArray[Any]
+    membrane: NDArray[Any]
+    spikes: NDArray[np.uint8]
 
 
-def interprets(program: Program, backend: Backend) -> bool:
-    """Whether the program is to run in the interpreter, by choice or for want of kernels."""
-    return backend == "interpreter" or _only_interpreted(program) is not None
-
-
-def _only_interpreted(program: Program) -> str | None:
-    """Why no fast kernel computes the program."""
-    chip = program.chip
-    if chip.arithmetic is not None and chip.fixed is None:
-        kind = type(chip.arithmetic).__name__
-        return f"chip {chip.name!r} computes with {kind}, which only the interpreter knows."
-    for layer in program.layers:
-        if any(synapses.shift for synapses in layer.synapses):
-            return (
-                f"layer {layer.name!r}: its weights have a negative exponent, by which "
-                f"{chip.name} rounds sums, which only the interpreter knows."
-            )
-    return None
-
-
-def _beyond(fixed: CubaFixedPoint) -> bool:
-    """Whether registers do what only the interpreter and the NumPy kernels compute."""
-    registers = fixed.accumulator, fixed.current, fixed.membrane
-    strange = any(r.overflow not in OVERFLOWS or r.between is not None for r in registers)
-    return strange or fixed.push.overflow != "none"
-
-
-def _obstacle(program: Program) -> str | None:
-    """Why the program cannot run compiled, and what to do."""
-    if obstacle := _only_interpreted(program):
-        return obstacle
-    fixed = program.chip.fixed
-    if fixed is None:
-        return (
-            f"chip {program.chip.name!r} has no integers, so its sums depend on their order, and "
-            "compiled ones would not be equal. Choose a chip with integers."
+def joined(parts: Sequence[Mapping[str, Recording]], axis: int) -> dict[str, Recording]:
+    """Recordings of the same layers as one: axis 0 is the batch, 1 the timesteps."""
+    return {
+        name: Recording(
+            current=np.concatenate([part[name].current for part in parts], axis),
+            membrane=np.concatenate([part[name].membrane for part in parts], axis),
+            spikes=np.concatenate([part[name].spikes for part in parts], axis),
         )
-    if _beyond(fixed):
-        return (
-            f"chip {program.chip.name!r} has a register that the compiled kernels do not know: one "
-            "that saturates, has a narrower range, or holds the push."
-        )
-    if find_spec("numba") is None:
-        return "Numba is not installed. Install it with pip install 'spikedeploy[fast]'."
-    return None
+        for name in parts[0]
+    }
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What a backend is prepared for.
+
+    mode: which of its loops over layers and timesteps is the outer one.
+    timesteps: T of a window.
+    steps: chip timesteps that a window stands for.
+    delays: rows by which the synapses of each layer deliver late.
+    kept: whether states go on from window to window.
+    trace: whether `recordings` will be asked for.
+    counting: whether `report` will be.
+    """
+
+    mode: RunMode
+    timesteps: int
+    steps: int
+    delays: tuple[tuple[int, ...], ...]
+    kept: bool
+    trace: bool
+    counting: bool
+
+
+def schedule(
+    program: Program, mode: RunMode, timesteps: int, *, trace: bool, counting: bool
+) -> Schedule:
+    """What a program asks of its backend for windows of T timesteps."""
+    return Schedule(
+        mode=mode,
+        timesteps=timesteps,
+        steps=1 if mode == "step" else program.steps(timesteps),
+        delays=program.delays if mode == "step" else program.lags,
+        kept=mode != "window" or program.convention.state == "kept",
+        trace=trace,
+        counting=counting,
+    )
+
+
+class Backend(Protocol):
+    """A program in memory, ready to run windows of T timesteps for a batch of B."""
+
+    schedule: Schedule
+
+    def __init__(self, program: Program, schedule: Schedule, batch: int) -> None: ...
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """Why it cannot compute the program, and what to do; None where it can."""
+
+    def reset(self) -> None:
+        """Forget every current, membrane and spike."""
+
+    def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
+        """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M).
+
+        step: chip timestep of a single row; layers that start later only wait.
+        """
+
+    def report(self, ledger: LedgerBuilder) -> None:
+        """Enter the last window in the ledger."""
+
+    def recordings(self) -> dict[str, Recording]:
+        """What each layer did in the last window."""
+
+    def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+        """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""
+
+    def saved(self) -> SavedState:
+        """Copies of all states, and of the spikes that have not arrived yet."""
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there; T may be another where layers run row by row."""
+
+
+def backend_class(program: Program, name: str) -> type[Backend]:
+    """The backend of that name that computes the program; loads no other."""
+    if name not in get_args(BackendName):
+        choices = ", ".join(map(repr, get_args(BackendName)))
+        raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
+    arithmetic = program.chip.arithmetic
+    able = {**(FLOAT64 if arithmetic is None else arithmetic.backends), "interpreter": INTERPRETER}
+    obstacle: str | None = (
+        f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which only the "
+        "interpreter knows."
+    )
+    for each in PREFERENCES[name]:
+        if each in able:
+            found = _imported(able[each])
+            if (obstacle := found.obstacle(program)) is None:
+                return found
+    raise ConfigError(f"backend {name!r}: {obstacle} Or choose backend='numpy'.")
+
+
+def _imported(place: str) -> type[Backend]:
+    module, name = place.split(":")
+    found: type[Backend] = getattr(import_module(module), name)
+    return found
+
+
+def check_counts(rows: NDArray[Any], most: int) -> None:
+    """Refuse more spikes than an input takes at once."""
+    # what rows.max() does, without its detour through Python
+    if rows.dtype.kind == "u" and int(np.maximum.reduce(rows, axis=None)) > most:
+        raise not_spikes(rows, most)
+
+
+def not_spikes(values: NDArray[Any], most: int = 1) -> ObservationError:
+    """The error for values that are no spikes, or more of them than an input takes at once."""
+    range_ = "0 or 1" if most == 1 else f"0 to {most}"
+    return ObservationError(
+        f"the raster holds {values.dtype} values; it must hold at least one timestep, and {range_} "
+        "in bool or unsigned integers. Convert it with spikes.astype(bool), or clip the counts."
+    )

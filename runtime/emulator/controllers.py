@@ -1,9 +1,4 @@
-"""Controllers: a policy file acting on a robot, on a chip or in float.
-
-Machines for batches of any size, with one ledger.
-
-Draws one of several actions, the likelier the higher its score.
-"""
+"""A policy file acting on a robot, on a chip or in float."""
 
 from typing import Any
 
@@ -13,61 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.codec.xorshift import Xorshift
-from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import Backend
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
-from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder, Rows
-from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.emulator.ledger import Ledger, Rows
+from spikedeploy.runtime.emulator.machine import SerialCalls
+from spikedeploy.runtime.emulator.network import running
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
-
-# inferences that are computed at once: enough to fill matrix products, few enough for the cache
-CHUNK = 64
-
-
-class MachinePool:
-    """A Machine for each batch size that comes along.
-
-    program: what they run.
-    ledger: rows to keep, as in Recorder.
-    backend: what computes, as in Machine.
-    """
-
-    def __init__(self, program: Program, ledger: Rows = "each", backend: Backend = "numpy") -> None:
-        self.program = program
-        self._backend = backend
-        self._recorder = LedgerBuilder(program, ledger)
-        self._machines: dict[int, Machine] = {}
-
-    def reset(self) -> None:
-        """Forget every current, membrane and spike; the ledger stays."""
-        for machine in self._machines.values():
-            machine.reset()
-
-    def infer(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
-        """Output (B, T, act) of the spikes (B, T, M); states as the convention says.
-
-        States that are kept belong to a batch size: do not change it without `reset`.
-        """
-        batch = len(spikes)
-        if batch <= CHUNK or self.program.convention.state == "kept":
-            return self._machine(batch).infer(spikes)
-        chunks = [spikes[at : at + CHUNK] for at in range(0, batch, CHUNK)]
-        return np.concatenate([self._machine(len(chunk)).infer(chunk) for chunk in chunks])
-
-    @property
-    def ledger(self) -> Ledger:
-        """What happened since the pool was made."""
-        return self._recorder.ledger()
-
-    def _machine(self, batch: int) -> Machine:
-        if batch not in self._machines:
-            self._machines[batch] = Machine(
-                self.program, batch, self._recorder, backend=self._backend
-            )
-        return self._machines[batch]
-
 
 STREAM = 2  # keeps the draws apart from those of an environment with the same seed
 
@@ -94,19 +40,22 @@ class Sampler:
         """Indices (B,) of actions drawn for the scores (B, act)."""
         # p = softmax(scores), unnormalised and summed up
         below = np.exp(scores - scores.max(axis=1, keepdims=True)).cumsum(axis=1)
-        thrown = self._rng.random((len(scores), 1)) * below[:, -1:]
-        return np.asarray((below[:, :-1] <= thrown).sum(axis=1))
+        drawn = self._rng.random((len(scores), 1)) * below[:, -1:]
+        return np.asarray((below[:, :-1] <= drawn).sum(axis=1))
 
 
 class SpikingController:
     """Observation in, action out; the codec of the artifact does the rest.
 
+    Copies made by copy.deepcopy and pickle go on exactly as the original does. Calls from several
+    threads wait for one another.
+
     artifact: the policy.
     chip: what it runs on; None is the float twin, in float64.
-    ledger: rows to keep, as in Recorder.
+    ledger: rows to keep, as in LedgerBuilder.
     sampled: draw one of several actions from the softmax of their scores; else the best is taken.
     backend: what computes on a chip, as in Machine; the float twin is always NumPy.
-    options: for compile.
+    options: for compile_program.
     """
 
     def __init__(
@@ -115,7 +64,7 @@ class SpikingController:
         chip: Chip | None = None,
         ledger: Rows = "each",
         sampled: bool = False,
-        backend: Backend = "numpy",
+        backend: BackendName = "numpy",
         **options: Any,  # noqa: ANN401
     ) -> None:
         if artifact.codec is None:
@@ -126,11 +75,9 @@ class SpikingController:
         self.codec = artifact.codec
         self._kept = artifact.convention.state == "kept"
         self._sampler = Sampler(self.codec.chooses) if sampled else None
-        self.network: FloatMachine | MachinePool = (
-            FloatMachine(artifact, ledger)
-            if chip is None
-            else MachinePool(compile_program(artifact, chip, **options), ledger, backend)
-        )
+        on_chip = {"backend": backend, **options} if chip else {}
+        self.network = running(artifact, chip, ledger, **on_chip)
+        self._calls = SerialCalls()
         self.reset(0)
 
     @property
@@ -145,10 +92,11 @@ class SpikingController:
 
     def reset(self, seed: int) -> None:
         """Start an episode: forget every state; what is random in it comes from the seed."""
-        self.network.reset()
-        self._dice = Xorshift(seed, self.codec.encoder.width)
-        if self._sampler is not None:
-            self._sampler.reset(seed)
+        with self._calls.lock:
+            self.network.reset()
+            self._rng = Xorshift(seed, self.codec.encoder.width)
+            if self._sampler is not None:
+                self._sampler.reset(seed)
 
     def act(self, observation: ArrayLike) -> NDArray[Any]:
         """Action (act,), or () int where one of several is chosen, for the observation (obs,)."""
@@ -159,10 +107,11 @@ class SpikingController:
 
         Where states are kept, B must stay the same until `reset`.
         """
-        output = self.network.infer(self.codec.encode(observations, self._dice))
-        if self._sampler is not None:
-            return self._sampler(self.codec.scores(output))
-        return self.codec.decode(output)
+        with self._calls.lock:
+            output = self.network.infer(self.codec.encode(observations, self._rng))
+            if self._sampler is not None:
+                return self._sampler(self.codec.scores(output))
+            return self.codec.decode(output)
 
     @property
     def ledger(self) -> Ledger:

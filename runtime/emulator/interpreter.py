@@ -89,7 +89,7 @@ class Interpreter:
         self.states = {layer.name: LayerState.zero(layer, batch) for layer in program.layers}
         # last rows of the inference before: synapses with a lag still have to deliver them
         self._memory = max(lag for lags in program.lags for lag in lags)
-        self._tails = {
+        self.tails = {
             name: np.zeros((batch, self._memory, size), np.uint8)
             for name, size in program.sizes.items()
         }
@@ -102,7 +102,7 @@ class Interpreter:
         waiting: names of layers that stand still meanwhile.
         """
         program, timesteps = self.program, raster.shape[1]
-        output_spikes = {name: _lengthened(tail, timesteps) for name, tail in self._tails.items()}
+        output_spikes = {name: _lengthened(tail, timesteps) for name, tail in self.tails.items()}
         output_spikes[program.input][:, self._memory :] = raster
         history: dict[str, list[tuple[Numbers, Numbers, StepResult]]] = {
             layer.name: [] for layer in program.layers
@@ -118,7 +118,7 @@ class Interpreter:
                     tick = self._tick(layer, self._heard(layer, step, output_spikes), state)
                 output_spikes[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
-        self._tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
+        self.tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
         return {name: _stacked(ticks) for name, ticks in history.items()}
 
     def _tick(self, layer: Layer, presynaptic: list[Numbers], state: LayerState) -> StepResult:

@@ -5,6 +5,7 @@ sum of what its edges deliver.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import nir
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, build_node
+from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, Node, build_node
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
 from spikedeploy.runtime.graph.ports import by_port, ports
@@ -38,15 +39,19 @@ class FloatGraph:
         self.spiking = _spiking(self.graph)
         self.timing = timing(self.graph, self.convention)
         self.sources = {name: sources(self.graph, name) for name in self.timing.names}
-        self.nodes = {
-            name: build_node(name, self.graph.nodes[name], self.convention, self.dtype)
-            for name in self.timing.names
-        }
-        for name, timesteps in self.timing.delays.items():
-            # the late edges of the node are one timestep of its delay
-            self.nodes[name] = Delay(name, timesteps)
-        # output (B, 1, *shape) of each node in the timestep before
+        self.nodes = self._built()
+        # what each node put out in the timestep before, (B, 1, *shape)
         self.before: dict[str, Array] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Nodes without a state are functions, which pickle does not take; copies build them."""
+        kinds = (FloatNeurons, Delay)
+        states = {name: node for name, node in self.nodes.items() if isinstance(node, kinds)}
+        return {**self.__dict__, "nodes": states}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.nodes = {**self._built(), **state["nodes"]}
 
     def reset(self) -> None:
         """Set currents, membranes and all delayed values to 0."""
@@ -83,6 +88,17 @@ class FloatGraph:
         for port in self.outputs:
             trace["output" if len(self.outputs) == 1 else port.name] = values[port.name]
         return trace
+
+    def _built(self) -> dict[str, Node]:
+        """The nodes, without a state."""
+        nodes = {
+            name: build_node(name, self.graph.nodes[name], self.convention, self.dtype)
+            for name in self.timing.names
+        }
+        for name, timesteps in self.timing.delays.items():
+            # without the timestep that its late edges take
+            nodes[name] = Delay(name, timesteps)
+        return nodes
 
     def _advance(self, x: Mapping[str, Array]) -> dict[str, Array]:
         """Output (B, T, *shape) of every node for the next T timesteps."""

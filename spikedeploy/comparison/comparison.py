@@ -13,8 +13,8 @@ from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference, share
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import priced_by
-from spikedeploy.policies.interface import BASELINES, FLOAT
-from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.policies.interface import BASELINES
+from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
 
@@ -192,7 +192,7 @@ def _tables(row: Row) -> tuple[str, ...]:
     """The energy tables of a row: those of its chip, or those that price a float network."""
     if row.entry.chip is None:
         return tuple(row.episodes[0].costs.energy_j)
-    return priced_by(None if row.entry.chip == FLOAT else datasheet(row.entry.chip))
+    return priced_by(chip_called(row.entry.chip))
 
 
 def _metrics(row: Row) -> dict[str, float]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import RunningNetwork
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
     TABLES,
@@ -52,10 +52,10 @@ class Measures:
 
 
 def measured(
-    artifact: Artifact, machine: Machine, raster: NDArray[Any], ledger: Ledger
+    artifact: Artifact, network: RunningNetwork, raster: NDArray[Any], ledger: Ledger
 ) -> Measures:
-    """Measures of the last inference, on the raster (B, T, M), of a machine with a trace."""
-    program, seen = machine.program, machine.recordings
+    """Of the last inference of a network with a trace, which was of the raster (B, T, M)."""
+    program, seen = network.program, network.recordings
     spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
     membranes = {name: rows.membrane for name, rows in seen.items()}
     latencies = _latencies(program, spikes, ledger)
@@ -67,15 +67,6 @@ def measured(
         latencies,
         {name: static_energy(t.value, power) for name, t in latencies.items()} if power else {},
     )
-
-
-def measured_by_replay(
-    artifact: Artifact, program: Program, raster: NDArray[Any], ledger: Ledger
-) -> Measures:
-    """Measures of a program that ran without a trace, as in the float twin: it is run once more."""
-    machine = Machine(program, len(raster), ledger="none", trace=True)
-    machine.infer(raster)
-    return measured(artifact, machine, raster, ledger)
 
 
 def _events(ledger: Ledger) -> dict[str, dict[str, int]]:

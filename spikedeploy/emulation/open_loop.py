@@ -9,20 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.measures import Measures, measured, measured_by_replay
+from spikedeploy.emulation.measures import Measures, measured
 from spikedeploy.emulation.rasters import Raster, in_batch
 from spikedeploy.files import replacing
 from spikedeploy.policies.costs import priced_by
-from spikedeploy.policies.interface import FLOAT
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.compiler.compile import compile_program as compiled
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
+from spikedeploy.runtime.emulator.network import chip_called, running
+from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
 from spikedeploy.runtime.graph.ports import Port, by_port, ports, split
 from spikedeploy.runtime.metrics.energy import EnergyEstimate, energy_estimate, energy_table
 
@@ -113,7 +109,7 @@ class Emulation:
         """Energy table -> [J] with its interval."""
         if self.ledger is None:
             return {}
-        names = self.tables or priced_by(None if self.chip == FLOAT else datasheet(self.chip))
+        names = self.tables or priced_by(chip_called(self.chip))
         return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
 
 
@@ -146,62 +142,33 @@ def emulate_artifact(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
 ) -> Emulation:
-    """The same with a loaded network."""
+    """The same with a network that is loaded already."""
     rows = by_port(ports(artifact.graph.inputs), in_batch(rasters))
-    if chip != FLOAT:
-        found = datasheet(chip)
-        program = compiled(artifact, found, quantisation, limits=limits)
-        emulation = _on_chip(artifact, program, chip, rows, backend)
-        if limits or found.limits is None:
-            return emulation
-        return replace(emulation, remarks=(*emulation.remarks, UNLIMITED))
-    if backend is not None:
-        raise ConfigError(
-            f"--backend {backend} is for programs of a chip; float runs in NumPy. Leave it out, or "
-            "choose a chip."
-        )
-    return _in_float(artifact, rows)
-
-
-def _in_float(artifact: Artifact, rows: Mapping[str, Raster]) -> Emulation:
-    machine = FloatMachine(artifact)
-    outputs = _outputs(machine.graph.outputs, machine.infer(rows))
-    spikes = {name: seen[0] for name, seen in machine.spikes.items()}
-    try:
-        raster = machine.program.joined(rows)
-        measures = measured_by_replay(artifact, machine.program, raster, machine.ledger)
-        return Emulation(artifact, FLOAT, spikes, outputs, machine.ledger, measures=measures)
-    except RuleError as error:  # a graph or a raster that no chip could take
-        return Emulation(artifact, FLOAT, spikes, outputs, None, str(error))
-
-
-def _on_chip(
-    artifact: Artifact,
-    program: Program,
-    chip: str,
-    rows: Mapping[str, Raster],
-    backend: str | None,
-) -> Emulation:
-    for name, seen in rows.items():
-        if seen.dtype.kind not in "bu":
-            raise ObservationError(
-                f"the raster of node {name!r} holds {seen.dtype} values; a chip takes spikes, 0 "
-                "or 1. Encode them, or play them into --chip float."
-            )
-    _check_memory(program, rows)
-    # the machine refuses names that it does not know
-    given: dict[str, Any] = {} if backend is None else {"backend": backend}
-    machine = Machine(program, trace=True, **given)
-    raster = program.joined(rows)
-    outputs = _outputs(program.outputs, machine.infer(raster))
-    if both := sorted(machine.recordings.keys() & outputs.keys()):
+    on = chip_called(chip)
+    # the machine refuses names of backends that it does not know
+    options: dict[str, Any] = {"backend": backend}
+    if on is not None:
+        options |= {"quantisation": quantisation, "limits": limits}
+    network = running(artifact, on, trace=True, **options)
+    if on is not None:
+        _check_memory(network.program, rows)
+    outputs = _outputs(network.outputs, network.infer(rows))
+    if both := sorted(network.spikes.keys() & outputs.keys()):
         raise ArtifactError(f"node {both[0]!r} spikes, but that name is the output's. Rename it.")
+    nodes = artifact.graph.nodes
     spikes = {
-        name: seen.spikes[0].reshape(-1, *artifact.graph.nodes[name].v_threshold.shape)
-        for name, seen in machine.recordings.items()
+        name: seen[0].reshape(-1, *nodes[name].output_type["output"])
+        for name, seen in network.spikes.items()
     }
-    measures = measured(artifact, machine, raster, machine.ledger)
-    return Emulation(artifact, chip, spikes, outputs, machine.ledger, "", program.remarks, measures)
+    unlimited = on is not None and not limits and on.limits is not None
+    remarks = (*network.remarks, UNLIMITED) if unlimited else network.remarks
+    emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks)
+    try:
+        raster, ledger = network.program.joined(rows), network.ledger
+        measures = measured(artifact, network, raster, ledger)
+    except RuleError as error:  # a graph or a raster that no chip could take
+        return replace(emulation, uncounted=str(error))
+    return replace(emulation, ledger=ledger, measures=measures)
 
 
 def _check_memory(program: Program, rows: Mapping[str, Raster]) -> None:

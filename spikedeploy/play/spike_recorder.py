@@ -6,13 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.interface import Candidate
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.codec.xorshift import Xorshift
-from spikedeploy.runtime.compiler.compile import compile_program as compiled
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
-from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import chip_called, running
 from spikedeploy.runtime.errors import ConfigError
 
 Floats = NDArray[np.float64]
@@ -46,11 +43,7 @@ class SpikeRecorder:
         if artifact.codec is None:
             raise ConfigError(f"{candidate.path} has no codec, so observations become no spikes")
         self._codec = artifact.codec
-        self._network: FloatMachine | Machine = (
-            FloatMachine(artifact, "none")
-            if chip == FLOAT
-            else Machine(compiled(artifact, datasheet(chip)), ledger="none", trace=True)
-        )
+        self._network = running(artifact, chip_called(chip), "none", trace=True)
 
     def record(self, observations: Floats, seed: int) -> InferenceTrace:
         """One inference for each observation (S, obs), in their order."""
@@ -61,14 +54,8 @@ class SpikeRecorder:
         for observation in observations:
             spikes = self._codec.encode(observation[None], rng)
             scores.append(self._codec.scores(self._network.infer(spikes))[0])
-            for name, raster in {"input": spikes[0], **self._spikes()}.items():
-                rasters.setdefault(name, []).append(raster)
+            for name, raster in {"input": spikes, **self._network.spikes}.items():
+                rasters.setdefault(name, []).append(raster[0])
         return InferenceTrace(
             {name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores)
         )
-
-    def _spikes(self) -> dict[str, NDArray[np.uint8]]:
-        """Layer -> spikes (T, N) of the last inference."""
-        if isinstance(self._network, FloatMachine):
-            return {name: rows[0] for name, rows in self._network.spikes.items()}
-        return {name: seen.spikes[0] for name, seen in self._network.recordings.items()}

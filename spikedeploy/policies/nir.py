@@ -12,11 +12,10 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import Costs, spiking_costs
 from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.compiler.compile import compile_program as compiled
 from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metrics.memory import packed_bytes
 from spikedeploy.runtime.metrics.neurobench import connection_sparsity, footprint
@@ -43,11 +42,11 @@ class NirController:
     ) -> None:
         artifact = load(path)
         self.graph = artifact.graph
-        self.chip = None if chip == FLOAT else datasheet(chip)
+        self.chip = chip_called(chip)
         self._controller = SpikingController(
             artifact, self.chip, "total", sampled, limits=limits, quantisation=quantisation
         )
-        self.program = self._controller.program or compiled(artifact, datasheet("ideal"))
+        self.program = self._controller.program
         self.remarks = self.program.remarks
         self._before = self._controller.ledger
 

@@ -1,7 +1,8 @@
 """The integer CuBa-LIF arithmetic of Loihi."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ChipError
@@ -40,6 +41,11 @@ class CubaFixedPoint:
     push: the current and the voltage bias, on their way to the membrane.
     refractory: timesteps from a spike to the next possible one; 1 is none.
     """
+
+    backends: ClassVar[Mapping[str, str]] = {
+        "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
+        "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
+    }
 
     weight_bits: int
     weight_bits_allowed: tuple[int, ...]

@@ -6,7 +6,9 @@ Approximate: states are float32 and weights 8 bits as its NIR importer makes the
 the firmware multiplies and adds, and rounds, is not published.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits, SynapticMemory
@@ -19,6 +21,9 @@ class CubaFloat32:
 
     weight_bits: of a weight, with the sign; the lowest number is not used.
     """
+
+    # the interpreter alone
+    backends: ClassVar[Mapping[str, str]] = {}
 
     weight_bits: int
 

@@ -1,6 +1,10 @@
 """The compiled kernels of CuBa-LIF neurons, equal to the interpreter bit for bit.
 
-arrays           A program as the arrays that the compiled kernels take
-kernels          The compiled kernels: a window of a whole program in one call, equal to the in
-pipeline         The native pipeline: a program in memory, run by the compiled kernels; as Pipe
+arrays           a program, and the memory that it runs in, as the arrays that kernels take
+jit              how the kernels are compiled, and kept on disk
+kernels          a window of a whole program in one call
+layout           what is where in the arrays
+neurons          the update of neurons in one timestep, in float64 and in int64
+pipeline         the backend
+spikes           spikes listed once for each row, summed up as weights, and counted
 """

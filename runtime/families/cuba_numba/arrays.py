@@ -1,7 +1,4 @@
-"""A program as the arrays that the compiled kernels take.
-
-The memory of the compiled kernels: how large it is, and where in it what is.
-"""
+"""A program, and the memory that it runs in, as the arrays that the compiled kernels take."""
 
 from functools import lru_cache
 from typing import Any
@@ -11,12 +8,11 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Layer, Program
-from spikedeploy.runtime.emulator.raster import aligned, as_aligned
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.emulator.backend import SavedState
 from spikedeploy.runtime.families.cuba.bounds import bounds, room
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.cuba_numba import kernels
-from spikedeploy.runtime.families.cuba_numba.kernels import (
+from spikedeploy.runtime.families.cuba_numba import layout
+from spikedeploy.runtime.families.cuba_numba.layout import (
     LENGTHS,
     NEURONS,
     RASTER,
@@ -26,6 +22,7 @@ from spikedeploy.runtime.families.cuba_numba.kernels import (
     Constants,
     KernelMemory,
 )
+from spikedeploy.runtime.families.cuba_numpy.raster import aligned, as_aligned
 from spikedeploy.runtime.families.cuba_numpy.sums import EXACT_INT16
 
 Integers = NDArray[np.int64]
@@ -35,29 +32,29 @@ EXACT_INT32 = (1 << 31) - 1
 # bits of every whole number that float64 holds
 EXACT_BITS = 53
 
+# what registers may do when a number does not fit, of all that a Register can
 OVERFLOWS = {
-    "none": kernels.NONE,
-    "wrap": kernels.WRAP,
-    "wrap-once": kernels.WRAP_ONCE,
-    "clip": kernels.CLIP,
+    "none": layout.NONE,
+    "wrap": layout.WRAP,
+    "wrap-once": layout.WRAP_ONCE,
+    "clip": layout.CLIP,
 }
 
 
 @lru_cache(maxsize=8)
-def constants(program: Program, late: tuple[tuple[int, ...], ...]) -> Constants:
+def constants(
+    program: Program, fixed: CubaFixedPoint, delays: tuple[tuple[int, ...], ...]
+) -> Constants:
     """All that does not change while the program runs; shared by its machines.
 
-    late: rows by which each synapse of each layer delivers late.
+    delays: rows by which each synapse of each layer delivers late.
     """
-    fixed = program.chip.fixed
-    if fixed is None:
-        raise ConfigError(f"chip {program.chip.name!r} has no integers. Choose backend='numpy'.")
     return Constants(
         weights=_weights(program),
         fan_out=np.concatenate([s.fan_out for a in program.layers for s in a.synapses]),
-        wires=_wires(program, late),
+        wires=_wires(program, delays),
         layers=_layers(program, fixed),
-        sources=_sources(program, late),
+        sources=_sources(program, delays),
         chip=_chip(program, fixed),
         registers=_registers(fixed),
         whole=_whole(program),
@@ -78,10 +75,10 @@ def _whole_type(largest: int) -> Any:  # noqa: ANN401
     return np.int16 if largest <= EXACT_INT16 else np.int32 if largest <= EXACT_INT32 else np.int64
 
 
-def _wires(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
+def _wires(program: Program, delays: tuple[tuple[int, ...], ...]) -> Integers:
     index = {name: k for k, name in enumerate(program.sizes)}
     rows, weights, axons = [], 0, 0
-    for layer, lags in zip(program.layers, late, strict=True):
+    for layer, lags in zip(program.layers, delays, strict=True):
         for synapses, lag in zip(layer.synapses, lags, strict=True):
             rows.append((index[synapses.source], lag, weights, axons))
             weights += synapses.weight.size
@@ -94,20 +91,20 @@ def _layers(program: Program, fixed: CubaFixedPoint) -> Integers:
     biases = sum(s.weight.size for layer in program.layers for s in layer.synapses)
     for layer in program.layers:
         limits = bounds(program, layer, fixed, None)
-        careful = fixed.refractory > 1 or _too_much(layer, fixed, limits.drive)
+        in_integers = fixed.refractory > 1 or _too_much(layer, fixed, limits.drive)
         bits = 8 * np.dtype(_whole_type(limits.partial)).itemsize
         end = wires + len(layer.synapses)
         output = layer.name in program.to_host
         forgets = not layer.current_decay.any()
         proven = max(limits.current, limits.above, limits.below) <= min(_rooms(fixed)[1:])
         about = (layer.start, biases + neurons, layer.bias_fan_out, output, forgets, proven)
-        rows.append((layer.size, neurons, 0, wires, end, bits, careful, *about))
+        rows.append((layer.size, neurons, 0, wires, end, bits, in_integers, *about))
         neurons, wires = neurons + layer.size, end
     return np.array(rows, np.int64)
 
 
 def _too_much(layer: Layer, fixed: CubaFixedPoint, drive: float) -> bool:
-    """Whether what is added in a tick could overflow the accumulator, or hide an inexact decay.
+    """Whether what is added in a timestep could overflow the accumulator, or hide an inexact decay.
 
     Where it cannot, a sum that float64 may hold was made from a decay that it computed exactly.
     """
@@ -115,10 +112,10 @@ def _too_much(layer: Layer, fixed: CubaFixedPoint, drive: float) -> bool:
     return drive > room(fixed.accumulator) or max(drive, bias) > _exact(fixed)
 
 
-def _sources(program: Program, late: tuple[tuple[int, ...], ...]) -> Integers:
+def _sources(program: Program, delays: tuple[tuple[int, ...], ...]) -> Integers:
     """Without places in memory, which depend on the timesteps."""
     remembered = dict.fromkeys(program.sizes, 0)
-    for layer, lags in zip(program.layers, late, strict=True):
+    for layer, lags in zip(program.layers, delays, strict=True):
         for synapses, lag in zip(layer.synapses, lags, strict=True):
             remembered[synapses.source] = max(remembered[synapses.source], lag)
     lag = program.readout.lag if program.readout else 0
@@ -166,7 +163,7 @@ def _exact(fixed: CubaFixedPoint) -> int:
     return 1 << (EXACT_BITS - 2 - fixed.decay_bits)
 
 
-class NativeMemory:
+class WindowMemory:
     """Memory for windows of T timesteps of a batch of B, with views of what is in it.
 
     constants: of the program; here they know their places.
@@ -188,7 +185,7 @@ class NativeMemory:
             lists=np.zeros((batch, spikes), np.int32),
             lengths=np.zeros((batch, lengths), np.int64),
             states=aligned((batch, states), np.float64),
-            silent=np.zeros((batch, int(layers[:, SIZE].sum())), np.int64),
+            refractory=np.zeros((batch, int(layers[:, SIZE].sum())), np.int64),
             sums16=aligned((widest,), np.int16),
             sums32=aligned((widest,), np.int32),
             sums64=aligned((widest,), np.int64),
@@ -204,17 +201,33 @@ class NativeMemory:
         """(B, T, N) spikes of a source in the window."""
         return self._split(self.arrays.rasters, source)[:, -self.timesteps :]
 
-    def copy(self, other: "NativeMemory") -> None:
-        """Take over the states, and what is on its way, from memory for other windows."""
+    def saved(self) -> SavedState:
+        """Copies of the states now, and of the spikes that have not arrived yet."""
+        saved = {"refractory": self.arrays.refractory.copy()}
         for layer in range(len(self.constants.layers)):
-            self.states(layer)[:, 0] = other.states(layer)[:, 0]
-        for source, (_, past, _, at) in enumerate(self.constants.sources):
-            for mine, its in zip(self.arrays[:2], other.arrays[:2], strict=True):
-                self._split(mine, source)[:, :past] = other._split(its, source)[:, :past]
-            there = other.constants.sources[source, LENGTHS]
-            lengths = other.arrays.lengths[:, there : there + past]
-            self.arrays.lengths[:, at : at + past] = lengths
-        self.arrays.silent[:] = other.arrays.silent
+            saved[f"states {layer}"] = self.states(layer)[:, 0].copy()
+        for source in range(len(self.constants.sources)):
+            for name, rows in self._late(source).items():
+                saved[f"{name} {source}"] = rows.copy()
+        return saved
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there; T may be another."""
+        self.arrays.refractory[:] = saved["refractory"]
+        for layer in range(len(self.constants.layers)):
+            self.states(layer)[:, 0] = saved[f"states {layer}"]
+        for source in range(len(self.constants.sources)):
+            for name, rows in self._late(source).items():
+                rows[:] = saved[f"{name} {source}"]
+
+    def _late(self, source: int) -> dict[str, NDArray[Any]]:
+        """What is remembered of the rows of a source that have not arrived: views."""
+        _, past, _, at = self.constants.sources[source]
+        return {
+            "rasters": self._split(self.arrays.rasters, source)[:, :past],
+            "lists": self._split(self.arrays.lists, source)[:, :past],
+            "lengths": self.arrays.lengths[:, at : at + past],
+        }
 
     def _split(self, array: NDArray[Any], source: int) -> NDArray[Any]:
         """(B, remembered + T, N) of the rasters or of the lists."""

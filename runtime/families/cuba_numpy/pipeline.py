@@ -1,202 +1,211 @@
-"""The pipeline: every layer's window, one after another, with the spikes that go between them.
+"""The NumPy backend: every layer's window, one after another."""
 
-The relay: spikes that were emitted in earlier timesteps and are still on their way.
-"""
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Layer, Program
-from spikedeploy.runtime.emulator.ledger_builder import (
-    EventCounter,
-    LedgerBuilder,
-    Ran,
-    WindowStats,
+from spikedeploy.runtime.emulator.backend import (
+    Recording,
+    SavedState,
+    Schedule,
+    check_counts,
+    joined,
 )
-from spikedeploy.runtime.emulator.raster import Raster, Scratch
+from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba_numpy.event_counter import EventCounter, WindowStats
 from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
-from spikedeploy.runtime.families.cuba_numpy.wave import Wave, suits
+from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch
 
-Rows = NDArray[np.uint8]
+IDLE = EVENTS.index("neuron_idle")
 
 
 class DelayBuffer:
-    """Delivers the rows of each source late.
+    """Spikes that were emitted in earlier timesteps and have not arrived yet.
 
     sizes: neurons of each source.
-    memory: longest lateness, in rows.
+    longest: longest delay, in rows.
     """
 
-    def __init__(self, sizes: dict[str, int], memory: int, batch: int) -> None:
-        self._memory = memory
-        self._tails = {name: np.zeros((memory, batch, n), np.uint8) for name, n in sizes.items()}
+    def __init__(self, sizes: dict[str, int], longest: int, batch: int) -> None:
+        self._longest = longest
+        self._tails = {name: np.zeros((longest, batch, n), np.uint8) for name, n in sizes.items()}
 
     def reset(self) -> None:
         """Nothing is on its way."""
-        if self._memory:
+        if self._longest:
             for tail in self._tails.values():
                 tail.fill(0)
 
-    def presynaptic(
-        self, source: str, late: int, output_spikes: dict[str, Raster], timesteps: int
+    def delayed(
+        self, source: str, delay: int, output_spikes: dict[str, Raster], timesteps: int
     ) -> Raster:
-        """The T rows that arrive in this window when they are so late."""
-        if late == 0:
+        """The T rows of a source that arrive in this window."""
+        if delay == 0:
             return output_spikes[source]
-        first = self._memory - late
+        first = self._longest - delay
         rows = self._tails[source][first : first + timesteps]
-        if late < timesteps:
-            rows = np.concatenate([rows, output_spikes[source].rows[: timesteps - late]])
+        if delay < timesteps:
+            rows = np.concatenate([rows, output_spikes[source].rows[: timesteps - delay]])
         return Raster(rows)
 
     def keep(self, output_spikes: dict[str, Raster]) -> None:
         """Remember the last rows of a window."""
-        if self._memory:
+        if self._longest:
             for name, raster in output_spikes.items():
                 rows = np.concatenate([self._tails[name], raster.rows])
-                self._tails[name] = rows[-self._memory :]
+                self._tails[name] = rows[-self._longest :]
+
+    def saved(self) -> SavedState:
+        """Copies of the rows that have not arrived, by source."""
+        return {name: tail.copy() for name, tail in self._tails.items()}
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there."""
+        self._tails = {name: saved[name].copy() for name in self._tails}
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """What a layer did in a window; integers on integer chips.
-
-    current: (B, T, N) after each timestep [state units].
-    membrane: (B, T, N) after each timestep, resets included [state units].
-    spikes: (B, T, N).
-    """
-
-    current: NDArray[Any]
-    membrane: NDArray[Any]
-    spikes: NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """What a pipeline is prepared for.
-
-    timesteps: T of a window.
-    late: rows by which each synapse of each layer delivers late.
-    kept: whether states go on from window to window.
-    steps: chip timesteps that a window stands for.
-    """
-
-    timesteps: int
-    late: tuple[tuple[int, ...], ...]
-    kept: bool
-    steps: int
-
-
-class Pipeline:
-    """A program's layers in memory, ready to run windows of T timesteps for a batch of B."""
+class NumpyPipeline:
+    """CuBa-LIF layers as a Backend; integers where the chip has them, else float64."""
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
-        self.program, self.schedule = program, schedule
-        self._wave: Wave | None = None
-        if not schedule.kept and suits(program, schedule.timesteps, batch):
-            self._wave = Wave(program, schedule.timesteps)
-        self._windows = [] if self._wave else _windows(program, schedule, batch)
-        self.windows: Sequence[Ran] = self._wave.windows if self._wave else self._windows
-        self.tally = EventCounter(program, self.windows, schedule.steps)
-        self._emitted: dict[str, Raster] = {}
+        self.schedule = schedule
+        self._program, self._batch = program, batch
+        numbers = program.chip.arithmetic
+        self._fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
+        # rows that a kernel runs at once
+        self._rows = schedule.timesteps if schedule.mode == "window" else 1
+        self._kernels = self._prepared()
+        steps = schedule.steps if schedule.mode == "window" else 1
+        self._counter = EventCounter(program, self._kernels, steps)
+        self._output_spikes: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
-        # layer, its window, and what it hears how many rows late
+        # a layer's kernel, and the sources of its synapses with the rows that they are late
         self._route = [
-            (window.layer, window, list(zip(_sources(window.layer), late, strict=True)))
-            for window, late in zip(self._windows, schedule.late, strict=False)
+            (kernel.layer, kernel, list(zip(_sources(kernel.layer), delays, strict=True)))
+            for kernel, delays in zip(self._kernels, schedule.delays, strict=True)
         ]
-        memory = max(self._lag, *(max(late) for late in schedule.late))
-        self._relay = DelayBuffer(program.sizes, memory, batch)
+        longest = max(self._lag, *(max(delays) for delays in schedule.delays))
+        self._buffer = DelayBuffer(program.sizes, longest, batch)
+        # of each row, where rows run one by one
+        self._observed: list[WindowStats] = []
+        self._recorded: list[dict[str, Recording]] = []
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """Why it cannot compute the program."""
+        for layer in program.layers:
+            if any(synapses.shift for synapses in layer.synapses):
+                return (
+                    f"layer {layer.name!r}: its weights have a negative exponent, by which "
+                    f"{program.chip.name} rounds sums, which only the interpreter knows."
+                )
+        return None
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
-        self._relay.reset()
+        self._buffer.reset()
         if self.schedule.kept:
-            for window in self._windows:
-                window.reset()
+            for kernel in self._kernels:
+                kernel.reset()
 
     def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
-        """Spikes (T, B, N) that the readout hears, given those of the input (T, B, M).
+        """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
+        check_counts(rows, self._program.chip.input_spikes_max)
+        if self.schedule.mode == "row":
+            return self._row_by_row(rows)
+        return self._window(rows, step)
 
-        step: chip timestep of a single row; layers that start later only wait.
-        """
-        output_spikes = {self.program.input: Raster(rows)}
-        timesteps = self.schedule.timesteps
-        if self._wave is not None:
-            self._wave.run(rows)
-            output_spikes |= {window.layer.name: Raster(window.spikes) for window in self.windows}
-            self._emitted = output_spikes
-            return self.windows[-1].spikes
-        for layer, window, wires in self._route:
-            if step is not None and step < layer.start:
-                output_spikes[layer.name] = window.wait()
-                continue
-            # nothing is on its way where nothing is late, as in most networks
-            presynaptic = [
-                self._relay.presynaptic(source, late, output_spikes, timesteps)
-                if late
-                else output_spikes[source]
-                for source, late in wires
-            ]
-            output_spikes[layer.name] = window.run(presynaptic)
-        self._emitted = output_spikes
-        spikes = self._relay.presynaptic(self.program.output, self._lag, output_spikes, timesteps)
-        self._relay.keep(output_spikes)
-        return spikes.rows
-
-    def observe(self) -> WindowStats:
-        """What the ledger needs of the last window."""
-        return self.tally.observe(self._emitted)
-
-    def report(self, recorder: LedgerBuilder) -> None:
+    def report(self, ledger: LedgerBuilder) -> None:
         """Enter the last window in the ledger."""
-        recorder.observe(self.tally, self.observe())
-
-    def now(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
-        """Current and membrane (B, N) of each layer."""
-        return {
-            name: (recording.current[:, -1], recording.membrane[:, -1])
-            for name, recording in self.recordings().items()
-        }
+        if self.schedule.mode != "row":
+            ledger.observe(self._counter, self._counter.observe(self._output_spikes))
+            return
+        timesteps, steps = self.schedule.timesteps, self.schedule.steps
+        counts = self._counter.count(self._observed)
+        total = counts.reshape(timesteps, self._batch, -1, len(EVENTS)).sum(axis=0)
+        total[:, :, IDLE] += [(steps - timesteps) * a.size for a in self._program.layers]
+        ledger.add(total, timesteps, steps)
 
     def recordings(self) -> dict[str, Recording]:
         """What each layer did in the last window."""
-        dtype = np.int64 if self.program.chip.fixed else np.float64
+        return joined(self._recorded, axis=1) if self._recorded else self._recordings()
+
+    def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+        """Current and membrane (B, N) of each layer."""
+        dtype = np.int64 if self._fixed else np.float64
+        states = [(k.layer.name, k.states[-1].astype(dtype)) for k in self._kernels]
+        return {name: (both[0], both[1]) for name, both in states}
+
+    def saved(self) -> SavedState:
+        """Copies of all states, and of the spikes that have not arrived yet."""
+        saved = {f"spikes of {name}": rows for name, rows in self._buffer.saved().items()}
+        for kernel in self._kernels:
+            for name, values in kernel.saved().items():
+                saved[f"{name} of {kernel.layer.name}"] = values
+        return saved
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there."""
+        self._buffer.restore({name: saved[f"spikes of {name}"] for name in self._program.sizes})
+        for kernel in self._kernels:
+            of = f" of {kernel.layer.name}"
+            kernel.restore({name: saved[name + of] for name in ("states", "refractory")})
+
+    def _prepared(self) -> list[LayerKernel]:
+        """A kernel for each layer; they share the memory that is needed only for a moment."""
+        program, shape = self._program, (self._rows, self._batch)
+        largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
+        scratch = Scratch(largest * np.dtype(np.float64).itemsize)
+        return [
+            LayerKernel(program, layer, self._fixed, shape, self.schedule.kept, scratch)
+            for layer in program.layers
+        ]
+
+    def _window(self, rows: NDArray[Any], step: int | None) -> NDArray[Any]:
+        """Run each layer once, for all rows."""
+        output_spikes = {self._program.input: Raster(rows)}
+        delayed, timesteps = self._buffer.delayed, self._rows
+        for layer, kernel, synapses in self._route:
+            if step is not None and step < layer.start:
+                output_spikes[layer.name] = kernel.wait()
+                continue
+            # in most networks nothing is late
+            presynaptic = [
+                delayed(source, delay, output_spikes, timesteps) if delay else output_spikes[source]
+                for source, delay in synapses
+            ]
+            output_spikes[layer.name] = kernel.run(presynaptic)
+        self._output_spikes = output_spikes
+        spikes = delayed(self._program.output, self._lag, output_spikes, timesteps)
+        self._buffer.keep(output_spikes)
+        return spikes.rows
+
+    def _row_by_row(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """Run all layers for one row after another, which closes loops."""
+        self._observed, self._recorded, presynaptic = [], [], []
+        for row in rows:
+            # the kernels use their memory again for the next row
+            presynaptic.append(self._window(row[None], None)[0].copy())
+            if self.schedule.counting:
+                self._observed.append(self._counter.observe(self._output_spikes))
+            if self.schedule.trace:
+                self._recorded.append(self._recordings())
+        return np.stack(presynaptic)
+
+    def _recordings(self) -> dict[str, Recording]:
+        """What each layer did when it last ran."""
+        dtype = np.int64 if self._fixed else np.float64
         recordings = {}
-        for window in self.windows:
+        for kernel in self._kernels:
             # (T + 1, 2, B, N) to (2, B, T, N)
-            current, membrane = window.states[1:].transpose(1, 2, 0, 3).astype(dtype)
-            spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
-            recordings[window.layer.name] = Recording(current, membrane, spikes)
+            current, membrane = kernel.states[1:].transpose(1, 2, 0, 3).astype(dtype)
+            spikes = kernel.spikes.swapaxes(0, 1).astype(np.uint8)
+            recordings[kernel.layer.name] = Recording(current, membrane, spikes)
         return recordings
-
-
-def _windows(program: Program, schedule: Schedule, batch: int) -> list[LayerKernel]:
-    """A window for each layer; they share the memory that is needed only for a moment."""
-    largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
-    scratch = Scratch(largest * np.dtype(np.float64).itemsize)
-    return [
-        LayerKernel(program, layer, schedule.timesteps, batch, schedule.kept, scratch)
-        for layer in program.layers
-    ]
 
 
 def _sources(layer: Layer) -> list[str]:
     return [synapses.source for synapses in layer.synapses]
-
-
-def joined(parts: list[dict[str, Recording]]) -> dict[str, Recording]:
-    """Recordings of consecutive windows as one."""
-    names = parts[0] if parts else {}
-    return {
-        name: Recording(
-            current=np.concatenate([part[name].current for part in parts], axis=1),
-            membrane=np.concatenate([part[name].membrane for part in parts], axis=1),
-            spikes=np.concatenate([part[name].spikes for part in parts], axis=1),
-        )
-        for name in names
-    }

@@ -1,9 +1,9 @@
-"""Synapses in a hurry: from spikes to the sum of weights that arrives, in three ways.
+"""From spikes to the sum of weights that arrives, in three ways.
 
-Which way is fastest depends on how many spikes there are and where, and on the machine: what each
-costs is measured when a network is loaded. All of them sum whole numbers that their number type is
-proven to hold exactly, so they agree bit for bit, in any order of summation and on any BLAS.
-(`ideal` has no whole numbers and always multiplies in float64.)
+Which way is fastest depends on how many spikes there are and where; a fixed rule on their density
+chooses. All ways sum whole numbers that their number type is proven to hold exactly, so they agree
+bit for bit, in any order of summation and on any BLAS. (`ideal` has no whole numbers and always
+multiplies in float64, timesteps and batch in one matrix.)
 """
 
 from typing import Any, Protocol
@@ -11,8 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.emulator.raster import Raster, Scratch, aligned, as_aligned
-from spikedeploy.runtime.families.cuba_numpy.ways import SumCosts, measured
+from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch, aligned, as_aligned
 
 Floats = NDArray[Any]
 Weights = NDArray[Any]
@@ -20,6 +19,15 @@ Weights = NDArray[Any]
 # largest magnitudes up to which every whole number is held
 EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
+
+# the rule, from the measurements in docs/performance.md: at batch 1, matrices of at least so many
+# weights are not multiplied whole, but
+SMALL = 1 << 15
+# only the rows of axons that spike in the window, while those are no larger a part of all,
+FEW = 0.4
+# or rows are added one by one, in matrices of at least so many weights, while such an axon spikes
+# no more often in the mean
+LARGE, SELDOM = 1 << 17, 2.5
 
 
 class Sum(Protocol):
@@ -32,26 +40,24 @@ class Sum(Protocol):
 def summing(
     weight: Weights, bias: Weights, partial: int | None, unit: int, out: Floats, scratch: Scratch
 ) -> Sum:
-    """The fastest exact way.
+    """The exact way for a layer, or the choice among them.
 
     weight: (M, N).
     bias: (N,) weights of the axon that always spikes.
     partial: largest magnitude of any partial sum; None where weights are no whole numbers.
     unit: state units per weight unit.
-    out: (T, B, N) where the sums are wanted, float32 or float64.
+    out: (T, B, N) where the sums are wanted.
     scratch: for as many float64 as there are weights.
     """
     exact32 = partial is not None and partial * unit < EXACT_FLOAT32
     dtype = np.float32 if exact32 else np.float64
     scaled, pull = as_aligned(weight * float(unit), dtype), (bias * float(unit)).astype(dtype)
     dense = Matmul(scaled, pull, out)
-    if partial is None:
+    if partial is None or out.shape[1] > 1 or weight.size < SMALL:
         return dense
-    union = ActiveRows(scaled, pull, out, scratch)
-    one = out.shape[1] == 1
-    gather = gathering(weight, bias, partial, unit, out, scratch) if one else None
-    cheapest = AutoSum(gather, union, dense, _costs(gather, union, dense))
-    return cheapest if cheapest.has_choice else dense
+    large = weight.size >= LARGE
+    gather = gathering(weight, bias, partial, unit, out, scratch) if large else None
+    return AutoSum(gather, ActiveRows(scaled, pull, out, scratch), dense)
 
 
 def gathering(
@@ -63,16 +69,12 @@ def gathering(
 
 
 class Matmul:
-    """All axons times all weights: one matrix product for the window.
-
-    shape: T, B, M and N.
-    """
+    """All axons times all weights: one matrix product for the window."""
 
     def __init__(self, weight: Weights, bias: Weights, out: Floats) -> None:
         self.weight = weight
         timesteps, batch, neurons = out.shape
         axons = len(weight)
-        self.shape = (timesteps, batch, axons, neurons)
         # matrices over the same memory: BLAS wants two axes
         self._spikes = aligned((timesteps, batch, axons), weight.dtype)
         self._flat = self._spikes.reshape(-1, axons)
@@ -120,30 +122,24 @@ class SparseSum:
 
 
 class ActiveRows:
-    """Axons that spiked at least once, in one small matrix product for each of the batch.
+    """Only the weights of axons that spiked at least once, in one small product; batch 1.
 
     Best where the same axons spike again and again, as those of a population code do.
     """
 
     def __init__(self, weight: Weights, bias: Weights, out: Floats, scratch: Scratch) -> None:
-        self.weight, self.bias, self.scratch = weight, bias, scratch
-        # (B, T, N)
-        self._out = out.swapaxes(0, 1)
-        one = len(self._out) == 1
-        self._sums = aligned(self._out.shape, weight.dtype)
-        if one and out.dtype == weight.dtype:
-            self._sums = self._out
+        self.weight = weight
+        # (T, N)
+        self._out = out[:, 0]
+        self._sums = _product(self._out, weight)
         self._bias = _filled(self._sums, bias)
-        self._each = list(self._sums)
         self._fetched = scratch.like(weight)
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums."""
-        weight, fetched, rows = self.weight, self._fetched, raster.rows
-        for copy, sums in enumerate(self._each):
-            axons = raster.axons(copy)
-            spikes = rows[:, copy].take(axons, 1).astype(weight.dtype)
-            spikes.dot(weight.take(axons, 0, fetched[: len(axons)], "clip"), sums)
+        weight, axons = self.weight, raster.axons()
+        spikes = raster.rows[:, 0].take(axons, 1).astype(weight.dtype)
+        spikes.dot(weight.take(axons, 0, self._fetched[: len(axons)], "clip"), self._sums)
         if self._bias is not None:
             np.add(self._sums, self._bias, self._sums)
         if self._sums is not self._out:
@@ -151,52 +147,24 @@ class ActiveRows:
 
 
 class AutoSum:
-    """Looks at the spikes and takes the way that costs least.
+    """Takes the way that the density of the spikes asks for; batch 1.
 
-    gather: only where the batch is 1.
+    gather: only where the matrix is large.
     """
 
-    def __init__(
-        self, gather: SparseSum | None, union: ActiveRows, dense: Matmul, costs: SumCosts
-    ) -> None:
+    def __init__(self, gather: SparseSum | None, union: ActiveRows, dense: Matmul) -> None:
         self.gather, self.union, self.dense = gather, union, dense
-        self._batch = dense.shape[1]
-        # by the number of axons that spiked at all, in the mean of a batch: whether their union
-        # beats the dense product, and up to how many spikes fetching them one by one beats both
-        united, product = costs.united(dense.shape[2]), costs.dense / self._batch
-        self._union = (united < product).tolist()
-        self._spikes = costs.affordable(np.minimum(united, product)).tolist()
-
-    @property
-    def has_choice(self) -> bool:
-        """Whether a way other than the dense product is ever the cheapest."""
-        return any(self._union) or any(most >= a for a, most in enumerate(self._spikes))
+        self._few = FEW * len(dense.weight)
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums."""
-        axons = raster.active() // self._batch
-        most = self._spikes[axons]
-        # every axon spiked at least once; only where that is not too much, count exactly
-        if self.gather is not None and axons <= most and raster.spikes() <= most:
-            self.gather(raster)
-        elif self._union[axons]:
+        axons = len(raster.axons())
+        if axons <= self._few:
             self.union(raster)
+        elif self.gather is not None and raster.spikes() <= SELDOM * axons:
+            self.gather(raster)
         else:
             self.dense(raster)
-
-
-_KNOWN: dict[object, SumCosts] = {}
-
-
-def _costs(gather: SparseSum | None, union: ActiveRows, dense: Matmul) -> SumCosts:
-    """Measured once for each shape and number type."""
-    types = (dense.weight.dtype, gather and gather.weight.dtype)
-    if (key := (dense.shape, types)) not in _KNOWN:
-        timesteps, batch, _, neurons = dense.shape
-        place = np.empty((timesteps, 1, neurons), dense.weight.dtype)
-        one = union if batch == 1 else ActiveRows(union.weight, union.bias, place, union.scratch)
-        _KNOWN[key] = measured(dense, one, gather, dense.shape[:3])
-    return _KNOWN[key]
 
 
 def _product(out: Floats, weight: Weights) -> Weights:

@@ -1,7 +1,8 @@
 """The arithmetic of chips that add spikes straight to the membrane, without a synaptic current."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ChipError
@@ -55,6 +56,9 @@ class IntegrateAndFire:
         largest power of two that fits ("binary").
     rounding: how the chip's own tools round, where nothing else is wanted.
     """
+
+    # the interpreter alone
+    backends: ClassVar[Mapping[str, str]] = {}
 
     weight_bits: int
     signs: Signs

@@ -1,7 +1,8 @@
 """The arithmetic of chips that add up event by event, saturate at each, and decay by shifts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ChipError
@@ -25,6 +26,9 @@ class XyloArithmetic:
     read: neurons whose spikes the host hears: those of the "output" population, or "any", hidden
         ones too, as a simulator lets one.
     """
+
+    # the interpreter alone
+    backends: ClassVar[Mapping[str, str]] = {}
 
     weight_bits: int
     shift_max: int

@@ -11,8 +11,9 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.quantisation import Quantisation
-from spikedeploy.runtime.emulator.controllers import MachinePool, Sampler, SpikingController
+from spikedeploy.runtime.emulator.controllers import Sampler, SpikingController
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from tests.networks import chain, cuba, popsan, spiking_mlp
 

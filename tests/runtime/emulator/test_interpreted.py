@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.traces.trace_file import read_trace
 from tests.networks import popsan
@@ -95,7 +95,7 @@ def test_what_the_kernels_do_not_know_runs_all_the_same(name, backend):
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("xylo_A_ff", "chip 'xylo-a2' computes with EventPoint"),
+        ("xylo_A_ff", "chip 'xylo-a2' computes with XyloArithmetic"),
         ("lava_own_exponent_mixed", "layer 'layer0': its weights have a negative exponent"),
     ],
 )

@@ -10,8 +10,7 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program, Synapses
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder
+from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from tests.networks import popsan

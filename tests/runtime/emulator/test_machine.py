@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.equality import check_like_the_interpreter, runs
 from tests.networks import popsan
@@ -138,3 +139,43 @@ def test_a_running_machine_refuses_another_way_of_running():
 def test_a_machine_needs_at_least_one_network():
     with pytest.raises(ConfigError, match="batch is 0"):
         Machine(compile_program(popsan(), chip("loihi1")), batch=0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["zero", "subtract"]), st.sampled_from([1, 3]))
+def test_on_ideal_backends_agree_up_to_the_rounding_of_float64(seed, reset, batch):
+    # they add up the same products in another order: equal but for rounding, until a membrane comes
+    # within that of its threshold
+    artifact = popsan(hidden=(40, 30))
+    convention = replace(artifact.convention, reset=reset)
+    program = compile_program(replace(artifact, convention=convention), chip("ideal"))
+    rng = np.random.default_rng(seed)
+    layers = tuple(_with_real_weights(layer, rng) for layer in program.layers)
+    program = replace(program, layers=layers, readout=None)
+    raster = (rng.random((batch, 9, program.width)) < 0.4).astype(np.uint8)
+    machine, slow = (
+        Machine(program, batch, trace=True, backend=b) for b in ("numpy", "interpreter")
+    )
+    machine.infer(raster)
+    slow.infer(raster)
+    for layer in program.layers:
+        found, expected = machine.recordings[layer.name], slow.recordings[layer.name]
+        differs = (found.spikes != expected.spikes).any(axis=(0, 2))
+        equal = int(differs.argmax()) if differs.any() else len(differs)
+        for one, other in ((found.current, expected.current), (found.membrane, expected.membrane)):
+            np.testing.assert_allclose(one[:, :equal], other[:, :equal], rtol=0, atol=ROUNDING)
+        if differs.any():
+            t = equal
+            before = expected.membrane[:, t - 1] if t else np.zeros_like(expected.membrane[:, 0])
+            membrane = layer.membrane_decay * before + expected.current[:, t] + layer.voltage_bias
+            near = np.abs(membrane - layer.threshold) < ROUNDING
+            assert near[found.spikes[:, t] != expected.spikes[:, t]].all()
+            return
+
+
+ROUNDING = 1e-12  # of sums of some tens of weights around 1
+
+
+def _with_real_weights(layer, rng):
+    synapses = tuple(replace(s, weight=rng.normal(size=s.weight.shape) / 4) for s in layer.synapses)
+    return replace(layer, synapses=synapses)

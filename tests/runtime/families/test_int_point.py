@@ -1,5 +1,6 @@
 """The family of free widths: any of its chips runs fast, and means what its widths say."""
 
+from importlib.util import find_spec
 from itertools import pairwise
 
 import nir
@@ -13,7 +14,6 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator import backend
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
@@ -22,7 +22,7 @@ from spikedeploy.runtime.float_model.graph import FloatGraph
 from tests.equality import check_equal
 from tests.networks import chain, cuba, lif, popsan
 
-BACKENDS = ["numpy", *(["numba"] if backend.find_spec("numba") else [])]
+BACKENDS = ["numpy", *(["numba"] if find_spec("numba") else [])]
 
 
 def network(seed=0, reset="zero", sizes=(30, 14, 6)):

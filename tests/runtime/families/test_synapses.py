@@ -5,15 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.emulator.raster import Raster, Scratch
+from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch
 from spikedeploy.runtime.families.cuba_numpy.sums import (
+    FEW,
+    LARGE,
+    SMALL,
     ActiveRows,
     AutoSum,
     Matmul,
     SparseSum,
     summing,
 )
-from spikedeploy.runtime.families.cuba_numpy.ways import SumCosts, measured
 
 NEURONS = 33
 
@@ -26,26 +28,22 @@ NEURONS = 33
     st.sampled_from([1, 3]),
     st.sampled_from([0.0, 0.02, 0.5, 1.0]),
     st.sampled_from([np.bool_, np.uint8]),
-    st.sampled_from([np.float32, np.float64]),
     st.booleans(),
 )
-def test_all_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype, into, biased):
+def test_all_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype, biased):
     rng = np.random.default_rng(seed)
     weight = rng.integers(-255, 256, (axons, NEURONS)).astype(np.int16)
     rows = (rng.random((timesteps, batch, axons)) < rate).astype(dtype)
     bias = rng.integers(-255, 256, NEURONS).astype(np.int16) * biased
     expected = 64 * (rows.astype(np.int64) @ weight.astype(np.int64) + bias)
     scaled = [(array * 64.0).astype(np.float32) for array in (weight, bias)]
-    out = np.full((timesteps, batch, NEURONS), np.nan, into)
+    out = np.full((timesteps, batch, NEURONS), np.nan)
     scratch = Scratch(8 * weight.size)
-    ways = [
-        Matmul(*scaled, out),
-        ActiveRows(*scaled, out, scratch),
-        summing(weight, bias, 255 * (axons + 1), 64, out, scratch),
-    ]
+    ways = [Matmul(*scaled, out), summing(weight, bias, 255 * (axons + 1), 64, out, scratch)]
     if batch == 1:
         whole = [weight.astype(np.int32), bias.astype(np.int32)]
-        ways.append(SparseSum(*whole, 64, out, scratch))
+        gather, union = SparseSum(*whole, 64, out, scratch), ActiveRows(*scaled, out, scratch)
+        ways += [gather, union, AutoSum(gather, union, ways[0]), AutoSum(None, union, ways[0])]
     for way in ways:
         out.fill(np.nan)
         way(Raster(rows))
@@ -64,66 +62,62 @@ def test_all_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype
         (None, (None, np.float64)),
     ],
 )
-def test_number_types_are_as_small_as_the_bounds_allow(partial, dtypes, monkeypatch):
-    monkeypatch.setattr("spikedeploy.runtime.families.cuba_numpy.sums.measured", lambda *_: COSTS)
-    weight, bias = np.zeros((4, 3), np.int16), np.zeros(3, np.int64)
-    way = summing(weight, bias, partial, 64, np.empty((5, 1, 3)), Scratch(96))
+def test_number_types_are_as_small_as_the_bounds_allow(partial, dtypes):
+    weight, bias = np.zeros((512, 256), np.int16), np.zeros(256, np.int64)
+    way = summing(weight, bias, partial, 64, np.empty((5, 1, 256)), Scratch(8 * weight.size))
     gather, dense = (way.gather, way.dense) if isinstance(way, AutoSum) else (None, way)
     assert (gather and gather.weight.dtype, dense.weight.dtype) == dtypes
 
 
-# 40 us for everything; half a us an axon for a union, a tenth a spike for fetching
-COSTS = SumCosts(
-    dense=40.0, union=((0, 5.0), (70, 40.0), (100, 400.0)), gather=((0, 10.0), (50, 15.0))
+@pytest.mark.parametrize(
+    ("shape", "batch", "ways"),
+    [
+        ((SMALL // 64, 64), 1, "union dense"),
+        ((SMALL // 64 - 1, 64), 1, "dense"),
+        ((LARGE // 256, 256), 1, "gather union dense"),
+        ((LARGE // 256, 256), 2, "dense"),
+    ],
 )
+def test_the_size_and_the_batch_say_which_ways_there_are(shape, batch, ways):
+    weight, bias = np.ones(shape, np.int16), np.zeros(shape[1], np.int64)
+    out = np.empty((3, batch, shape[1]))
+    way = summing(weight, bias, sum(shape), 64, out, Scratch(8 * weight.size))
+    found = ["dense"]
+    if isinstance(way, AutoSum):
+        found = [name for name in ("gather", "union", "dense") if getattr(way, name)]
+    assert " ".join(found) == ways
 
 
 class Spy:
-    def __init__(self, name, taken, shape=None):
-        self.name, self.taken, self.shape = name, taken, shape
+    def __init__(self, name, taken):
+        self.name, self.taken, self.weight = name, taken, np.zeros((100, 3))
 
     def __call__(self, raster):
         self.taken.append(self.name)
 
 
-def chosen(rows, costs=COSTS):
+def chosen(rows, *names):
     taken = []
-    spies = [Spy("gather", taken), Spy("union", taken), Spy("dense", taken, rows.shape)]
-    AutoSum(*spies, costs)(Raster(rows))
+    AutoSum(
+        *[Spy(name, taken) if name in names else None for name in ("gather", "union", "dense")]
+    )(Raster(rows))
     return taken
 
 
 @pytest.mark.parametrize(
     ("axons", "timesteps", "way"),
     [
-        (60, 5, "union"),  # 35 us; 300 spikes would take 40
-        (60, 1, "gather"),  # 60 spikes take 16
-        (8, 5, "union"),  # 9 us; 40 spikes would take 14
-        (80, 5, "dense"),  # 40 us; their union would take 160, 400 spikes 50
-        (80, 3, "gather"),  # 240 spikes take 34
         (0, 0, "union"),
+        (int(100 * FEW), 5, "union"),
+        (int(100 * FEW) + 1, 2, "gather"),
+        (100, 2, "gather"),
+        (int(100 * FEW) + 1, 3, "dense"),
+        (100, 5, "dense"),
     ],
 )
-def test_the_cheapest_way_is_taken(axons, timesteps, way):
+def test_the_density_of_the_spikes_decides(axons, timesteps, way):
     rows = np.zeros((5, 1, 100), np.bool_)
     rows[:timesteps, 0, :axons] = True
-    assert chosen(rows) == [way]
-
-
-def test_a_batch_is_united_by_the_axons_of_each():
-    rows = np.zeros((5, 4, 100), np.bool_)
-    rows[:, :, :60] = True
-    # a product of everything for four costs less than four unions, or more
-    unions = ((0, 5.0), (100, 55.0))
-    assert chosen(rows, SumCosts(dense=139.0, union=unions)) == ["dense"]
-    assert chosen(rows, SumCosts(dense=141.0, union=unions)) == ["union"]
-
-
-def test_costs_are_those_of_runs_with_none_some_and_all_axons():
-    seen = []
-    costs = measured(
-        *[lambda raster: seen.append((raster.rows.shape[1], raster.spikes()))] * 3, (5, 3, 8)
-    )
-    assert set(seen) == {(3, 120), (1, 0), (1, 10), (1, 20), (1, 40)}
-    assert [axons for axons, _ in costs.union] == [0, 2, 4, 8]
-    assert [spikes for spikes, _ in costs.gather] == [0, 10]
+    assert chosen(rows, "gather", "union", "dense") == [way]
+    # where rows are not added one by one, the whole matrix is multiplied
+    assert chosen(rows, "union", "dense") == [{"gather": "dense"}.get(way, way)]

@@ -1,7 +1,4 @@
-"""The raster: spikes of one source in a window, with counts that several readers share.
-
-Memory as processors like it: it begins with a cache line, and is used again while it is warm.
-"""
+"""Spikes of one source in a window with counts that readers share, and aligned memory."""
 
 import math
 from typing import Any
@@ -9,22 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from spikedeploy.runtime.errors import ObservationError
-
 
 class Raster:
-    """Spikes (T, B, M), and what readers want to know of them, found once.
+    """Spikes (T, B, M), and counts of them, each found once.
 
     rows: uint8 or bool, 0 or 1.
     bits: the same in bool, on which NumPy searches and counts faster than on numbers.
     """
 
-    __slots__ = ("_active", "_axons", "_per_axon", "_spikes", "bits", "rows")
+    __slots__ = ("_axons", "_per_axon", "_spikes", "bits", "rows")
 
     def __init__(self, rows: NDArray[Any]) -> None:
         self.rows = rows
         self.bits = rows.view(np.bool_) if rows.dtype.itemsize == 1 else rows.astype(np.bool_)
-        self._active: NDArray[np.bool_] | None = None
         self._axons: NDArray[np.intp] | None = None
         self._per_axon: NDArray[Any] | None = None
         self._spikes = -1
@@ -35,18 +29,10 @@ class Raster:
             self._spikes = int(np.count_nonzero(self.bits))
         return self._spikes
 
-    def active(self) -> int:
-        """Axons that spiked at least once, over the batch."""
-        if self.rows.shape[1] == 1:
-            return len(self.axons(0))
-        return int(np.count_nonzero(self._whether_active()))
-
-    def axons(self, copy: int) -> NDArray[np.intp]:
-        """Which axons spiked at least once, of one of the batch."""
-        if copy:
-            return np.asarray(self._whether_active()[copy].nonzero()[0])
+    def axons(self) -> NDArray[np.intp]:
+        """Which axons spiked at least once; batch 1."""
         if self._axons is None:
-            self._axons = self._whether_active()[0].nonzero()[0]
+            self._axons = np.logical_or.reduce(self.bits[:, 0], 0).nonzero()[0]
         return self._axons
 
     def per_axon(self) -> NDArray[Any]:
@@ -56,21 +42,6 @@ class Raster:
             dtype = np.uint8 if len(self.rows) < 256 else np.int64
             self._per_axon = np.add.reduce(self.rows, 0, dtype)
         return self._per_axon
-
-    def _whether_active(self) -> NDArray[np.bool_]:
-        """(B, M) whether an axon spiked at all."""
-        if self._active is None:
-            self._active = np.logical_or.reduce(self.bits, 0)
-        return self._active
-
-
-def not_spikes(values: NDArray[Any], most: int = 1) -> ObservationError:
-    """The error for values that are no spikes, or more of them than an input takes at once."""
-    range_ = "0 or 1" if most == 1 else f"0 to {most}"
-    return ObservationError(
-        f"the raster holds {values.dtype} values; it must hold at least one timestep, and {range_} "
-        "in bool or unsigned integers. Convert it with spikes.astype(bool), or clip the counts."
-    )
 
 
 # [bytes] of a cache line; large arrays of NumPy begin 16 bytes after one, which costs a fifth
@@ -93,7 +64,7 @@ def as_aligned(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 
 
 class Scratch:
-    """Memory that one user after another may fill; nothing in it lasts.
+    """Memory that one user after another fills; nothing in it lasts.
 
     size: [bytes] of the largest array that anyone asks for.
     """

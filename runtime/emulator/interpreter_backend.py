@@ -1,7 +1,6 @@
-"""The interpreted pipeline: a program run by the interpreter; as Pipeline otherwise.
+"""The backend that runs the interpreter: slow, and exact for every arithmetic.
 
-Slow, and exact for every arithmetic that the interpreter knows: what chips without fast kernels run
-on, and a reference for those that have some.
+Chips without kernels run on it, and tests compare the others with it.
 """
 
 from collections.abc import Iterable
@@ -12,24 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
-from spikedeploy.runtime.emulator.ledger import count
-from spikedeploy.runtime.emulator.ledger_builder import LedgerBuilder
-from spikedeploy.runtime.families.cuba_numpy.pipeline import Recording, Schedule
+from spikedeploy.runtime.emulator.ledger import LedgerBuilder, count
 
 
-class InterpretedPipeline:
-    """A program's layers in memory, ready to run windows of T timesteps for a batch of B.
+class InterpreterBackend:
+    """An Interpreter as a Backend."""
 
-    States go on from window to window until `reset`.
-
-    streaming: whether a window is one timestep of the chip, with the chip's own delays.
-    """
-
-    def __init__(
-        self, program: Program, schedule: Schedule, batch: int, *, streaming: bool
-    ) -> None:
+    def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.schedule = schedule
+        streaming = schedule.mode == "step"
         self._program = _unstaggered(program) if streaming else program
         self._starts = {layer.name: layer.start for layer in program.layers} if streaming else {}
         self._batch = batch
@@ -38,6 +30,11 @@ class InterpretedPipeline:
         self._traces: dict[str, LayerTrace] = {}
         self.reset()
 
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """It knows every arithmetic."""
+        return None
+
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
         self._interpreter = Interpreter(self._program, self._batch)
@@ -45,10 +42,8 @@ class InterpretedPipeline:
         self._tail = np.zeros((self._lag, self._batch, size), np.uint8)
 
     def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[np.uint8]:
-        """Spikes (T, B, N) that the readout hears, given those of the input (T, B, M).
-
-        step: chip timestep of a single row; layers that start later only wait.
-        """
+        """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
+        check_counts(rows, self._program.chip.input_spikes_max)
         self._waiting = {
             n for n, start in self._starts.items() if step is not None and step < start
         }
@@ -59,7 +54,7 @@ class InterpretedPipeline:
         self._tail = rows[len(output_spikes) :]
         return rows[: len(output_spikes)]
 
-    def report(self, recorder: LedgerBuilder) -> None:
+    def report(self, ledger: LedgerBuilder) -> None:
         """Enter the last window in the ledger."""
         traces, timesteps = self._traces, self.schedule.timesteps
         counts = count(
@@ -68,20 +63,35 @@ class InterpretedPipeline:
             {name: trace.busy for name, trace in traces.items()},
             {name: trace.overflows for name, trace in traces.items()},
         )
-        recorder.add(counts, timesteps, self._program.steps(timesteps))
-
-    def resume(self, other: "InterpretedPipeline") -> None:
-        """Go on where another stands, whose windows have another length."""
-        self._interpreter, self._tail = other._interpreter, other._tail
-
-    def now(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
-        """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""
-        states = self._interpreter.states
-        return {name: (state.current, state.membrane) for name, state in states.items()}
+        ledger.add(counts, timesteps, self._program.steps(timesteps))
 
     def recordings(self) -> dict[str, Recording]:
         """What each layer did in the last window."""
         return {n: Recording(t.current, t.membrane, t.spikes) for n, t in self._traces.items()}
+
+    def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+        """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""
+        states = self._interpreter.states
+        return {name: (state.current, state.membrane) for name, state in states.items()}
+
+    def saved(self) -> SavedState:
+        """Copies of all states, and of the spikes that have not arrived yet."""
+        saved = {"readout": self._tail.copy()}
+        for name, tail in self._interpreter.tails.items():
+            saved[f"spikes of {name}"] = tail.copy()
+        for name, state in self._interpreter.states.items():
+            for quantity, values in vars(state).items():
+                saved[f"{quantity} of {name}"] = values.copy()
+        return saved
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there."""
+        self._tail = saved["readout"].copy()
+        tails = self._interpreter.tails
+        self._interpreter.tails = {name: saved[f"spikes of {name}"].copy() for name in tails}
+        for name, state in self._interpreter.states.items():
+            for quantity in vars(state):
+                setattr(state, quantity, saved[f"{quantity} of {name}"].copy())
 
 
 def _unstaggered(program: Program) -> Program:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.emulator.raster import LINE, Scratch, aligned, as_aligned
+from spikedeploy.runtime.families.cuba_numpy.raster import LINE, Scratch, aligned, as_aligned
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32, np.float64])
