@@ -166,7 +166,7 @@ def gatherer(net: Net, raster: Raster) -> Machine:
     machine = Machine(net.program, 1, "none")
     with patch("spikedeploy.runtime.families.cuba_numpy.pipeline.suits", return_value=False):
         machine.infer(raster)
-    fixed = net.program.chip.fixed
+    fixed = net.program.chip.arithmetic
     for window, layer in zip(machine._pipeline.windows, net.program.layers, strict=True):
         partial = bounds(net.program, layer, fixed, net.timesteps).partial
         weight = layer.synapses[0].weight

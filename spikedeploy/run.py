@@ -14,7 +14,7 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import made
 from spikedeploy.policies.policies import FLOAT, Candidate, find, open_policy
 from spikedeploy.reports.terminal import progress
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import Frame, Pace, captioned, mp4
 

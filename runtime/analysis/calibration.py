@@ -14,9 +14,9 @@ from spikedeploy.runtime.analysis.activity import Activity
 from spikedeploy.runtime.analysis.drift import TAU, activity, van_rossum
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation, Tuning
 from spikedeploy.runtime.errors import RuleError
 
 Raster = NDArray[np.uint8]
@@ -79,7 +79,7 @@ def tuned(
 
 
 def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[str]:
-    if on.fixed is None:
+    if "tuned" not in on.arithmetic.choices:
         raise RuleError(
             f"{on.name}: calibration chooses scales of Loihi's arithmetic, which it does not have. "
             "Leave it out."

@@ -1,11 +1,11 @@
 """The chips that networks can be compiled for; one file and one line each."""
 
 CHIPS: dict[str, str] = {
-    "ideal": "spikedeploy.runtime.families.cuba.ideal:IDEAL",
-    "loihi1": "spikedeploy.runtime.families.cuba.loihi1:LOIHI1",
-    "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi1:LOIHI1_BRIAN2",
-    "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi1:LOIHI1_NENGO",
-    "loihi2": "spikedeploy.runtime.families.cuba.loihi2:LOIHI2",
+    "ideal": "spikedeploy.runtime.families.cuba.floating_point:IDEAL",
+    "loihi1": "spikedeploy.runtime.families.cuba.loihi:LOIHI1",
+    "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi:LOIHI1_BRIAN2",
+    "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi:LOIHI1_NENGO",
+    "loihi2": "spikedeploy.runtime.families.cuba.loihi:LOIHI2",
     "xylo-a2": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A2",
     "xylo-a3": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A3",
     "xylo-imu": "spikedeploy.runtime.families.xylo.datasheets:XYLO_IMU",

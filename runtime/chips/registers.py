@@ -18,6 +18,14 @@ WIDEST = 62
 Integers = NDArray[np.int64]
 Overflow = Literal["none", "wrap", "wrap-once", "clip", "saturate"]
 OVERFLOWS: tuple[Overflow, ...] = get_args(Overflow)
+# of tables of datasheets
+WORDS: dict[Overflow, str] = {
+    "none": "never full",
+    "wrap": "wraps",
+    "wrap-once": "wraps once",
+    "clip": "clips",
+    "saturate": "saturates",
+}
 
 
 def decay(x: Integers, keep: Integers, bits: int) -> Integers:
@@ -66,6 +74,15 @@ class Register:
         """The numbers x as the register holds them."""
         held = _OVERFLOWS[self.overflow](x, self.bits)
         return held if self.between is None else np.asarray(np.clip(held, *self.between))
+
+    def fit_counted(self, x: Integers) -> tuple[Integers, Integers]:
+        """The numbers x as the register holds them, and 1 for each that did not fit."""
+        held = self.fit(x)
+        return held, (held != x).astype(np.int64)
+
+    def describe(self) -> str:
+        """Its width and what it does when it is full."""
+        return f"{self.bits} bits, {WORDS[self.overflow]}"
 
 
 def _unchanged(x: Integers, bits: int) -> Integers:

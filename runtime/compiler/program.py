@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.layer import Layer as Layer  # until every importer says so
+from spikedeploy.runtime.chips.layer import Synapses as Synapses
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.ports import Port, joined
@@ -59,72 +61,6 @@ def _heard(outlet: HostOutput, spikes: Mapping[str, NDArray[Any]]) -> Floats:
         rows = spikes[tap.layer][:, : max(0, timesteps - tap.lag)].astype(np.float64)
         output[:, timesteps - rows.shape[1] :] += rows if tap.weight is None else rows @ tap.weight
     return output
-
-
-Numbers = NDArray[Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Synapses:
-    """All connections from one source to one layer.
-
-    source: name of a layer, or of the program's input.
-    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
-    delay: [timesteps] from a spike of the source to its arrival.
-    shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
-        weight exponent as lava reads it. Only the interpreter knows it.
-    current: which current of the neurons they feed, where neurons have several.
-    """
-
-    source: str
-    weight: Numbers
-    delay: int
-    shift: int = 0
-    current: int = 0
-
-    @cached_property
-    def fan_out(self) -> NDArray[np.int64]:
-        """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
-        return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """One population of neurons; on integer chips everything but `scale` holds integers.
-
-    name: of the NIR node.
-    synapses: what it listens to.
-    bias: (N,) weights of an axon that spikes in every timestep.
-    voltage_bias: (N,) added to the membrane in every timestep [state units].
-    threshold: (N,) membrane above which a neuron spikes [state units].
-    current_decay: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
-    membrane_decay: (N,) likewise of the membrane. Where decays are shifts, both hold the shift,
-        that of K currents as (K, N); where the leak is linear, this is what it takes [state units].
-    scale: float units of current and membrane per state unit; (N,) where neurons differ.
-    start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
-    aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
-    """
-
-    name: str
-    synapses: tuple[Synapses, ...]
-    bias: Numbers
-    voltage_bias: Numbers
-    threshold: Numbers
-    current_decay: Numbers
-    membrane_decay: Numbers
-    scale: float | NDArray[np.float64]
-    start: int
-    aliases: tuple[tuple[int, ...], ...] = ()
-
-    @property
-    def size(self) -> int:
-        """Neurons: N."""
-        return int(self.threshold.size)
-
-    @cached_property
-    def bias_fan_out(self) -> int:
-        """Non-zero biases: what the always-on axon costs in SOPs per timestep."""
-        return int(np.count_nonzero(self.bias))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +124,7 @@ class Program:
                 self._check(layer, synapses, presynaptic)
             presynaptic.add(layer.name)
 
-    def joined(self, rasters: Mapping[str, Numbers]) -> Numbers:
+    def joined(self, rasters: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
         return joined(self.inputs, rasters)
 

@@ -222,10 +222,10 @@ def _layer_cores(design: PlacedNetwork) -> RuleResult:
 
 def _mixed(design: PlacedNetwork) -> str:
     """What the other way to store signs would take."""
-    fixed = design.chip.fixed
-    if fixed is None or fixed.sign_mode != "split" or fixed.weight_bits < 2:
+    one_list = design.chip.arithmetic.with_one_list()
+    if one_list is None:
         return ""
-    other = replace(design.chip, arithmetic=replace(fixed, sign_mode="mixed"))
+    other = replace(design.chip, arithmetic=one_list)
     found = mapping(design.network, other, design.graph).cores
     if found == design.mapping.cores:
         return ""
@@ -248,16 +248,17 @@ def convention(design: PlacedNetwork) -> Iterator[RuleResult]:
     """When a neuron spikes, and below what its membrane cannot go."""
     stated = design.artifact.convention
     found = f"spikes {stated.spikes!r}, floor {stated.floor!r}"
-    if design.chip.fixed is None:
+    possible = design.chip.arithmetic.spikes_and_floor
+    if possible is None:
         yield RuleResult("convention", None, "unknown", found, note=stated.describe())
         return
-    fits = stated.spikes == "above" and stated.floor == "none"
+    spikes, floor = possible
     yield RuleResult(
         rule="convention",
         node=None,
-        status="pass" if fits else "fail",
+        status="pass" if (stated.spikes, stated.floor) == possible else "fail",
         found=found,
-        limit="spikes 'above', floor 'none'",
+        limit=f"spikes {spikes!r}, floor {floor!r}",
         remedy="Run the network in float.",
         note=stated.describe(),
     )

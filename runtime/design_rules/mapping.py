@@ -76,11 +76,10 @@ def mapping(network: Topology, chip: Chip, graph: nir.NIRGraph) -> CoreMapping:
         return _by_layers(network, graph, limits)
     if limits is None or (limits.neurons_per_core is None and limits.memory is None):
         return CoreMapping(tuple(_uncored(network, p) for p in network.populations), None, None)
-    lists = 2 if chip.fixed is not None and chip.fixed.sign_mode == "split" else 1
 
     @cache
     def weigh(population: Population, block: int) -> Load:
-        return load(population, limits, lists, block)
+        return load(population, limits, chip.arithmetic.weight_lists, block)
 
     blocks = _divided(network, limits, weigh)
     cores = {p.name: -(-p.size // blocks[p.name]) for p in network.populations}

@@ -36,7 +36,7 @@ def interprets(program: Program, backend: Backend) -> bool:
 def _only_interpreted(program: Program) -> str | None:
     """Why no fast kernel computes the program."""
     chip = program.chip
-    if chip.arithmetic is not None and chip.fixed is None:
+    if chip.arithmetic.rounds and chip.fixed is None:
         kind = type(chip.arithmetic).__name__
         return f"chip {chip.name!r} computes with {kind}, which only the interpreter knows."
     for layer in program.layers:

@@ -65,7 +65,7 @@ class InterpretedPipeline:
         counts = count(
             _without_biases(self._program, self._waiting),
             {self._program.input: self._raster, **{n: t.spikes for n, t in traces.items()}},
-            {name: trace.busy for name, trace in traces.items()},
+            {name: trace.active for name, trace in traces.items()},
             {name: trace.overflows for name, trace in traces.items()},
         )
         recorder.add(counts, timesteps, self._program.steps(timesteps))

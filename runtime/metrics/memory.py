@@ -13,8 +13,6 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.compiler.program import Layer, Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, Ledger
 
-FLOAT = 32  # [bits] of a weight or state of a network that no chip has rounded
-
 
 @dataclass(frozen=True)
 class Widths:
@@ -47,8 +45,6 @@ class MemoryTraffic:
 
 def widths(chip: Chip) -> Widths:
     """The widths of a chip's weights and states; those of float32 where it rounds nothing."""
-    if chip.arithmetic is None:
-        return Widths(FLOAT, (FLOAT, FLOAT))
     return Widths(chip.arithmetic.weight_bits, chip.arithmetic.state_bits)
 
 

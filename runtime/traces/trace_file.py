@@ -34,13 +34,13 @@ MAKERS = (
     (r"lava", "loihi1"),
 )
 READERS = {
-    "loihi1": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "loihi1-brian2": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "loihi1-nengo": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "loihi2": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "xylo-a2": "spikedeploy.runtime.traces.xylo:xylo_trace",
-    "xylo-a3": "spikedeploy.runtime.traces.xylo:xylo_trace",
-    "xylo-imu": "spikedeploy.runtime.traces.xylo:xylo_trace",
+    "loihi1": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "loihi2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "xylo-a2": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
+    "xylo-a3": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
+    "xylo-imu": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
 }
 # what is for people
 PROSE = {

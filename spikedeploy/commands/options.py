@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from spikedeploy.runtime.compiler.quantisation import Quantisation
+    from spikedeploy.runtime.chips.quantisation import Quantisation
 
 
 class LimitsSwitch(str, Enum):
@@ -188,7 +188,7 @@ def quantisation(
     weight_shift: int,
 ) -> "Quantisation":
     """What the five options ask for."""
-    from spikedeploy.runtime.compiler.quantisation import Quantisation
+    from spikedeploy.runtime.chips.quantisation import Quantisation
 
     return Quantisation(
         quantise.value,

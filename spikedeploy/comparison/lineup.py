@@ -6,7 +6,7 @@ from pathlib import Path
 
 from spikedeploy import envs, zoo
 from spikedeploy.policies.policies import FLOAT, Candidate, find
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 
 CONTROLS = ("phase", "bilinear", "linear", "small")  # the well-known ones, in their order

@@ -14,7 +14,7 @@ from spikedeploy.policies.policies import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program as compiled
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.errors import ArtifactError

@@ -14,7 +14,7 @@ from typing import Any
 from spikedeploy import envs
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.metrics.energy import described, energy_table
-from spikedeploy.runtime.compiler.quantisation import PLAIN
+from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.files import as_text, write_text

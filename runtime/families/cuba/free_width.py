@@ -12,6 +12,7 @@ subtract.
 
 from dataclasses import dataclass, field
 
+from spikedeploy.runtime.chips.arithmetic import Description
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ChipError
@@ -26,7 +27,7 @@ WIDEST_WEIGHT = 16
 
 @dataclass(frozen=True)
 class CubaFreeWidth(CubaFixedPoint):
-    """The integer CuBa-LIF neurons of FixedPoint; fields that follow from others are not given.
+    """The integer CuBa-LIF neurons of CubaFixedPoint; fields that follow from others are not given.
 
     weight_bits: where sign_mode is "mixed", with the sign: -(2**(n - 1) - 1) to 2**(n - 1) - 1;
         where it is "split", of the magnitude. Weights have no bits that are dropped: a narrow
@@ -59,6 +60,11 @@ class CubaFreeWidth(CubaFixedPoint):
     def weight_max(self) -> int:
         """Largest weight of either sign."""
         return (1 << (self.weight_bits - (self.sign_mode == "mixed"))) - 1
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        _, weights, membrane = super().describe()
+        return Description("CuBa-LIF, free widths", f"{weights}, free", f"{membrane}, free")
 
     def _check_widths(self) -> None:
         if not 1 <= self.decay_bits <= WIDEST_DECAY:

@@ -1,41 +1,12 @@
-"""The arithmetic of chips that compute neurons in software: whole weights, states in float32.
-
-SpiNNaker2 (22 nm, 152 cores): neurons are programs, so their arithmetic is a float's.
+"""SpiNNaker2 (22 nm, 152 cores): neurons are programs, so their arithmetic is a float's.
 
 Approximate: states are float32 and weights 8 bits as its NIR importer makes them; in which order
 the firmware multiplies and adds, and rounds, is not published.
 """
 
-from dataclasses import dataclass
-
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits, SynapticMemory
-from spikedeploy.runtime.errors import ChipError
-
-
-@dataclass(frozen=True)
-class CubaFloat32:
-    """CuBa-LIF neurons in float32, whose synapses hold small integers.
-
-    weight_bits: of a weight, with the sign; the lowest number is not used.
-    """
-
-    weight_bits: int
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.weight_bits <= 16:
-            raise ChipError(f"weight_bits is {self.weight_bits}; choose 2 to 16.")
-
-    @property
-    def weight_max(self) -> int:
-        """Largest weight of either sign."""
-        return (1 << (self.weight_bits - 1)) - 1
-
-    @property
-    def state_bits(self) -> tuple[int, ...]:
-        """Width of each state of a neuron [bits]: its current and its membrane."""
-        return (32, 32)
-
+from spikedeploy.runtime.families.cuba.floating_point import CubaFloat32
 
 S2_NIR = "py-spinnaker2, s2_nir (source read)"
 PY = "py-spinnaker2's reading of NIR (source read)"

@@ -14,11 +14,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.compiler.program import Layer, Program
-from spikedeploy.runtime.emulator.interpreter import LayerState, update
 from spikedeploy.runtime.emulator.raster import Raster, Scratch, aligned
 from spikedeploy.runtime.families.cuba.bounds import Bounds, bounds, harmless, room, single
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.neurons import update
 from spikedeploy.runtime.families.cuba_numpy.neuron_update import NeuronUpdate
 from spikedeploy.runtime.families.cuba_numpy.sums import summing
 
@@ -196,12 +197,14 @@ class LayerKernel:
         state = LayerState(before[0], before[1], self._silent)
         self.overflows.fill(0)
         for row, weights in enumerate(self._drive.weights()):
-            tick = update(self.program, self.layer, weights, state)
+            tick = update(
+                self.program.chip.fixed, self.program.convention, self.layer, weights, state
+            )
             self.states[row + 1] = state.current, state.membrane
             self.spikes[row] = tick.spikes
             self.overflows += tick.overflows.sum(axis=1)
         if self.kept:
-            self._silent = state.silent
+            self._silent = state.refractory
 
 
 class SynapticInput:

@@ -390,9 +390,11 @@ def test_every_rule_is_documented():
 
 
 COMPILER = [
+    "chips.arithmetic", "chips.layer",
     "compiler.compile", "compiler.linear", "compiler.program", "compiler.wiring",
-    "families.cuba.bounds", "families.cuba.float32", "families.cuba.quantise",
-    "families.integrate_and_fire.quantise", "families.xylo.layers", "families.xylo.quantise",
+    "families.cuba.bounds", "families.cuba.floating_point", "families.cuba.quantise",
+    "families.integrate_and_fire.arithmetic", "families.integrate_and_fire.quantise",
+    "families.xylo.layers", "families.xylo.quantise",
 ]  # fmt: skip
 
 

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator import backend
 from spikedeploy.runtime.emulator.controllers import CHUNK, MachinePool
@@ -36,7 +37,7 @@ compiled = pytest.mark.skipif(
 
 def known(program):
     """The program with registers that the compiled kernels know."""
-    fixed = program.chip.fixed
+    fixed = program.chip.arithmetic
     overflow = "clip" if fixed.membrane.overflow == "saturate" else fixed.membrane.overflow
     plain = replace(
         fixed, push=Register(24, "none"), membrane=Register(fixed.membrane.bits, overflow)
@@ -196,7 +197,7 @@ def test_a_state_that_float64_cannot_decay_exactly_is_decayed_in_whole_numbers()
     large = (1 << 43) + rng.integers(0, 1 << 42, 300)
     weight = np.stack([large, -large])
     neurons = layer(
-        datasheet.fixed, "n", weight.T, (Synapses("input", weight, delay=1),),
+        datasheet.arithmetic, "n", weight.T, (Synapses("input", weight, delay=1),),
         decays=(0, 4096), threshold=1 << 60, start=1,
     )  # fmt: skip
     program = Program(datasheet, Convention(1e-3), "input", 2, (neurons,), "n", None)
@@ -285,7 +286,7 @@ def test_the_kernels_know_every_field_of_the_arithmetic():
 def test_registers_that_the_kernels_do_not_know_are_refused_and_auto_takes_numpy(register):
     program = compile_program(popsan(), chip("loihi1"))
     odd = replace(
-        program, chip=replace(program.chip, arithmetic=replace(program.chip.fixed, **register))
+        program, chip=replace(program.chip, arithmetic=replace(program.chip.arithmetic, **register))
     )
     with pytest.raises(ConfigError, match=r"'loihi1' has a register that the compiled kernels"):
         Machine(odd, backend="numba")
