@@ -9,7 +9,7 @@ CHIPS: dict[str, str] = {
     "xylo-a2": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A2",
     "xylo-a3": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A3",
     "xylo-imu": "spikedeploy.runtime.families.xylo.datasheets:XYLO_IMU",
-    "spinnaker2": "spikedeploy.runtime.families.cuba.spinnaker2:SPINNAKER2",
+    "spinnaker2": "spikedeploy.runtime.families.cuba.floating_point:SPINNAKER2",
     "speck2f": "spikedeploy.runtime.families.integrate_and_fire.speck2f:SPECK2F",
     "truenorth": "spikedeploy.runtime.families.integrate_and_fire.truenorth:TRUENORTH",
     "odin": "spikedeploy.runtime.families.integrate_and_fire.odin:ODIN",

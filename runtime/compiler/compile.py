@@ -13,8 +13,8 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.design_rules.placed import design
-from spikedeploy.runtime.design_rules.table import ARITHMETIC, ROOM, refuse
+from spikedeploy.runtime.design_rules.rule import design
+from spikedeploy.runtime.design_rules.table import ARITHMETIC, CAPACITY, refuse
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.neurons import DiscreteNeuron, discretise
 
@@ -44,7 +44,7 @@ def compile_program(
     graph = wiring(artifact.graph, artifact.convention)
     plan = design(artifact, chip, chip.limits) if limits and chip.limits else None
     if plan:
-        refuse(plan, ROOM)
+        refuse(plan, CAPACITY)
     chip.arithmetic.check_quantisation(quantisation, chip.name)
     program = float_program(artifact, chip, graph, stagger)
     layers = chip.arithmetic.quantise(

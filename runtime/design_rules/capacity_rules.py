@@ -10,8 +10,7 @@ import numpy as np
 
 from spikedeploy.runtime.design_rules.core_memory import assigned, entries
 from spikedeploy.runtime.design_rules.mapping import Placement, mapping
-from spikedeploy.runtime.design_rules.placed import PlacedNetwork
-from spikedeploy.runtime.design_rules.result import RuleResult, at_most
+from spikedeploy.runtime.design_rules.rule import PlacedNetwork, RuleResult, at_most
 from spikedeploy.runtime.design_rules.topology import Population
 
 ENTRIES = "entries"

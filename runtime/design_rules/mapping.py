@@ -136,9 +136,9 @@ def _divided(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
 def _hearing(network: Topology, name: str, cores: dict[str, int]) -> int:
     """Cores that hear a neuron of a population, or an input; no more than it has synapses."""
     synapses: dict[str, int] = {}
-    for connection in network.leaving(name):
-        most = int(connection.fan.out.max())
-        synapses[connection.target] = synapses.get(connection.target, 0) + most
+    for projection in network.leaving(name):
+        most = int(projection.fan.out.max())
+        synapses[projection.target] = synapses.get(projection.target, 0) + most
     return sum(min(cores[target], most) for target, most in synapses.items())
 
 
@@ -180,7 +180,7 @@ def _placed(
         memory=found.memory,
         axons_in=found.axons_in,
         axons_out=block * _hearing(network, population.name, cores),
-        estimated=any(connection.fan.weight is None for connection in population.presynaptic),
+        estimated=any(projection.fan.weight is None for projection in population.presynaptic),
     )
 
 
@@ -197,9 +197,9 @@ def _uncored(network: Topology, population: Population) -> Placement:
         first=None,
         block=population.size,
         memory=None,
-        axons_in=sum(connection.fan.out.size for connection in population.presynaptic),
+        axons_in=sum(projection.fan.out.size for projection in population.presynaptic),
         axons_out=0,
-        estimated=any(connection.fan.most for connection in population.presynaptic),
+        estimated=any(projection.fan.most for projection in population.presynaptic),
     )
 
 

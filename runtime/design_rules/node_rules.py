@@ -9,8 +9,13 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.design_rules.placed import PlacedNetwork
-from spikedeploy.runtime.design_rules.result import RuleResult, Status, allowed, at_most
+from spikedeploy.runtime.design_rules.rule import (
+    PlacedNetwork,
+    RuleResult,
+    Status,
+    allowed,
+    at_most,
+)
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import DENSE
@@ -187,7 +192,7 @@ def axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
         return
     remedy = "Train with sources of one sign, or double them."
     for name in (*design.network.inputs, *(p.name for p in design.network.populations)):
-        fans = [connection.fan for connection in design.network.leaving(name)]
+        fans = [projection.fan for projection in design.network.leaving(name)]
         weights = [fan.weight for fan in fans if fan.weight is not None]
         if weights:
             up, down = (_any(weights, sign) for sign in (1, -1))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from spikedeploy.runtime.compiler.check import DesignCheck
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.design_rules.mapping import Placement
-from spikedeploy.runtime.design_rules.result import RuleResult, text
+from spikedeploy.runtime.design_rules.rule import RuleResult, text
 from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
 from spikedeploy.check import Report, statuses, worst
 from spikedeploy.reports.terminal import console, print_table

@@ -141,7 +141,7 @@ def _signed(bits: int) -> tuple[int, int]:
 
 
 @dataclass(eq=False)
-class Timestep:
+class PartialStep:
     """A layer in the middle of a timestep.
 
     membrane: (B, N).
@@ -165,7 +165,7 @@ def update(
 ) -> StepResult:
     """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
     before, none = state.membrane, np.zeros_like(state.membrane)
-    now = Timestep(before, none, none, none.astype(np.bool_))
+    now = PartialStep(before, none, none, none.astype(np.bool_))
     if rules.leak_order == "first":
         _leak(rules, layer, now)
         if rules.checks == "event":
@@ -183,7 +183,7 @@ def update(
     return StepResult(now.spikes, (before != 0) | now.arrived, now.lost)
 
 
-def _leak(rules: IntegrateAndFireRules, layer: Layer, state: Timestep) -> None:
+def _leak(rules: IntegrateAndFireRules, layer: Layer, state: PartialStep) -> None:
     v, leak = state.membrane, layer.membrane_decay
     if rules.leak == "linear":
         # V = V - sign(V) min(|V|, leak)
@@ -209,7 +209,7 @@ def _each(
     convention: Convention,
     layer: Layer,
     presynaptic: Sequence[Numbers],
-    state: Timestep,
+    state: PartialStep,
 ) -> None:
     """Add event by event: axon by axon, synapses in their order, and the bias at last."""
     bias = (layer.bias + layer.voltage_bias).astype(np.int64)
@@ -228,7 +228,7 @@ def _add(
     convention: Convention,
     layer: Layer,
     weights: Integers,
-    state: Timestep,
+    state: PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
     # V = V + W s, as the register holds it, and not below the floor
@@ -252,7 +252,7 @@ def _fire(
     rules: IntegrateAndFireRules,
     convention: Convention,
     layer: Layer,
-    state: Timestep,
+    state: PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
     """Spikes of the membranes; several at once only where the threshold is taken off each time."""

@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.compiler.check import check
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.design_rules.placed import design
+from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.design_rules.table import COMPILER_RULES, NODE_RULES, RULES, judged
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from tests.networks import chain, cuba, graph, lif, popsan
