@@ -1,6 +1,6 @@
 """The activity of a network: spikes and membranes of every layer, in the units of the float twin.
 
-The float twin and every chip are seen through the same glass, so that they can be compared.
+The float twin and chips are recorded in the same form, so that they can be compared.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,4 @@
-"""Diagnosis: layers that never spike or nearly always do, and the likely cause.
-
-The first spike in which a chip differs from the float twin.
-"""
+"""Diagnosis: dead and saturated layers with the likely cause, and the first spike that differs."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -19,7 +16,7 @@ Cause = Literal[
     "policy", "input", "counts", "weights", "thresholds", "decays", "states", "rounding"
 ]
 
-# a rate from which on a neuron says little more than that it is there
+# [spikes for each neuron and timestep] beyond it a rate carries little information
 SATURATED = 0.9
 
 
@@ -30,7 +27,7 @@ class Finding:
     layer: name.
     health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.
     cause: "policy", it is so in float too; "input", nothing arrives; "counts", neurons send several
-        spikes in a timestep, and in float one; a rung of runtime.ablation, the first on which it is
+        spikes in a timestep, and in float one; a rounding step, the first after which it is
         so; "rounding", of a chip that has no rungs.
     detail: the same with numbers.
     """
@@ -206,7 +203,7 @@ def first(twin: Activity, seen: Activity, layers: Iterable[str]) -> Divergence |
     """The earliest of the first inference that differs; of one timestep the first layer's.
 
     twin, seen: of the float twin and of the chip.
-    layers: in the order in which they hear each other.
+    layers: in the order of the spikes.
     """
     found = [
         (inference, timestep, place, neuron, name)

@@ -1,11 +1,9 @@
-"""Drift: what a chip does otherwise than the float twin, where it begins, and what causes it.
+"""Drift: how far a chip is from the float twin, where that begins, and what causes it.
 
-Ablation: a network on its way to the chip, one kind of rounding after another.
-
-Each rung is computed in float64, on the chip's scale, so that what differs between two rungs is the
-one thing that was rounded. The last rung is the chip.
-
-How far two rasters are apart: the distance of van Rossum, exact for spikes on a grid.
+The cause is found by ablation: a network on its way to the chip, one kind of rounding after
+another. Each rung is computed in float64, on the chip's scale, so that what differs between two
+rungs is the one thing that was rounded. The last rung is the chip. Distances of spike trains are
+those of van Rossum, exact for spikes on a grid.
 """
 
 from collections.abc import Iterator, Mapping
@@ -61,15 +59,15 @@ def van_rossum(one: NDArray[Any], other: NDArray[Any], tau: float = TAU) -> Floa
     tau: [timesteps].
     """
     more = one.astype(np.float64) - other.astype(np.float64)
-    keep = np.exp(-1.0 / tau)
+    decay_factor = np.exp(-1.0 / tau)
     apart = np.zeros(more[:, 0].shape)
     total = np.zeros_like(apart)
     for t in range(more.shape[1]):
         # e = e exp(-1/tau) + difference     D^2 += e^2 (1 - exp(-2/tau)) / 2
-        apart = keep * apart + more[:, t]
-        total += apart**2 * (1 - keep**2) / 2
+        apart = decay_factor * apart + more[:, t]
+        total += apart**2 * (1 - decay_factor**2) / 2
     # what is left decays for ever: e^2 exp(-2/tau) / 2
-    return np.asarray(total + apart**2 * keep**2 / 2)
+    return np.asarray(total + apart**2 * decay_factor**2 / 2)
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class OutputDrift:
 
 @dataclass(frozen=True)
 class Rung:
-    """The network with some of the chip's roundings (runtime.ablation).
+    """The network with some of the chip's roundings.
 
     name: of the rounding that was added last.
     distance: layer -> of van Rossum, as in LayerDrift.
@@ -135,7 +133,7 @@ class Drift:
     quantisation: in words.
     inferences, timesteps: B and T of the raster.
     tau: [timesteps] of the distance.
-    layers: in the order in which they hear each other.
+    layers: in the order of the spikes.
     diverged: inferences in which any spike differs.
     first: difference, None where there is none.
     output: of the whole network.

@@ -1,4 +1,15 @@
-"""The chips that networks can be compiled for; one file and one line each."""
+"""What a chip is: a datasheet, the arithmetic that it names, and the layers that it computes.
+
+CHIPS is the table of the chips that networks can be compiled for, each with where it stands; a new
+one is a line here and a folder in runtime.families.
+
+chip             the datasheet, the look-up by name, and the options that replace its fields
+arithmetic       the one interface to everything in which the numbers of chips differ
+layer            synapses, layers and their states, and when layers start
+quantisation     the choices of how a float network becomes the numbers of a chip
+registers        registers, what they do when they overflow, decays, and rounding
+limits           what fits on a chip
+"""
 
 CHIPS: dict[str, str] = {
     "ideal": "spikedeploy.runtime.families.cuba.floating_point:IDEAL",

@@ -90,15 +90,15 @@ class Network(Protocol):
 
     @property
     def layers(self) -> tuple[Layer, ...]:
-        """In an order in which no layer comes before one that it hears without delay."""
+        """In an order in which each comes after its sources without a delay."""
 
     @property
     def output(self) -> str:
-        """Name of the layer whose spikes leave the chip."""
+        """Name of the layer with the spikes that leave the chip."""
 
     @property
     def output_apart(self) -> bool:
-        """Whether the output layer hears other layers only, and none hears it (Xylo's outputs)."""
+        """Whether the output layer has hidden layers for sources and no targets, as on Xylo."""
 
 
 @dataclass(eq=False)
@@ -158,7 +158,7 @@ def starting(layers: Sequence[Layer], network_input: str, delay: int, stagger: b
 
 
 def _starts(layers: Sequence[Layer], network_input: str, delay: int) -> dict[str, int]:
-    """Timestep at which each layer can first hear of the input; slower paths decide."""
+    """Timestep at which the input can first reach each layer; slower paths decide."""
     starts = {network_input: 0}
     for layer in layers:
         # sources that come later, or the layer itself, are feedback

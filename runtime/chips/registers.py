@@ -1,7 +1,4 @@
-"""Integer arithmetic as chips do it: arrays of int64 in, arrays of int64 out.
-
-Rounding: how a float becomes a whole number of a chip.
-"""
+"""Integer arithmetic as chips do it: registers, decays and rounding, on arrays of int64."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,10 +25,10 @@ WORDS: dict[Overflow, str] = {
 }
 
 
-def decay(x: Integers, keep: Integers, bits: int) -> Integers:
-    """What is left of x after a timestep: keep / 2**bits of it, rounded toward zero."""
-    # y = sign(x) * ((|x| * keep) >> bits)
-    return cast("Integers", np.sign(x) * (np.abs(x) * keep >> bits))
+def decay(x: Integers, factor: Integers, bits: int) -> Integers:
+    """What is left of x after a timestep: factor / 2**bits of it, rounded toward zero."""
+    # y = sign(x) * ((|x| * factor) >> bits)
+    return cast("Integers", np.sign(x) * (np.abs(x) * factor >> bits))
 
 
 def shift_decay(x: Integers, shift: Integers) -> Integers:

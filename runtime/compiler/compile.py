@@ -36,7 +36,7 @@ def compile_program(
         means the same with delays as without. False starts all at once, as lava does. None staggers
         unless the convention itself has a delay, and on Xylo where Xylo can.
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
-        the chip has no room for the network, and where it has not quite what the network asks for.
+        the chip lacks capacity for the network, or something that the network asks for.
     """
     _check_reset(artifact.convention, chip)
     if not limits:

@@ -1,7 +1,4 @@
-"""The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs.
-
-What leaves a chip where it is more than one readout of one layer: computed by the host.
-"""
+"""The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ReadoutTerm:
-    """What an Output node hears of one layer.
+    """What an Output node receives from one layer.
 
     layer: name.
     weight: (N, act) axon-major; None passes the spikes on as they are.
@@ -40,7 +37,7 @@ class HostOutput:
     """One Output node.
 
     port: its name and shape.
-    taps: what it hears.
+    taps: what it receives.
     bias: (act,) added in every timestep.
     """
 
@@ -78,7 +75,7 @@ class Readout:
 
     def __call__(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
         """Output (..., act) of the spikes (..., N)."""
-        # BLAS wants two axes, and dot() is @ for those in a hurry
+        # BLAS takes two axes; dot() has less overhead than @
         flat = spikes.reshape(-1, len(self.weight)).dot(self.weight) + self.bias
         return np.asarray(flat.reshape(*spikes.shape[:-1], -1))
 
@@ -91,12 +88,12 @@ class Program:
     start: its window. With biases staggered, layer k starts k timesteps later than the input, so
     that row t of every window means the same as without delays.
 
-    chip: whose arithmetic is used.
+    chip: the one that it runs on.
     convention: of the artifact; reset and state are read from it.
     input: name of the input.
     width: M of the input.
-    layers: in an order in which no layer comes before one that it hears without delay.
-    output: name of the layer that the readout or the host listens to.
+    layers: in an order in which each comes after its sources without a delay.
+    output: name of the layer that the readout or the host receives spikes from.
     readout: None where the spikes themselves are the output.
     remarks: what of it is not as in the artifact, besides rounding and its convention; sentences.
     inputs: the Input nodes side by side in the input; empty where there was no graph.
@@ -133,7 +130,7 @@ class Program:
         return self._by_name[name]
 
     def lag(self, layer: Layer, synapses: Synapses) -> int:
-        """Rows by which the layer's window trails what it hears: 0 where starts make up delays."""
+        """Rows by which the layer's window trails its spikes: 0 where starts make up delays."""
         start = 0 if synapses.source == self.input else self.layer(synapses.source).start
         return start + synapses.delay - layer.start
 
@@ -154,7 +151,7 @@ class Program:
 
     @cached_property
     def to_host(self) -> frozenset[str]:
-        """Names of the layers whose spikes leave the chip."""
+        """Names of the layers with spikes that leave the chip."""
         return frozenset({tap.layer for outlet in self.outlets for tap in outlet.taps}) or (
             frozenset({self.output})
         )
@@ -169,7 +166,7 @@ class Program:
 
     @cached_property
     def feed_forward(self) -> bool:
-        """Whether every layer hears only the input and layers before it."""
+        """Whether every layer has only the input and layers before it for sources."""
         presynaptic = {self.input}
         for layer in self.layers:
             if any(s.source not in presynaptic for s in layer.synapses):
@@ -179,11 +176,11 @@ class Program:
 
     @cached_property
     def output_apart(self) -> bool:
-        """Whether the output layer hears other layers only, and none hears it (Xylo's outputs)."""
-        wires = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
-        presynaptic = {source for source, target in wires if target == self.output}
-        heard_by = {target for source, target in wires if source == self.output}
-        return self.input not in presynaptic and not heard_by
+        """Whether the output layer has hidden layers for sources and no targets, as on Xylo."""
+        connections = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
+        presynaptic = {source for source, target in connections if target == self.output}
+        targets = {target for source, target in connections if source == self.output}
+        return self.input not in presynaptic and not targets
 
     def steps(self, timesteps: int) -> int:
         """Chip timesteps of one inference of T timesteps."""

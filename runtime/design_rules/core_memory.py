@@ -1,14 +1,11 @@
-"""The load of a core: what the synapses of a block of neurons take.
-
-What synapses take of a core's memory.
+"""What the synapses of a block of neurons take of the memory of a core.
 
 Loihi's synapses lie in words of 64 bits: the synapses of an axon in blocks of up to 64, each block
 with 10 bits of its own and rounded up to whole words (nengo-loihi 1.1.0, bits_per_axon). A sparse
 list names the neuron of each synapse, a dense one stores every weight of the core, zeros included.
 
-Chips whose cores compute a layer each (Speck): entries of their memories, and who takes which.
-
-A layer with a kernel of c channels, f features and kx ky taps takes c 2^(ceil(log2 kx ky) +
+Where each core computes a layer (Speck), memories have entries, and every layer takes a core. A
+layer with a kernel of c channels, f features and kx ky taps takes c 2^(ceil(log2 kx ky) +
 ceil(log2 f)) entries of kernel memory, its f maps of y x neurons f 2^(ceil(log2 y) + ceil(log2 x))
 of neuron memory (sinabs 3.1.3, source read). A linear map behind a Flatten is a kernel as large as
 what is flattened.
@@ -131,7 +128,7 @@ class Entries:
 
 
 def entries(graph: nir.NIRGraph, population: Population) -> Entries:
-    """The entries of a population, with the kernels of all that it hears."""
+    """The entries of a population, with the kernels of all that projects onto it."""
     features, *space = population.shape
     kernel = sum(_kernel(graph, projection.fan.maps) for projection in population.presynaptic)
     return Entries(kernel, features * 2 ** sum(_bits(extent) for extent in space))

@@ -1,7 +1,4 @@
-"""Design rules on what a single node is: its kind, its neurons' parameters, its weights.
-
-Design rules on maps: their kernels, the values and the signs of their weights.
-"""
+"""Design rules on single nodes: their kind, the parameters of neurons, kernels and weights."""
 
 from collections.abc import Iterator
 
@@ -66,7 +63,7 @@ def delay(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Loops only where neurons can hear themselves."""
+    """Loops only where neurons can be presynaptic to themselves."""
     for population in design.network.populations:
         if not population.recurrent:
             continue

@@ -37,7 +37,7 @@ class Population:
     name: of the node.
     size: neurons, N.
     shape: of the node.
-    heard: what it listens to.
+    presynaptic: the projections onto it.
     biased: whether a map adds something to it in every timestep.
     leaves: whether its spikes or membranes leave the chip.
     decays: different sets of time constants among its neurons.
@@ -74,7 +74,7 @@ class Topology:
     """The populations of a graph.
 
     inputs: M of each input.
-    populations: in an order in which those that close no loop come after what they hear.
+    populations: in an order in which those that close no loop come after their sources.
     host: names of the maps behind the last neurons, which the host computes.
     """
 

@@ -1,8 +1,8 @@
-"""Bounds: how large the numbers of a layer can get, so that fast arithmetic is proven exact.
+"""How large the numbers of a layer can get, whatever the spikes, and scales that none overflows at.
 
-Headroom: the largest scale at which no register of the chip can overflow, whatever the spikes.
-
-The widths count even where a reading of the chip does not model what happens beyond them.
+Bounds prove that fast arithmetic is exact. Headroom is the largest scale at which no register of
+the chip can overflow; widths count even where a reading of the chip does not model what happens
+beyond them.
 """
 
 from dataclasses import dataclass, replace
@@ -95,9 +95,9 @@ def single(layer: Layer, registers: CubaRegisters) -> int:
     thresholds = layer.threshold.astype(np.int64)
     if _largest(thresholds) >= SINGLE or _largest(layer.voltage_bias) >= SINGLE:
         return 0
-    keeps = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
+    factors = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
     # the odd part of a decay is what makes a product longer
-    odd = keeps // np.maximum(keeps & -keeps, 1)
+    odd = factors // np.maximum(factors & -factors, 1)
     return SINGLE // max(int(odd.max(initial=0)), 2)
 
 
@@ -109,8 +109,8 @@ def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
     """
     added = [1 << registers.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
     shift = min(_trailing(int(value)) for value in added)
-    keeps = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
-    bits = max(max(registers.decay_bits - _trailing(int(keep)), 0) for keep in keeps)
+    factors = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
+    bits = max(max(registers.decay_bits - _trailing(int(factor)), 0) for factor in factors)
     return shift // bits if bits else LONG
 
 
@@ -121,13 +121,13 @@ def _trailing(value: int) -> int:
 
 def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
     """Largest current or membrane in a window after a single arrival of 1, without rounding."""
-    keep_current = layer.current_decay / float(registers.decay_one)
-    keep_membrane = layer.membrane_decay / float(registers.decay_one)
+    current_factor = layer.current_decay / float(registers.decay_one)
+    membrane_factor = layer.membrane_decay / float(registers.decay_one)
     current, membrane = np.ones(layer.size), np.ones(layer.size)
     peak = 1.0
     for _ in range(timesteps):
-        current = keep_current * current
-        membrane = keep_membrane * membrane + current
+        current = current_factor * current
+        membrane = membrane_factor * membrane + current
         peak = max(peak, float(membrane.max()))
     return peak
 
@@ -140,26 +140,26 @@ def _leaky(
     layer: Layer, registers: CubaRegisters, drive: Floats, bias: NDArray[Any], timesteps: int | None
 ) -> tuple[Floats, Floats]:
     """Largest current and membrane (N,) when so much arrives in every timestep."""
-    keep_current = layer.current_decay / float(registers.decay_one)
-    keep_membrane = layer.membrane_decay / float(registers.decay_one)
+    current_factor = layer.current_decay / float(registers.decay_one)
+    membrane_factor = layer.membrane_decay / float(registers.decay_one)
     push = bias.clip(min=0).astype(np.float64)
     if timesteps is None or timesteps > LONG:
-        current = _endless(drive, keep_current)
-        return current, _endless(current + push, keep_membrane)
+        current = _endless(drive, current_factor)
+        return current, _endless(current + push, membrane_factor)
     current = membrane = np.zeros(layer.size)
     for _ in range(timesteps):
-        current = keep_current * current + drive
-        membrane = keep_membrane * membrane + current + push
+        current = current_factor * current + drive
+        membrane = membrane_factor * membrane + current + push
     return current, membrane
 
 
-def _endless(drive: Floats, keep: Floats) -> Floats:
-    """Limit of x = keep x + drive: drive / (1 - keep), and endless without a leak."""
+def _endless(drive: Floats, factor: Floats) -> Floats:
+    """Limit of x = factor x + drive: drive / (1 - factor), and endless without a leak."""
     endless = np.where(drive > 0, np.inf, 0.0)
-    return np.divide(drive, 1 - keep, out=endless, where=keep < 1)
+    return np.divide(drive, 1 - factor, out=endless, where=factor < 1)
 
 
-# rounding may lift a bound a little over its register again; each round takes away what is over
+# rounding may lift a bound a little over its register again; each round takes away the excess
 ROUNDS = 50
 SLACK = 1e-3
 

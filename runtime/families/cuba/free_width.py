@@ -1,6 +1,4 @@
-"""Loihi's arithmetic with free widths, for exploring what a chip would need.
-
-No chip that exists: a family with free bit widths, to find out what one would need.
+"""Loihi's arithmetic with free bit widths: no chip that exists, to find out what one would need.
 
     chip("int", weight_bits=4, decay_bits=6, membrane=Register(12, "saturate"))
     --chip int:weight_bits=4,decay_bits=6,membrane=12-wrap
@@ -43,10 +41,10 @@ class CubaFreeWidth(CubaFixedPoint):
     def __post_init__(self) -> None:
         mixed = self.sign_mode == "mixed"
         widths = range(2, WIDEST_WEIGHT + 1) if mixed else range(1, WIDEST_WEIGHT)
-        reach = (self.membrane.limit - 1) >> self.mantissa_shift
+        largest = (self.membrane.limit - 1) >> self.mantissa_shift
         # a frozen dataclass is written on in no other way
         object.__setattr__(self, "weight_bits_allowed", tuple(widths))
-        object.__setattr__(self, "threshold_max", min((1 << self.threshold_bits) - 1, reach))
+        object.__setattr__(self, "threshold_max", min((1 << self.threshold_bits) - 1, largest))
         object.__setattr__(self, "decay_max", self.decay_one)
         super().__post_init__()
         self._check_widths()

@@ -1,7 +1,4 @@
-"""Traces of Loihi, in the words of lava, brian2_loihi, nengo-loihi and of boards.
-
-A layer of Loihi from the registers that a trace lists.
-"""
+"""Recorded runs of Loihi, as lava, brian2_loihi, nengo-loihi and boards write them."""
 
 from dataclasses import dataclass, replace
 
@@ -74,8 +71,8 @@ def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer
         bias=np.zeros(size, np.int64),
         voltage_bias=_bias(spec, size),
         threshold=_threshold(spec, arithmetic, size),
-        current_decay=_keep(spec, "u", arithmetic, size),
-        membrane_decay=_keep(spec, "v", arithmetic, size),
+        current_decay=_decay_factor(spec, "u", arithmetic, size),
+        membrane_decay=_decay_factor(spec, "v", arithmetic, size),
         scale=1.0,
         start=0,
     )
@@ -120,12 +117,12 @@ def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
 
 
 def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
-    silent = spec.whole(*REFRACTORY, default=arithmetic.refractory, least=1, most=64)
+    refractory = spec.whole(*REFRACTORY, default=arithmetic.refractory, least=1, most=64)
     return replace(
         arithmetic,
         sign_mode="mixed" if weights.mixed else "split",
         weight_bits=spec.whole("num_weight_bits", default=arithmetic.weight_bits, least=0, most=8),
-        refractory=silent,
+        refractory=refractory,
         mantissa_shift=_mantissa_shift(spec, arithmetic, weights.exponent),
         membrane=_membrane(spec, arithmetic.membrane),
     )
@@ -148,7 +145,7 @@ def _membrane(spec: Fields, register: Register) -> Register:
 
 
 def _lists(weights: _Weights, arithmetic: CubaFixedPoint) -> list[tuple[NDArray[np.int16], int]]:
-    """The lists of weights (M, N) that the chip keeps, and the bits that each one's sum loses."""
+    """The lists of weights (M, N) that the chip stores, and the bits that each one's sum loses."""
     axons, exponent = weights.mantissa.T, weights.exponent
     if exponent >= 0 or arithmetic.exponents == "weight":
         return [(stored(axons, arithmetic, exponent), 0)]
@@ -178,7 +175,7 @@ def _bias(spec: Fields, size: int) -> Integers:
     return bias
 
 
-def _keep(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: int) -> Integers:
+def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: int) -> Integers:
     """(N,) what a timestep leaves, from the register or from what the register does."""
     offset = arithmetic.current_decay_offset if state == "u" else arithmetic.membrane_decay_offset
     names, effective = (f"d{state}", f"decay_{state}"), f"effective_decay_{state}"

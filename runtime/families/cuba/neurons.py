@@ -1,4 +1,7 @@
-"""CuBa-LIF neurons in integers: what the registers hold, and one timestep, their specification."""
+"""CuBa-LIF neurons: the registers that hold them in integers, and one timestep.
+
+`update` and `float_update` are the specification that everything fast is tested to equal.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,15 +1,12 @@
 """Quantisation: a layer in floats becomes the integers that a chip can hold.
 
-The scale of a layer: how many mantissas stand for a float unit.
+The scale of a layer is how many mantissas stand for a float unit. The largest weight or bias
+becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the threshold or the voltage
+bias would not fit then. A spike has no size, so scales never meet, neither those of layers nor
+those of neurons of a layer: threshold, bias and membrane follow the scale.
 
-The largest weight or bias becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the
-threshold or the voltage bias would not fit then. A spike has no size, so scales never meet, neither
-those of layers nor those of neurons of a layer: threshold, bias and membrane follow the scale.
-
-Few distinct thresholds for many neurons, since a core stores only so many of them.
-
-A neuron that has a scale of its own has a threshold of its own. Scales may shrink a little, so that
-neurons share thresholds; a spike has no size, so nothing else has to follow.
+A neuron that has a scale of its own has a threshold of its own, and a core stores only so many.
+Scales may shrink a little, so that neurons share thresholds; nothing else has to follow.
 """
 
 from collections.abc import Sequence
@@ -32,17 +29,20 @@ Scale: TypeAlias = float | Floats
 
 
 def mantissas_per_unit(
-    layer: Layer, registers: CubaRegisters, granularity: Granularity, reach: float = 1.0
+    layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float = 1.0
 ) -> Scale:
     """As many as the weights, the threshold and the bias allow.
 
-    reach: as in Tuning.
+    clip_ratio: as in Tuning.
     """
     widest_bias = (
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )
     limits = (
-        (registers.weight_max * max(reach, 1.0), [*(s.weight for s in layer.synapses), layer.bias]),
+        (
+            registers.weight_max * max(clip_ratio, 1.0),
+            [*(s.weight for s in layer.synapses), layer.bias],
+        ),
         (registers.threshold_max, [layer.threshold]),
         (widest_bias, [layer.voltage_bias]),
     )
@@ -52,7 +52,7 @@ def mantissas_per_unit(
         found = found if granularity == "channel" else np.full(layer.size, found.max(initial=0.0))
         scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
-    scale = np.where(np.isfinite(scale), scale, 1.0) * min(reach, 1.0)
+    scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
     return scale if granularity == "channel" else float(scale.min(initial=np.inf))
 
 
@@ -75,8 +75,8 @@ def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
     whole = np.floor(scale * thresholds)
     used = np.unique(whole[whole > 0])
     # a threshold of 0 is one of them
-    room = max(most - int((whole <= 0).any()), 1)
-    starts = used if len(used) <= room else _starts(used, _least_ratio(used, room))
+    limit = max(most - int((whole <= 0).any()), 1)
+    starts = used if len(used) <= limit else _starts(used, _least_ratio(used, limit))
     if not len(starts):
         return scale
     level = starts[(np.searchsorted(starts, whole, "right") - 1).clip(min=0)]
@@ -109,12 +109,14 @@ def quantise(
 ) -> Layer:
     """The float layer as the chip's integers.
 
-    share: () or (N,) part of the largest scale that is used; runtime.headroom finds it.
+    share: () or (N,) part of the largest scale that is used; headroom may ask for less than 1.
     """
     _check_bias(layer, registers)
     tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
-    scale = mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.reach) * share
+    scale = (
+        mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio) * share
+    )
     if quantisation.thresholds is not None:
         scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << registers.mantissa_shift
@@ -124,8 +126,8 @@ def quantise(
         bias=_weights(layer.bias, scale, registers, rounding),
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
         threshold=_threshold(tuned, scale, registers, rounding) * one,
-        current_decay=_keep(layer, "current", registers, rounding),
-        membrane_decay=_keep(layer, "membrane", registers, rounding),
+        current_decay=_decay_factor(layer, "current", registers, rounding),
+        membrane_decay=_decay_factor(layer, "membrane", registers, rounding),
         scale=layer.scale / (scale * one),
     )
     _check_alive(layer, quantised, registers)
@@ -133,7 +135,7 @@ def quantise(
 
 
 def stored(weights: NDArray[Any], registers: CubaRegisters, exponent: int = 0) -> NDArray[np.int16]:
-    """What the chip keeps of whole weights when it drops the bits below its weight step.
+    """What the chip stores of whole weights when it drops the bits below its weight step.
 
     exponent: each weight then counts 2**this times, rounded down.
     """
@@ -142,12 +144,12 @@ def stored(weights: NDArray[Any], registers: CubaRegisters, exponent: int = 0) -
         steps = whole // registers.weight_step
     else:
         steps = np.sign(whole) * (np.abs(whole) // registers.weight_step)
-    kept = steps * registers.weight_step
-    kept = kept << exponent if exponent > 0 else kept >> -exponent
+    held = steps * registers.weight_step
+    held = held << exponent if exponent > 0 else held >> -exponent
     if registers.exponents == "weight":  # brian2_loihi clips what a weight adds to the accumulator
         limit = registers.accumulator.limit >> registers.mantissa_shift
-        kept = np.clip(kept, -limit, limit)
-    return np.asarray(kept, np.int16)
+        held = np.clip(held, -limit, limit)
+    return np.asarray(held, np.int16)
 
 
 def _check_bias(layer: Layer, registers: CubaRegisters) -> None:
@@ -173,7 +175,7 @@ def _synapses(
 def _weights(
     weights: Floats, scale: Scale, registers: CubaRegisters, rounding: Rounding
 ) -> Integers:
-    """Multiples of the chip's weight step; what a reach above 1 sends further is clipped."""
+    """Multiples of the chip's weight step; what a clip ratio above 1 sends further is clipped."""
     steps = rounded(weights * scale / registers.weight_step, rounding)
     return np.clip(steps * registers.weight_step, -registers.weight_max, registers.weight_max)
 
@@ -208,19 +210,19 @@ def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) 
     return np.clip(mantissa, -limit, limit) << exponent
 
 
-def _keep(layer: Layer, of: str, registers: CubaRegisters, rounding: Rounding) -> Integers:
+def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rounding) -> Integers:
     """What is left after a timestep, of 2**decay_bits, as near as the decay's register allows."""
-    keep = layer.current_decay if of == "current" else layer.membrane_decay
+    factor = layer.current_decay if of == "current" else layer.membrane_decay
     offset = registers.current_decay_offset if of == "current" else registers.membrane_decay_offset
     least, most = offset, registers.decay_max + offset
-    if (least > 0 and (keep == 1).any()) or (most < registers.decay_one and (keep == 0).any()):
+    if (least > 0 and (factor == 1).any()) or (most < registers.decay_one and (factor == 0).any()):
         raise RuleError(
             f"rule decay-range: layer {layer.name!r}: a {of} that keeps "
             f"{'all' if least else 'nothing'} of itself is not possible; the chip takes away "
             f"{least} to {most} of {registers.decay_one} in each timestep. Choose another time "
             "constant."
         )
-    decays = rounded((1 - keep) * registers.decay_one, rounding)
+    decays = rounded((1 - factor) * registers.decay_one, rounding)
     return registers.decay_one - np.clip(decays, least, most)
 
 

@@ -1,9 +1,7 @@
 """Quantisation for chips without a synaptic current.
 
 All numbers of a layer are multiplied by one scale: as large as weights, biases and the threshold
-allow.
-
-What a network must keep to on chips without a synaptic current: rules of their arithmetic.
+allow. What a network has that these neurons do not is refused.
 """
 
 from collections.abc import Sequence
@@ -77,10 +75,10 @@ def _check_current(layer: Layer, chip_name: str) -> None:
 
 
 def _check_leak(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool) -> None:
-    strange = (layer.membrane_decay == 1) == (rules.leak == "shift")
-    if not strange.any() or (rules.leak != "none" and not limits):
+    other = (layer.membrane_decay == 1) == (rules.leak == "shift")
+    if not other.any() or (rules.leak != "none" and not limits):
         return
-    found = f"{layer.membrane_decay[strange].min():.3g}"
+    found = f"{layer.membrane_decay[other].min():.3g}"
     remedy = REMEDIES[rules.leak].format(chip=chip_name)
     raise RuleError(
         f"rule decay-range: layer {layer.name!r} keeps {found} of its membrane; {remedy}"
@@ -88,7 +86,7 @@ def _check_leak(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limi
 
 
 def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
-    """A neuron excites or inhibits all that hear it, in whichever layer."""
+    """A neuron excites or inhibits all that it projects to, in whichever layer."""
     signs: dict[str, tuple[Any, Any]] = {}
     for layer in layers:
         for synapses in layer.synapses:
@@ -164,13 +162,13 @@ def _scale(layer: Layer, bias: Floats, rules: IntegrateAndFireRules) -> float:
         (bias, rules.bias_range),
         (layer.threshold, (0, rules.threshold_max)),
     )
-    scale = min(_room(values, *between) for values, between in ranges)
+    scale = min(_largest_scale(values, *between) for values, between in ranges)
     if not np.isfinite(scale):
         return 1.0
     return float(2.0 ** np.floor(np.log2(scale))) if rules.scaling == "binary" else scale
 
 
-def _room(values: Floats, low: int, high: int) -> float:
+def _largest_scale(values: Floats, low: int, high: int) -> float:
     top, bottom = float(values.max(initial=0.0)), float(values.min(initial=0.0))
     above = high / top if top > 0 else np.inf
     below = low / bottom if bottom < 0 and low < 0 else np.inf

@@ -48,7 +48,7 @@ def xylo_layers(
 
 
 def check_output(network: Network, registers: XyloRegisters, chip_name: str) -> None:
-    """Refuse to read other neurons than outputs, which hear hidden neurons alone."""
+    """Refuse to read other neurons than outputs, which have hidden neurons alone for sources."""
     if registers.read == "output" and not network.output_apart:
         raise RuleError(
             f"rule outputs: layer {network.output!r} is no output population of "
@@ -149,7 +149,7 @@ def _starts(
 
 
 def _depths(layers: Sequence[Layer]) -> dict[str, int]:
-    """Timestep in which each layer can first hear of the input, which itself arrives at once."""
+    """Timestep in which the input can first reach each layer; it itself arrives at once."""
     starts: dict[str, int] = {}
     for layer in layers:
         # sources that come later, or the layer itself, are feedback

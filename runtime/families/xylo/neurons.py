@@ -1,6 +1,6 @@
-"""Xylo's neurons: what the registers hold, and one timestep, their specification.
+"""Xylo's neurons: the registers that hold them, and one timestep.
 
-They add up event by event, saturate at each, and decay by shifts.
+They add up event by event, saturate at each, and decay by shifts. `update` is the specification.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Traces of Xylo, as xylosim's layers are built and recorded."""
+"""Recorded runs of Xylo, as xylosim's layers are built and recorded."""
 
 from dataclasses import replace
 

@@ -224,16 +224,16 @@ def test_the_error_bound_of_a_neuron_with_its_own_scale_is_no_larger(seed, bits,
     assert bounds["channel"].max() == pytest.approx(bounds["layer"].max())
 
 
-def test_a_reach_above_one_clips_the_largest_weights_and_nothing_else():
-    tuned = Quantisation(tuned={"lif1": Tuning(reach=2.0)})
+def test_a_clip_ratio_above_one_clips_the_largest_weights_and_nothing_else():
+    tuned = Quantisation(tuned={"lif1": Tuning(clip_ratio=2.0)})
     layer = quantise(floats([[0.3, -0.6, 0.1]]), FIXED, tuned)
     # 2 * 255 / 0.6 = 850 mantissas per unit
     assert layer.synapses[0].weight.tolist() == [[255, -255, 85]]
     assert layer.threshold.tolist() == [425 * 64] * 3
 
 
-def test_a_reach_above_one_leaves_a_threshold_that_fills_its_register():
-    tuned = Quantisation(tuned={"lif1": Tuning(reach=2.0)})
+def test_a_clip_ratio_above_one_leaves_a_threshold_that_fills_its_register():
+    tuned = Quantisation(tuned={"lif1": Tuning(clip_ratio=2.0)})
     layer = quantise(floats([[0.6, 0.2]], threshold=1000.0), FIXED, tuned)
     assert layer.threshold.tolist() == [131071 * 64] * 2
     assert layer.synapses[0].weight.tolist() == [[79, 26]]
@@ -256,5 +256,5 @@ def test_an_unknown_choice_is_refused_by_name(wrong):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
 def test_a_tuning_that_is_no_factor_is_refused(value):
-    with pytest.raises(ConfigError, match="reach"):
-        Tuning(reach=value)
+    with pytest.raises(ConfigError, match="clip_ratio"):
+        Tuning(clip_ratio=value)
