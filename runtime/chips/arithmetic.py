@@ -4,7 +4,7 @@ The compiler, the emulator, the design rules and the analysis ask these question
 a new family of chips is a class that answers them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import Field
 from typing import Any, ClassVar, NamedTuple, NoReturn, Protocol
 
@@ -33,6 +33,11 @@ class Description(NamedTuple):
 
 class ArithmeticDefaults(Protocol):
     """What an arithmetic answers unless its family says otherwise; families inherit from it."""
+
+    @property
+    def backends(self) -> Mapping[str, str]:
+        """Name -> "module:class" of each backend, besides the interpreter, that has kernels."""
+        return {}
 
     @property
     def rounds(self) -> bool:

@@ -1,6 +1,6 @@
 """The integer CuBa-LIF arithmetic of Loihi."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -24,6 +24,10 @@ ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
 class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
     """The integer CuBa-LIF arithmetic of a chip; its fields are those of CubaRegisters."""
 
+    backends: ClassVar[Mapping[str, str]] = {
+        "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
+        "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
+    }
     spikes_max: ClassVar[int] = 1
     choices: ClassVar[tuple[str, ...]] = (
         "granularity",

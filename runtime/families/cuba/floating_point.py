@@ -7,7 +7,7 @@ states are float32 and weights 8 bits as its NIR importer makes them; in which o
 multiplies and adds, and rounds, is not published.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -34,6 +34,9 @@ class CubaFloat64(ArithmeticDefaults):
     Measures count its weights and states as float32, which is what hardware would hold.
     """
 
+    backends: ClassVar[Mapping[str, str]] = {
+        "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline"
+    }
     rounds: ClassVar[bool] = False
     spikes_max: ClassVar[int] = 1
     weight_bits: ClassVar[int] = 32
