@@ -35,7 +35,9 @@ class CubaFloat64(ArithmeticDefaults):
     """
 
     backends: ClassVar[Mapping[str, str]] = {
-        "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline"
+        "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
+        # refuses, and says why
+        "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
     }
     rounds: ClassVar[bool] = False
     spikes_max: ClassVar[int] = 1
