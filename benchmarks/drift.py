@@ -44,8 +44,8 @@ from spikedeploy.runtime.analysis.calibration import tuned
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.seeds import EVALUATION, VALIDATION

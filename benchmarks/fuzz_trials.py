@@ -14,16 +14,19 @@ from spikedeploy.envs.kart import track_file
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.presets.preset import PRESETS
 from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.check import check
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConventionError, SpikedeployError
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.floating_point import CubaFloat64
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.verify import verify
 
 TIMESTEPS = 3
 # no fast kernels compute these: their machine is the interpreter
-INTERPRETED = [name for name in CHIPS if chip(name).arithmetic and not chip(name).fixed]
+FAST = CubaFixedPoint | CubaFloat64
+INTERPRETED = [name for name in CHIPS if not isinstance(chip(name).arithmetic, FAST)]
 QUANTISATIONS = (
     PLAIN,
     Quantisation(rounding="truncate"),

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.codec.population import PopulationEncoder
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 

@@ -39,7 +39,7 @@ def check_like_the_interpreter(program, run, backend):
         counts = count(
             program,
             {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-            {name: t.busy for name, t in traces.items()},
+            {name: t.active for name, t in traces.items()},
             {name: t.overflows for name, t in traces.items()},
         )
         np.testing.assert_array_equal(machine.ledger.counts[-batch:], counts)

@@ -5,7 +5,8 @@ import numpy as np
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.metrics.neurobench import neurobench
@@ -65,7 +66,7 @@ def neurons_of(weight, threshold, **options):
     chosen = chip("loihi1", **options)
     synapses = (Synapses("input", weight, delay=1),)
     kept = {"decays": (4095, 0), "threshold": threshold << 6, "start": 1}
-    neurons = layer(chosen.fixed, "n2", weight.T, synapses, **kept)
+    neurons = layer(chosen.arithmetic, "n2", weight.T, synapses, **kept)
     return Program(chosen, Convention(DT), "input", len(weight), (neurons,), "n2", None)
 
 

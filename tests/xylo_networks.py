@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from tests.networks import lif
 

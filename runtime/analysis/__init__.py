@@ -1,7 +1,9 @@
 """Analysis: where a chip differs from the float twin, and why.
 
-activity         The activity of a network: spikes and membranes of every layer, in the units o
-calibration      Calibration: scales and thresholds that are chosen on recorded inputs
-diagnosis        Diagnosis: layers that never spike or nearly always do, and the likely cause
-drift            Drift: what a chip does otherwise than the float twin, where it begins, and wh
+Everything here compares what a program does with what the network does in float.
+
+activity         spikes and membranes of every layer in float units, of the twin and of a chip
+drift            how far both are apart, and which kind of rounding causes it
+diagnosis        layers that never spike or nearly always do, the cause, and the first difference
+calibration      scales and thresholds that are chosen on recorded inputs
 """

@@ -1,6 +1,6 @@
 """The activity of a network: spikes and membranes of every layer, in the units of the float twin.
 
-The float twin and every chip are seen through the same glass, so that they can be compared.
+The float twin and chips are recorded in the same form, so that they can be compared.
 """
 
 from collections.abc import Mapping
@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.registers import decay
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.float_model.nodes import FloatNeurons
 
@@ -111,22 +110,6 @@ def _joined(rows: list[NDArray[Any]]) -> NDArray[Any]:
 
 def _before_reset(program: Program, layer: Layer, seen: Recording) -> NDArray[Any]:
     """Membranes (B, T, N) before a spike reset them [state units]."""
-    current, membrane = seen.current, seen.membrane
-    fixed, numbers = program.chip.fixed, program.chip.arithmetic
-    before = np.concatenate([np.zeros_like(membrane[:, :1]), membrane[:, :-1]], axis=1)
-    if numbers is None:
-        return np.asarray(layer.membrane_decay * before + current + layer.voltage_bias)
-    if fixed is not None:
-        return _fixed_before_reset(fixed, layer, before, current)
-    if program.convention.reset == "subtract":
-        return np.asarray(membrane + layer.threshold * seen.spikes)
-    return np.where(seen.spikes > 0, np.nan, membrane)
-
-
-def _fixed_before_reset(
-    fixed: CubaFixedPoint, layer: Layer, before: NDArray[Any], current: NDArray[Any]
-) -> NDArray[Any]:
-    # v = keep_v v + (u + bias)      each as its register holds it
-    push = fixed.push.fit(current + layer.voltage_bias)
-    kept = decay(before, layer.membrane_decay.astype(np.int64), fixed.decay_bits)
-    return fixed.membrane.fit(kept + push)
+    return program.chip.arithmetic.before_reset(
+        layer, program.convention, seen.current, seen.membrane, seen.spikes
+    )

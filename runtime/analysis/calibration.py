@@ -1,7 +1,7 @@
 """Calibration: scales and thresholds that are chosen on recorded inputs.
 
-Layer by layer, in the order in which they hear each other, so that each is judged on the spikes
-that it will hear on the chip. What was chosen on one recording says nothing about another: measure
+Layer by layer, in the order of the spikes, so that each is judged on the presynaptic spikes that it
+will have on the chip. What was chosen on one recording says nothing about another: measure
 on a second one.
 """
 
@@ -14,16 +14,16 @@ from spikedeploy.runtime.analysis.activity import Activity
 from spikedeploy.runtime.analysis.drift import TAU, activity, van_rossum
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation, Tuning
 from spikedeploy.runtime.errors import RuleError
 
 Raster = NDArray[np.uint8]
 
 # what tuning tries; no change comes first, and so wins among equals. Clipping pays where a few
 # weights are much larger than the others.
-REACHES = (1.0, 0.8, 0.9, 1.15, 1.3, 1.5, 1.75, 2.0, 2.5, 3.0)
+CLIP_RATIOS = (1.0, 0.8, 0.9, 1.15, 1.3, 1.5, 1.75, 2.0, 2.5, 3.0)
 THRESHOLDS = (1.0, 0.8, 0.85, 0.9, 0.95, 0.975, 1.025, 1.05, 1.1, 1.15, 1.2)
 
 # smallest part of the scale at which headroom is still looked for, and how near to the largest
@@ -34,9 +34,9 @@ NEAR = 1.02
 def with_calibrated_headroom(
     artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation = PLAIN
 ) -> Quantisation:
-    """The largest scales at which no number overflows while the chip hears the raster (B, T, M)."""
+    """The largest scales at which no number overflows on the raster (B, T, M)."""
     for name in _layers(artifact, on, quantisation):
-        quantisation = _roomy(artifact, on, raster, quantisation, name)
+        quantisation = _with_headroom(artifact, on, raster, quantisation, name)
     over = _overflowing(_ran(artifact, on, raster, quantisation))
     if over:
         raise RuleError(
@@ -53,7 +53,7 @@ def tuned(
     quantisation: Quantisation = PLAIN,
     tau: float = TAU,
 ) -> Quantisation:
-    """The reach, then the factor of thresholds, that bring each layer nearest to the float twin.
+    """The clip ratio, then the factor of thresholds, that bring each layer nearest to float.
 
     raster: (B, T, M).
     tau: [timesteps] of the distance of van Rossum, which is what is made small.
@@ -70,8 +70,8 @@ def tuned(
 
     for name in _layers(artifact, on, quantisation):
         old = quantisation.of(name)
-        reaches = [replace(old, reach=old.reach * reach) for reach in REACHES]
-        best = min(reaches, key=lambda each: distance(name, each))
+        ratios = [replace(old, clip_ratio=old.clip_ratio * ratio) for ratio in CLIP_RATIOS]
+        best = min(ratios, key=lambda each: distance(name, each))
         factors = [replace(best, threshold=old.threshold * factor) for factor in THRESHOLDS]
         best = min(factors, key=lambda each: distance(name, each))
         quantisation = _with(quantisation, name, best)
@@ -79,7 +79,7 @@ def tuned(
 
 
 def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[str]:
-    if on.fixed is None:
+    if "tuned" not in on.arithmetic.choices:
         raise RuleError(
             f"{on.name}: calibration chooses scales of Loihi's arithmetic, which it does not have. "
             "Leave it out."
@@ -89,27 +89,27 @@ def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[st
     ]
 
 
-def _roomy(
+def _with_headroom(
     artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation, name: str
 ) -> Quantisation:
-    """The quantisation with the largest reach of a layer at which it does not overflow."""
+    """The quantisation with the largest clip ratio of a layer at which it does not overflow."""
 
-    def fits(reach: float) -> bool:
-        return name not in _overflowing(_ran(artifact, on, raster, reaching(reach)))
+    def fits(ratio: float) -> bool:
+        return name not in _overflowing(_ran(artifact, on, raster, clipped(ratio)))
 
-    def reaching(reach: float) -> Quantisation:
-        return _with(quantisation, name, replace(old, reach=reach))
+    def clipped(ratio: float) -> Quantisation:
+        return _with(quantisation, name, replace(old, clip_ratio=ratio))
 
     old = quantisation.of(name)
-    low = high = old.reach
+    low = high = old.clip_ratio
     while not fits(low):
         high, low = low, low / 2
-        if low < LEAST * old.reach:
+        if low < LEAST * old.clip_ratio:
             return quantisation
     while high / low > NEAR:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if fits(middle) else (low, middle)
-    return quantisation if low == old.reach else reaching(low)
+    return quantisation if low == old.clip_ratio else clipped(low)
 
 
 def _ran(artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation) -> Activity:

@@ -1,7 +1,4 @@
-"""Diagnosis: layers that never spike or nearly always do, and the likely cause.
-
-The first spike in which a chip differs from the float twin.
-"""
+"""Diagnosis: dead and saturated layers with the likely cause, and the first spike that differs."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -11,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.analysis.activity import Activity
-from spikedeploy.runtime.compiler.program import Layer, Program
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 
 Health = Literal["dead", "saturated", ""]
 Cause = Literal[
     "policy", "input", "counts", "weights", "thresholds", "decays", "states", "rounding"
 ]
 
-# a rate from which on a neuron says little more than that it is there
+# [spikes for each neuron and timestep] beyond it a rate carries little information
 SATURATED = 0.9
 
 
@@ -30,7 +27,7 @@ class Finding:
     layer: name.
     health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.
     cause: "policy", it is so in float too; "input", nothing arrives; "counts", neurons send several
-        spikes in a timestep, and in float one; a rung of runtime.ablation, the first on which it is
+        spikes in a timestep, and in float one; a rounding step, the first after which it is
         so; "rounding", of a chip that has no rungs.
     detail: the same with numbers.
     """
@@ -87,10 +84,10 @@ def _cause(
     most, at_most = seen.spikes[name].max(), max(1, twin.spikes[name].max())
     if found == "saturated" and most > at_most:
         return "counts", f"neurons send up to {most} spikes in a timestep, in float {at_most}"
-    if floats is None or program.chip.fixed is None:
+    if floats is None:
         return "rounding", _unexplained(seen.saturations[name])
     rung = next(rung for rung, ran in rungs.items() if health(ran.spikes[name]) == found)
-    return _detailed(rung, floats.layer(name), layer, program.chip.fixed, seen)
+    return _detailed(rung, floats.layer(name), layer, program.chip.arithmetic.decay_one, seen)
 
 
 def _last(rungs: Mapping[str, Activity]) -> Activity:
@@ -110,14 +107,14 @@ def _unexplained(saturations: int) -> str:
 
 
 def _detailed(
-    rung: str, before: Layer, after: Layer, fixed: CubaFixedPoint, seen: Activity
+    rung: str, before: Layer, after: Layer, decay_one: int, seen: Activity
 ) -> tuple[Cause, str]:
     if rung == "weights":
         return "weights", _weights(before, after)
     if rung == "thresholds":
         return "thresholds", _thresholds(before, after)
     if rung == "decays":
-        return "decays", _decays(before, after, fixed)
+        return "decays", _decays(before, after, decay_one)
     saturations = seen.saturations[after.name]
     if saturations:
         return "states", f"{saturations} numbers overflow their registers: quantise with headroom"
@@ -147,18 +144,18 @@ def _thresholds(before: Layer, after: Layer) -> str:
     )
 
 
-def _decays(before: Layer, after: Layer, fixed: CubaFixedPoint) -> str:
+def _decays(before: Layer, after: Layer, decay_one: int) -> str:
     kinds = {"current": "current_decay", "membrane": "membrane_decay"}
     worst = {
-        kind: np.abs(getattr(after, field) / fixed.decay_one - getattr(before, field)).max()
+        kind: np.abs(getattr(after, field) / decay_one - getattr(before, field)).max()
         for kind, field in kinds.items()
     }
     kind = max(worst, key=lambda each: worst[each])
-    held, kept = getattr(before, kinds[kind]), getattr(after, kinds[kind]) / fixed.decay_one
+    held, kept = getattr(before, kinds[kind]), getattr(after, kinds[kind]) / decay_one
     n = int(np.argmax(np.abs(kept - held)))
     return (
         f"neuron {n}: the {kind} keeps {kept[n]:.6g} of itself, in float {held[n]:.6g}: choose a "
-        f"time constant that is a multiple of 1/{fixed.decay_one}"
+        f"time constant that is a multiple of 1/{decay_one}"
     )
 
 
@@ -206,7 +203,7 @@ def first(twin: Activity, seen: Activity, layers: Iterable[str]) -> Divergence |
     """The earliest of the first inference that differs; of one timestep the first layer's.
 
     twin, seen: of the float twin and of the chip.
-    layers: in the order in which they hear each other.
+    layers: in the order of the spikes.
     """
     found = [
         (inference, timestep, place, neuron, name)

@@ -1,11 +1,9 @@
-"""Drift: what a chip does otherwise than the float twin, where it begins, and what causes it.
+"""Drift: how far a chip is from the float twin, where that begins, and what causes it.
 
-Ablation: a network on its way to the chip, one kind of rounding after another.
-
-Each rung is computed in float64, on the chip's scale, so that what differs between two rungs is the
-one thing that was rounded. The last rung is the chip.
-
-How far two rasters are apart: the distance of van Rossum, exact for spikes on a grid.
+The cause is found by ablation: a network on its way to the chip, one kind of rounding after
+another. Each rung is computed in float64, on the chip's scale, so that what differs between two
+rungs is the one thing that was rounded. The last rung is the chip. Distances of spike trains are
+those of van Rossum, exact for spikes on a grid.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,46 +17,28 @@ from spikedeploy.runtime.analysis.activity import Activity, chip_activity, float
 from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.program import Layer, Program
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ObservationError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-
-RUNGS = ("weights", "thresholds", "decays", "states")
 
 
 def rungs(floats: Program, program: Program) -> Iterator[tuple[str, Program]]:
-    """The programs from rounded weights to the chip; none where the arithmetic is not Loihi's.
+    """The programs from rounded weights to the chip, one kind of rounding after another.
 
     floats: the same network on the ideal chip.
     """
-    fixed = program.chip.fixed
-    if fixed is None:
-        return
+    arithmetic = program.chip.arithmetic
     # delays are the chip's on every rung
     ideal = replace(chip("ideal"), delay_max=program.chip.delay_max)
-    for rung in RUNGS[:-1]:
-        layers = tuple(_rounded(floats.layer(a.name), a, fixed, rung) for a in program.layers)
-        yield rung, replace(program, chip=ideal, layers=layers)
-    yield RUNGS[-1], program
-
-
-def _rounded(before: Layer, after: Layer, fixed: CubaFixedPoint, rung: str) -> Layer:
-    """The layer in float64 and state units, rounded as far as the rung."""
-    units, one = 1.0 / after.scale, float(1 << fixed.mantissa_shift)
-    thresholds, decays = rung != "weights", rung == "decays"
-    return replace(
-        after,
-        synapses=tuple(
-            replace(s, weight=s.weight.astype(np.float64) * one) for s in after.synapses
-        ),
-        bias=after.bias * one,
-        threshold=after.threshold.astype(np.float64) if thresholds else before.threshold * units,
-        voltage_bias=after.voltage_bias * 1.0 if thresholds else before.voltage_bias * units,
-        current_decay=after.current_decay / fixed.decay_one if decays else before.current_decay,
-        membrane_decay=after.membrane_decay / fixed.decay_one if decays else before.membrane_decay,
-    )
+    *steps, last = arithmetic.ablation_steps
+    for step in steps:
+        layers = tuple(
+            arithmetic.partly_rounded(floats.layer(layer.name), layer, step)
+            for layer in program.layers
+        )
+        yield step, replace(program, chip=ideal, layers=layers)
+    yield last, program
 
 
 Floats = NDArray[np.float64]
@@ -79,15 +59,15 @@ def van_rossum(one: NDArray[Any], other: NDArray[Any], tau: float = TAU) -> Floa
     tau: [timesteps].
     """
     more = one.astype(np.float64) - other.astype(np.float64)
-    keep = np.exp(-1.0 / tau)
+    decay_factor = np.exp(-1.0 / tau)
     apart = np.zeros(more[:, 0].shape)
     total = np.zeros_like(apart)
     for t in range(more.shape[1]):
         # e = e exp(-1/tau) + difference     D^2 += e^2 (1 - exp(-2/tau)) / 2
-        apart = keep * apart + more[:, t]
-        total += apart**2 * (1 - keep**2) / 2
+        apart = decay_factor * apart + more[:, t]
+        total += apart**2 * (1 - decay_factor**2) / 2
     # what is left decays for ever: e^2 exp(-2/tau) / 2
-    return np.asarray(total + apart**2 * keep**2 / 2)
+    return np.asarray(total + apart**2 * decay_factor**2 / 2)
 
 
 @dataclass(frozen=True)
@@ -133,7 +113,7 @@ class OutputDrift:
 
 @dataclass(frozen=True)
 class Rung:
-    """The network with some of the chip's roundings (runtime.ablation).
+    """The network with some of the chip's roundings.
 
     name: of the rounding that was added last.
     distance: layer -> of van Rossum, as in LayerDrift.
@@ -153,7 +133,7 @@ class Drift:
     quantisation: in words.
     inferences, timesteps: B and T of the raster.
     tau: [timesteps] of the distance.
-    layers: in the order in which they hear each other.
+    layers: in the order of the spikes.
     diverged: inferences in which any spike differs.
     first: difference, None where there is none.
     output: of the whole network.
@@ -194,7 +174,7 @@ def drift(
     """
     _check(artifact, raster)
     program = compile_program(artifact, on, quantisation, limits=limits)
-    floats = compile_program(artifact, chip("ideal")) if on.fixed else None
+    floats = compile_program(artifact, chip("ideal")) if on.arithmetic.ablation_steps else None
     twin = activity(artifact, None, raster)
     steps = rungs(floats, program) if floats else [("chip", program)]
     ladder = {name: activity(artifact, step, raster) for name, step in steps}

@@ -1,24 +1,16 @@
-"""The datasheet of a chip: widths, rounding, overflow, limits, delays.
-
-Options of a chip: fields of its datasheet and of its arithmetic, replaced by other values.
-"""
+"""The datasheet of a chip, and its options: fields that are replaced by other values."""
 
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from spikedeploy.runtime.chips import CHIPS
+from spikedeploy.runtime.chips.arithmetic import Arithmetic
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
 from spikedeploy.runtime.errors import ChipError
-
-if TYPE_CHECKING:
-    from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-    from spikedeploy.runtime.families.cuba.spinnaker2 import CubaFloat32
-    from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
-    from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
 
 __all__ = ["CHIPS", "Chip", "chip"]
 
@@ -29,12 +21,12 @@ class Chip:
 
     name: as in the table CHIPS.
     summary: one line.
-    arithmetic: what its numbers are and how they are added up; None computes in float64.
+    arithmetic: what its numbers are and how they are added up.
     resets: what a spike may do to the membrane, as in Convention.
     delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
         convention.
     delay_max: [timesteps] longest delay that a synapse can add up to.
-    energy_tables: names of the tables in runtime.energy that price its events.
+    energy_tables: names of the tables in runtime.metrics.energy that price its events.
     sources: field name to where its value comes from and how sure it is.
     evidence: what its emulation was compared with, and what came out.
     limits: what fits on it, with sources of their own; None where nothing limits it.
@@ -42,7 +34,7 @@ class Chip:
 
     name: str
     summary: str
-    arithmetic: "CubaFixedPoint | XyloArithmetic | IntegrateAndFire | CubaFloat32 | None"
+    arithmetic: Arithmetic
     resets: tuple[str, ...]
     delay: int
     delay_max: int
@@ -52,36 +44,14 @@ class Chip:
     limits: Limits | None = None
 
     @property
-    def fixed(self) -> "CubaFixedPoint | None":
-        """Its arithmetic, if it is that of Loihi."""
-        from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-
-        return self.arithmetic if isinstance(self.arithmetic, CubaFixedPoint) else None
-
-    @property
-    def events(self) -> "XyloArithmetic | None":
-        """Its arithmetic, if it is that of Xylo."""
-        from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
-
-        return self.arithmetic if isinstance(self.arithmetic, XyloArithmetic) else None
-
-    @property
-    def steps(self) -> "IntegrateAndFire | None":
-        """Its arithmetic, if it is that of neurons without a synaptic current."""
-        from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
-
-        return self.arithmetic if isinstance(self.arithmetic, IntegrateAndFire) else None
-
-    @property
     def spikes_max(self) -> int:
         """Spikes of a neuron in a timestep."""
-        numbers = self.events or self.steps
-        return numbers.spikes_max if numbers else 1
+        return self.arithmetic.spikes_max
 
     @property
     def input_spikes_max(self) -> int:
         """Spikes of an input channel in a timestep."""
-        return self.events.events_max if self.events else 1
+        return self.arithmetic.input_spikes_max
 
 
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
@@ -104,14 +74,14 @@ WHOLE = ("name", "arithmetic", "sources")
 
 def overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":
     """The datasheet with these fields of it, or of its arithmetic, replaced."""
-    numbers = datasheet.arithmetic
+    arithmetic = datasheet.arithmetic
     own = {f.name for f in fields(datasheet)}
-    inside = {f.name for f in fields(numbers)} if numbers else set()
+    inside = {f.name for f in fields(arithmetic)}
     for key in overrides:
         _field(datasheet, key)
-    inner = {k: _filled(numbers, k, v) for k, v in overrides.items() if k in inside}
+    inner = {k: _filled(arithmetic, k, v) for k, v in overrides.items() if k in inside}
     outer = {k: v for k, v in overrides.items() if k in own and k not in inside}
-    return replace(datasheet, **{"arithmetic": numbers and replace(numbers, **inner), **outer})
+    return replace(datasheet, **{"arithmetic": replace(arithmetic, **inner), **outer})
 
 
 def spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
@@ -148,17 +118,16 @@ def like(name: str, known: Iterable[str]) -> str:
 
 
 def _field(datasheet: "Chip", key: str) -> "Field[Any]":
-    numbers = datasheet.arithmetic
-    every = (*fields(datasheet), *(fields(numbers) if numbers else ()))
+    every = (*fields(datasheet), *fields(datasheet.arithmetic))
     known = {f.name: f for f in every if f.init}
     if key not in known:
         raise ChipError(f"chip {datasheet.name!r} has no option {key!r}{like(key, known)}.")
     return known[key]
 
 
-def _filled(numbers: Any, key: str, value: Any) -> Any:  # noqa: ANN401
+def _filled(arithmetic: Arithmetic, key: str, value: Any) -> Any:  # noqa: ANN401
     """The value of a field, where a number means the bits of the register that is there."""
-    present = getattr(numbers, key)
+    present = getattr(arithmetic, key)
     if isinstance(present, Register) and isinstance(value, int):
         return replace(present, bits=value)
     return value

@@ -67,14 +67,14 @@ class Limits:
     fan_out: synapses that a spike can reach in the neurons of the chip, outputs not counted where
         those are limited by themselves.
     fan_out_mean: the same, the mean over the chip's neurons.
-    input_targets: neurons that can hear inputs.
-    output_sources: neurons that outputs can hear.
-    destinations: layers that can hear a layer.
+    input_targets: neurons that can have synapses from inputs.
+    output_sources: neurons that can have synapses onto outputs.
+    destinations: postsynaptic layers that a layer can have.
     cores: of a chip.
     neurons_per_core: of one core; larger layers are divided.
     memory: synaptic memory of a core.
-    axons_in: different sources that a core can hear.
-    axons_out: pairs of a neuron in a core and a core that hears it.
+    axons_in: different presynaptic sources of a core.
+    axons_out: pairs of a neuron in a core and a core with postsynaptic neurons.
     decays: different pairs of decays in a core.
     thresholds: different thresholds in a core.
     layer_cores: where each layer takes a core of its own: what those hold.
@@ -85,7 +85,7 @@ class Limits:
     threshold_max: largest threshold, in the unit of weight_max.
     current_loss: least and most that a synaptic current may lose in one timestep, of 1.
     membrane_loss: likewise of a membrane.
-    recurrence: whether neurons can hear themselves, over however many others.
+    recurrence: whether neurons can project to themselves, over however many others.
     input_cores: whether inputs and the always-on axon of biases start in neurons of the chip.
     alone: whether a network must fit on one chip.
     sources: field to where its value comes from and how sure it is.

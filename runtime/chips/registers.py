@@ -1,7 +1,4 @@
-"""Integer arithmetic as chips do it: arrays of int64 in, arrays of int64 out.
-
-Rounding: how a float becomes a whole number of a chip.
-"""
+"""Integer arithmetic as chips do it: registers, decays and rounding, on arrays of int64."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,12 +15,20 @@ WIDEST = 62
 Integers = NDArray[np.int64]
 Overflow = Literal["none", "wrap", "wrap-once", "clip", "saturate"]
 OVERFLOWS: tuple[Overflow, ...] = get_args(Overflow)
+# of tables of datasheets
+WORDS: dict[Overflow, str] = {
+    "none": "never full",
+    "wrap": "wraps",
+    "wrap-once": "wraps once",
+    "clip": "clips",
+    "saturate": "saturates",
+}
 
 
-def decay(x: Integers, keep: Integers, bits: int) -> Integers:
-    """What is left of x after a timestep: keep / 2**bits of it, rounded toward zero."""
-    # y = sign(x) * ((|x| * keep) >> bits)
-    return cast("Integers", np.sign(x) * (np.abs(x) * keep >> bits))
+def decay(x: Integers, factor: Integers, bits: int) -> Integers:
+    """What is left of x after a timestep: factor / 2**bits of it, rounded toward zero."""
+    # y = sign(x) * ((|x| * factor) >> bits)
+    return cast("Integers", np.sign(x) * (np.abs(x) * factor >> bits))
 
 
 def shift_decay(x: Integers, shift: Integers) -> Integers:
@@ -66,6 +71,15 @@ class Register:
         """The numbers x as the register holds them."""
         held = _OVERFLOWS[self.overflow](x, self.bits)
         return held if self.between is None else np.asarray(np.clip(held, *self.between))
+
+    def fit_counted(self, x: Integers) -> tuple[Integers, Integers]:
+        """The numbers x as the register holds them, and 1 for each that did not fit."""
+        held = self.fit(x)
+        return held, (held != x).astype(np.int64)
+
+    def describe(self) -> str:
+        """Its width and what it does when it is full."""
+        return f"{self.bits} bits, {WORDS[self.overflow]}"
 
 
 def _unchanged(x: Integers, bits: int) -> Integers:

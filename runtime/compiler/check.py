@@ -7,8 +7,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
-from spikedeploy.runtime.design_rules.placed import design
-from spikedeploy.runtime.design_rules.result import RuleResult
+from spikedeploy.runtime.design_rules.rule import RuleResult, design
 from spikedeploy.runtime.design_rules.table import judged
 from spikedeploy.runtime.errors import SpikedeployError
 

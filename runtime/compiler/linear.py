@@ -1,4 +1,4 @@
-"""All between spikes as matrices: chains of weights, windows, sums and delays, one for each lag.
+"""Everything between spikes as matrices: weights, windows, sums and delays, one for each lag.
 
 A chain without spikes in it is linear but for its biases. So what it does to a unit impulse of a
 source is a row of its matrix, and what it does to nothing is its bias.
@@ -25,7 +25,7 @@ Floats: TypeAlias = NDArray[np.float64]
 # what arrives how many timesteps late, (R, *shape)
 Parts: TypeAlias = dict[int, Floats]
 
-# impulses are quick through these: most rows of their input are silent
+# impulses are cheap through these: most rows of their input are zero
 DENSE = (nir.Affine, nir.Linear)
 BIASED = (nir.Affine, *CONVOLUTIONS)
 LINEAR = (nir.Linear, *BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
@@ -44,8 +44,8 @@ class LinearBlock:
     """The nodes without spikes that lead to one target.
 
     target: name of a spiking node or an Output.
-    names: of the nodes, each after those that it hears.
-    sources: the spiking nodes and Inputs that they, or the target, hear.
+    names: of the nodes, each after its sources.
+    sources: the spiking nodes and Inputs from which they, or the target, receive spikes.
     """
 
     target: str
@@ -80,13 +80,13 @@ class Linear:
     def matrices(self, region: LinearBlock, source: str) -> dict[int, Floats]:
         """(M, N) from a source to the target, by the timesteps that it takes."""
         size = self._size(source)
-        self._check_room(region.target, size)
+        self._check_size(region.target, size)
         self._check_work(region, source)
         found: dict[int, Floats] = {}
         for first, impulses in self._impulses(region, source):
             for lag, rows in self._respond(region, {source: {0: impulses}}).items():
                 if lag not in found:
-                    found[lag] = self._room(region.target, size)
+                    found[lag] = self._matrix(region.target, size)
                 found[lag][first : first + len(rows)] = rows.reshape(len(rows), -1)
         # a Delay of different steps may leave nothing in one of them
         return {lag: m for lag, m in sorted(found.items()) if m.any()} or dict([min(found.items())])
@@ -104,13 +104,13 @@ class Linear:
         nothing = np.zeros((1, self._size(region.target)))
         return np.asarray(parts.get(0, nothing).reshape(-1))
 
-    def _room(self, target: str, size: int) -> Floats:
+    def _matrix(self, target: str, size: int) -> Floats:
         """Memory of a matrix."""
-        self._check_room(target, size)
+        self._check_size(target, size)
         self._bytes += 8 * size * self._size(target)
         return np.zeros((size, self._size(target)))
 
-    def _check_room(self, target: str, size: int) -> None:
+    def _check_size(self, target: str, size: int) -> None:
         if (found := self._bytes + 8 * size * self._size(target)) > LARGEST:
             raise RuleError(
                 f"rule matrix: node {target!r}: as one matrix for each pair of layers, which a "
@@ -185,7 +185,7 @@ class Linear:
         return math.prod(self._shape(name))
 
     def _ordered(self, inside: set[str]) -> list[str]:
-        """The nodes, each after those that it hears; a loop of them would echo for ever."""
+        """The nodes, each after its sources; values would go round for ever in a loop of them."""
         before = {name: inside.intersection(sources(self._graph, name)) for name in inside}
         names: dict[str, None] = {}
         while len(names) < len(inside):

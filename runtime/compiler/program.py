@@ -1,7 +1,4 @@
-"""The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs.
-
-What leaves a chip where it is more than one readout of one layer: computed by the host.
-"""
+"""The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.ports import Port, concatenate
@@ -21,7 +19,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ReadoutTerm:
-    """What an Output node hears of one layer.
+    """What an Output node receives from one layer.
 
     layer: name.
     weight: (N, act) axon-major; None passes the spikes on as they are.
@@ -38,7 +36,7 @@ class HostOutput:
     """One Output node.
 
     port: its name and shape.
-    taps: what it hears.
+    taps: what it receives.
     bias: (act,) added in every timestep.
     """
 
@@ -61,72 +59,6 @@ def _heard(outlet: HostOutput, spikes: Mapping[str, NDArray[Any]]) -> Floats:
     return output
 
 
-Numbers = NDArray[Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Synapses:
-    """All connections from one source to one layer.
-
-    source: name of a layer, or of the program's input.
-    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
-    delay: [timesteps] from a spike of the source to its arrival.
-    shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
-        weight exponent as lava reads it. Only the interpreter knows it.
-    current: which current of the neurons they feed, where neurons have several.
-    """
-
-    source: str
-    weight: Numbers
-    delay: int
-    shift: int = 0
-    current: int = 0
-
-    @cached_property
-    def fan_out(self) -> NDArray[np.int64]:
-        """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
-        return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """One population of neurons; on integer chips everything but `scale` holds integers.
-
-    name: of the NIR node.
-    synapses: what it listens to.
-    bias: (N,) weights of an axon that spikes in every timestep.
-    voltage_bias: (N,) added to the membrane in every timestep [state units].
-    threshold: (N,) membrane above which a neuron spikes [state units].
-    current_decay: (N,) part of the current left after a timestep [1 / 2**decay_bits, or 1].
-    membrane_decay: (N,) likewise of the membrane. Where decays are shifts, both hold the shift,
-        that of K currents as (K, N); where the leak is linear, this is what it takes [state units].
-    scale: float units of current and membrane per state unit; (N,) where neurons differ.
-    start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
-    aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
-    """
-
-    name: str
-    synapses: tuple[Synapses, ...]
-    bias: Numbers
-    voltage_bias: Numbers
-    threshold: Numbers
-    current_decay: Numbers
-    membrane_decay: Numbers
-    scale: float | NDArray[np.float64]
-    start: int
-    aliases: tuple[tuple[int, ...], ...] = ()
-
-    @property
-    def size(self) -> int:
-        """Neurons: N."""
-        return int(self.threshold.size)
-
-    @cached_property
-    def bias_fan_out(self) -> int:
-        """Non-zero biases: what the always-on axon costs in SOPs per timestep."""
-        return int(np.count_nonzero(self.bias))
-
-
 @dataclass(frozen=True, eq=False)
 class Readout:
     """The last affine map, which the host computes in float64.
@@ -142,7 +74,7 @@ class Readout:
 
     def __call__(self, spikes: NDArray[Any]) -> NDArray[np.float64]:
         """Output (..., act) of the spikes (..., N)."""
-        # BLAS wants two axes, and dot() is @ for those in a hurry
+        # BLAS takes two axes; dot() has less overhead than @
         flat = spikes.reshape(-1, len(self.weight)).dot(self.weight) + self.bias
         return np.asarray(flat.reshape(*spikes.shape[:-1], -1))
 
@@ -155,12 +87,12 @@ class Program:
     start: its window. With biases staggered, layer k starts k timesteps later than the input, so
     that row t of every window means the same as without delays.
 
-    chip: whose arithmetic is used.
+    chip: the one that it runs on.
     convention: of the artifact; reset and state are read from it.
     input: name of the input.
     width: M of the input.
-    layers: in an order in which no layer comes before one that it hears without delay.
-    output: name of the layer that the readout or the host listens to.
+    layers: in an order in which each comes after its sources without a delay.
+    output: name of the layer that the readout or the host receives spikes from.
     readout: None where the spikes themselves are the output.
     remarks: what of it is not as in the artifact, besides rounding and its convention; sentences.
     inputs: the Input nodes side by side in the input; empty where there was no graph.
@@ -188,7 +120,7 @@ class Program:
                 self._check(layer, synapses, presynaptic)
             presynaptic.add(layer.name)
 
-    def joined(self, rasters: Mapping[str, Numbers]) -> Numbers:
+    def joined(self, rasters: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
         return concatenate(self.inputs, rasters)
 
@@ -197,7 +129,7 @@ class Program:
         return self._by_name[name]
 
     def lag(self, layer: Layer, synapses: Synapses) -> int:
-        """Rows by which the layer's window trails what it hears: 0 where starts make up delays."""
+        """Rows by which the layer's window trails its spikes: 0 where starts make up delays."""
         start = 0 if synapses.source == self.input else self.layer(synapses.source).start
         return start + synapses.delay - layer.start
 
@@ -218,7 +150,7 @@ class Program:
 
     @cached_property
     def to_host(self) -> frozenset[str]:
-        """Names of the layers whose spikes leave the chip."""
+        """Names of the layers with spikes that leave the chip."""
         return frozenset({tap.layer for outlet in self.outlets for tap in outlet.taps}) or (
             frozenset({self.output})
         )
@@ -233,7 +165,7 @@ class Program:
 
     @cached_property
     def feed_forward(self) -> bool:
-        """Whether every layer hears only the input and layers before it."""
+        """Whether every layer has only the input and layers before it for sources."""
         presynaptic = {self.input}
         for layer in self.layers:
             if any(s.source not in presynaptic for s in layer.synapses):
@@ -243,11 +175,11 @@ class Program:
 
     @cached_property
     def output_apart(self) -> bool:
-        """Whether the output layer hears other layers only, and none hears it (Xylo's outputs)."""
-        wires = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
-        presynaptic = {source for source, target in wires if target == self.output}
-        heard_by = {target for source, target in wires if source == self.output}
-        return self.input not in presynaptic and not heard_by
+        """Whether the output layer has hidden layers for sources and no targets, as on Xylo."""
+        connections = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
+        presynaptic = {source for source, target in connections if target == self.output}
+        targets = {target for source, target in connections if source == self.output}
+        return self.input not in presynaptic and not targets
 
     def steps(self, timesteps: int) -> int:
         """Chip timesteps of one inference of T timesteps."""

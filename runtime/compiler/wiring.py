@@ -1,4 +1,4 @@
-"""The wiring of a graph: which spiking node hears which, and in what order they run."""
+"""The wiring of a graph: which spiking nodes are connected, and in what order they run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,8 +40,8 @@ class LayerGraph:
 
     input: name of the input; those of several Input nodes, joined.
     inputs: the Input nodes, side by side in the input's axons.
-    layers: names of the spiking nodes, each after those that it hears in the same timestep.
-    wires: of each layer.
+    layers: names of the spiking nodes, each after its sources of the same timestep.
+    connections: of each layer.
     bias: (N,) of each layer.
     outlets: the Output nodes.
     """
@@ -49,7 +49,7 @@ class LayerGraph:
     input: str
     inputs: tuple[Port, ...]
     layers: tuple[str, ...]
-    wires: dict[str, tuple[Connection, ...]]
+    connections: dict[str, tuple[Connection, ...]]
     bias: dict[str, Floats]
     outlets: tuple[HostOutput, ...]
 
@@ -73,7 +73,7 @@ def wiring(graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
         input=name,
         inputs=inputs,
         layers=layers,
-        wires={layer: _wires(linear, regions[layer], name, inputs) for layer in layers},
+        connections={layer: _connections(linear, regions[layer], name, inputs) for layer in layers},
         bias={layer: linear.bias(regions[layer]) for layer in layers},
         outlets=tuple(_outlet(graph, linear, regions[p.name], p) for p in ports(graph.outputs)),
     )
@@ -90,10 +90,10 @@ def _check_kinds(graph: nir.NIRGraph) -> None:
             )
 
 
-def _wires(
+def _connections(
     linear: Linear, region: LinearBlock, name: str, inputs: Sequence[Port]
 ) -> tuple[Connection, ...]:
-    """What a layer hears of each source and how late; what all Inputs send in one matrix."""
+    """The connections onto a layer by source and lag; those of all Inputs as one matrix."""
     rows = _rows(inputs)
     presynaptic: dict[tuple[str, int], Floats] = {}
     for source in region.sources:
@@ -119,7 +119,7 @@ def _rows(inputs: Sequence[Port]) -> dict[str, slice]:
 
 
 def _outlet(graph: nir.NIRGraph, linear: Linear, region: LinearBlock, port: Port) -> HostOutput:
-    """What an Output node hears of the layers; the host computes it."""
+    """What an Output node receives from the layers; the host computes it."""
     for source in region.sources:
         if not isinstance(graph.nodes[source], SPIKING):
             raise RuleError(

@@ -1,12 +1,14 @@
-"""The design rules: what a chip has room for, and the mapping of layers onto its cores.
+"""The design rules: what a chip has room for, and how its cores take the layers of a network.
 
-capacity_rules   Design rules on how much a layer takes: neurons, synapses, memory and axons of
-core_memory      The load of a core: what the synapses of a block of neurons take
-fan              Fans: how many synapses leave each source and reach each target of a map witho
-mapping          The mapping of a network onto the cores of a chip
-node_rules       Design rules on what a single node is: its kind, its neurons' parameters, its
-placed           The design: a network on a chip, which is what design rules judge
-result           The ruling: what one design rule says of one node, or of the whole network
-table            The design rules: a table of them, and what they say of a network on a chip
-topology         The topology of a graph: its populations of neurons, and the synapses between
+A rule is a function of a network that is placed on a chip; it yields what it found, the limit and a
+remedy.
+
+table            all rules by name, and what they say of a network
+rule             what a rule is given and what it says
+node_rules       rules on single nodes: kinds, resets, decays, thresholds, weights, kernels
+capacity_rules   rules on layers and networks: neurons, synapses, memory, axons, cores, chips
+mapping          populations on cores, and how full those are
+core_memory      what the synapses of a block of neurons take of a core
+topology         populations of neurons, and the projections between them
+fan              how many synapses leave and reach each neuron of a projection
 """

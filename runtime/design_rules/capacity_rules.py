@@ -1,6 +1,7 @@
-"""Design rules on how much a layer takes: neurons, synapses, memory and axons of its cores.
+"""Design rules on capacity: what each layer takes of its cores, and the network of the chip.
 
-Design rules on the network as a whole: inputs, outputs, cores, chips, convention.
+Of a layer its neurons, synapses, memory and axons; of the network its inputs, outputs, cores, chips
+and convention.
 """
 
 from collections.abc import Collection, Iterator
@@ -10,8 +11,7 @@ import numpy as np
 
 from spikedeploy.runtime.design_rules.core_memory import assigned, entries
 from spikedeploy.runtime.design_rules.mapping import Placement, mapping
-from spikedeploy.runtime.design_rules.placed import PlacedNetwork
-from spikedeploy.runtime.design_rules.result import RuleResult, at_most
+from spikedeploy.runtime.design_rules.rule import PlacedNetwork, RuleResult, at_most
 from spikedeploy.runtime.design_rules.topology import Population
 
 ENTRIES = "entries"
@@ -79,7 +79,7 @@ def synaptic_memory(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def axons_in(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Different sources that the fullest core hears."""
+    """Different sources that are presynaptic to the fullest core."""
     remedy = "Prune the layer's sources, or divide them among relay neurons."
     for population in design.network.populations:
         placement = _placement(design, population.name)
@@ -95,7 +95,7 @@ def axons_in(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def axons_out(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Pairs of a neuron in the fullest core and a core that hears it."""
+    """Pairs of a neuron in the fullest core and a core with postsynaptic neurons."""
     remedy = "Make the layers that hear it smaller, so that they take fewer cores."
     for placement in design.mapping.placements:
         if placement.kind == "bias":
@@ -131,7 +131,7 @@ def shape(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def destinations(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Layers that hear a layer."""
+    """Postsynaptic layers of a layer."""
     if design.limits.destinations is None:
         return
     remedy = "Let fewer layers hear it."
@@ -156,15 +156,15 @@ def outputs(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def input_targets(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Neurons that hear inputs."""
+    """Neurons with synapses from inputs."""
     remedy = "Let fewer neurons hear the inputs."
-    found = sum(_hearing(p, design.network.inputs) for p in design.inside)
+    found = sum(_postsynaptic(p, design.network.inputs) for p in design.inside)
     limit = design.limits.input_targets
     yield at_most("input-targets", None, found, limit, "neurons that hear inputs", remedy)
 
 
 def output_sources(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Neurons that outputs hear."""
+    """Neurons with synapses onto outputs."""
     remedy = "Let the outputs hear fewer neurons."
     targets = {population.name for population in design.outputs}
     found = sum(
@@ -175,7 +175,7 @@ def output_sources(design: PlacedNetwork) -> Iterator[RuleResult]:
     yield at_most("output-sources", None, found, limit, "neurons that outputs hear", remedy)
 
 
-def _hearing(population: Population, sources: Collection[str]) -> int:
+def _postsynaptic(population: Population, sources: Collection[str]) -> int:
     """Neurons with a synapse from one of these sources."""
     into = [c.fan.into for c in population.presynaptic if c.source in sources]
     return int(np.count_nonzero(np.sum(into, axis=0))) if into else 0
@@ -222,10 +222,10 @@ def _layer_cores(design: PlacedNetwork) -> RuleResult:
 
 def _mixed(design: PlacedNetwork) -> str:
     """What the other way to store signs would take."""
-    fixed = design.chip.fixed
-    if fixed is None or fixed.sign_mode != "split" or fixed.weight_bits < 2:
+    one_list = design.chip.arithmetic.with_one_list()
+    if one_list is None:
         return ""
-    other = replace(design.chip, arithmetic=replace(fixed, sign_mode="mixed"))
+    other = replace(design.chip, arithmetic=one_list)
     found = mapping(design.network, other, design.graph).cores
     if found == design.mapping.cores:
         return ""
@@ -248,16 +248,17 @@ def convention(design: PlacedNetwork) -> Iterator[RuleResult]:
     """When a neuron spikes, and below what its membrane cannot go."""
     stated = design.artifact.convention
     found = f"spikes {stated.spikes!r}, floor {stated.floor!r}"
-    if design.chip.fixed is None:
+    possible = design.chip.arithmetic.spikes_and_floor
+    if possible is None:
         yield RuleResult("convention", None, "unknown", found, note=stated.describe())
         return
-    fits = stated.spikes == "above" and stated.floor == "none"
+    spikes, floor = possible
     yield RuleResult(
         rule="convention",
         node=None,
-        status="pass" if fits else "fail",
+        status="pass" if (stated.spikes, stated.floor) == possible else "fail",
         found=found,
-        limit="spikes 'above', floor 'none'",
+        limit=f"spikes {spikes!r}, floor {floor!r}",
         remedy="Run the network in float.",
         note=stated.describe(),
     )

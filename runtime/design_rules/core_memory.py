@@ -1,14 +1,11 @@
-"""The load of a core: what the synapses of a block of neurons take.
-
-What synapses take of a core's memory.
+"""What the synapses of a block of neurons take of the memory of a core.
 
 Loihi's synapses lie in words of 64 bits: the synapses of an axon in blocks of up to 64, each block
 with 10 bits of its own and rounded up to whole words (nengo-loihi 1.1.0, bits_per_axon). A sparse
 list names the neuron of each synapse, a dense one stores every weight of the core, zeros included.
 
-Chips whose cores compute a layer each (Speck): entries of their memories, and who takes which.
-
-A layer with a kernel of c channels, f features and kx ky taps takes c 2^(ceil(log2 kx ky) +
+Where each core computes a layer (Speck), memories have entries, and every layer takes a core. A
+layer with a kernel of c channels, f features and kx ky taps takes c 2^(ceil(log2 kx ky) +
 ceil(log2 f)) entries of kernel memory, its f maps of y x neurons f 2^(ceil(log2 y) + ceil(log2 x))
 of neuron memory (sinabs 3.1.3, source read). A linear map behind a Flatten is a kernel as large as
 what is flattened.
@@ -23,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.limits import LayerCore, Limits, SynapticMemory
-from spikedeploy.runtime.design_rules.topology import Connection, Population
+from spikedeploy.runtime.design_rules.topology import Population, Projection
 from spikedeploy.runtime.graph.shapes import DENSE
 from spikedeploy.runtime.graph.windows import CONVOLUTIONS
 
@@ -82,7 +79,7 @@ class Load:
 
 def load(population: Population, limits: Limits, lists: int, block: int) -> Load:
     """What the fullest core holds when a core takes `block` neurons."""
-    each = [_load(connection, limits, lists, block) for connection in population.presynaptic]
+    each = [_load(projection, limits, lists, block) for projection in population.presynaptic]
     memory = None if limits.memory is None else sum(found.memory or 0 for found in each)
     axons = sum(found.axons_in for found in each)
     if limits.input_cores and population.biased:
@@ -93,10 +90,10 @@ def load(population: Population, limits: Limits, lists: int, block: int) -> Load
     return Load(memory, axons)
 
 
-def _load(connection: Connection, limits: Limits, lists: int, block: int) -> Load:
-    fan = connection.fan
+def _load(projection: Projection, limits: Limits, lists: int, block: int) -> Load:
+    fan = projection.fan
     if fan.weight is None:
-        return _estimated(connection, limits, block)
+        return _estimated(projection, limits, block)
     starts = np.arange(0, fan.into.size, block)
     signs = [fan.weight > 0, fan.weight < 0] if lists == 2 else [fan.weight != 0]
     counts = [np.add.reduceat(sign, starts, axis=1, dtype=np.int64) for sign in signs]
@@ -107,9 +104,9 @@ def _load(connection: Connection, limits: Limits, lists: int, block: int) -> Loa
     return Load(int(np.max(bits)), axons)
 
 
-def _estimated(connection: Connection, limits: Limits, block: int) -> Load:
+def _estimated(projection: Projection, limits: Limits, block: int) -> Load:
     """Where synapses are not listed: as many sources as they could have, each with its share."""
-    fan = connection.fan
+    fan = projection.fan
     synapses = block * int(fan.into.max())
     axons = min(synapses, fan.out.size)
     if limits.memory is None or not axons:
@@ -131,9 +128,9 @@ class Entries:
 
 
 def entries(graph: nir.NIRGraph, population: Population) -> Entries:
-    """The entries of a population, with the kernels of all that it hears."""
+    """The entries of a population, with the kernels of all that projects onto it."""
     features, *space = population.shape
-    kernel = sum(_kernel(graph, connection.fan.maps) for connection in population.presynaptic)
+    kernel = sum(_kernel(graph, projection.fan.maps) for projection in population.presynaptic)
     return Entries(kernel, features * 2 ** sum(_bits(extent) for extent in space))
 
 

@@ -2,9 +2,8 @@
 
 Populations take cores one after another, each its own. A population that is too large for a core
 is divided into blocks of neighbouring neurons, as large as each other but for the last; of all
-divisions that fit it takes the one into the fewest cores.
-
-The utilisation of a chip's cores: what is taken of what there is.
+divisions that fit it takes the one into the fewest cores. Utilisation is what is taken of what
+there is.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -76,11 +75,10 @@ def mapping(network: Topology, chip: Chip, graph: nir.NIRGraph) -> CoreMapping:
         return _by_layers(network, graph, limits)
     if limits is None or (limits.neurons_per_core is None and limits.memory is None):
         return CoreMapping(tuple(_uncored(network, p) for p in network.populations), None, None)
-    lists = 2 if chip.fixed is not None and chip.fixed.sign_mode == "split" else 1
 
     @cache
     def weigh(population: Population, block: int) -> Load:
-        return load(population, limits, lists, block)
+        return load(population, limits, chip.arithmetic.weight_lists, block)
 
     blocks = _divided(network, limits, weigh)
     cores = {p.name: -(-p.size // blocks[p.name]) for p in network.populations}
@@ -121,33 +119,33 @@ def _by_layers(network: Topology, graph: nir.NIRGraph, limits: Limits) -> CoreMa
 
 
 def _divided(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
-    """The block of each population; how many cores hear a neuron limits how many share a core."""
+    """The block of each population; a core has axons for so many target cores of its neurons."""
     blocks = {p.name: p.size for p in network.populations}
     for _ in range(len(blocks) + 2):
         before = dict(blocks)
         for population in reversed(network.populations):
             cores = {p.name: -(-p.size // blocks[p.name]) for p in network.populations}
-            presynaptic = _hearing(network, population.name, cores)
-            blocks[population.name] = _block(population, limits, weigh, presynaptic)
+            targets = _target_cores(network, population.name, cores)
+            blocks[population.name] = _block(population, limits, weigh, targets)
         if blocks == before:
             break
     return blocks
 
 
-def _hearing(network: Topology, name: str, cores: dict[str, int]) -> int:
-    """Cores that hear a neuron of a population, or an input; no more than it has synapses."""
+def _target_cores(network: Topology, name: str, cores: dict[str, int]) -> int:
+    """Cores that a neuron of a population, or an input, projects to; at most its synapses."""
     synapses: dict[str, int] = {}
-    for connection in network.leaving(name):
-        most = int(connection.fan.out.max())
-        synapses[connection.target] = synapses.get(connection.target, 0) + most
+    for projection in network.leaving(name):
+        most = int(projection.fan.out.max())
+        synapses[projection.target] = synapses.get(projection.target, 0) + most
     return sum(min(cores[target], most) for target, most in synapses.items())
 
 
-def _block(population: Population, limits: Limits, weigh: Weigh, presynaptic: int) -> int:
+def _block(population: Population, limits: Limits, weigh: Weigh, targets: int) -> int:
     """Neurons of a core when it takes the fewest cores; 1 where nothing fits."""
     most = min(population.size, limits.neurons_per_core or population.size)
-    if limits.axons_out is not None and presynaptic:
-        most = min(most, limits.axons_out // presynaptic)
+    if limits.axons_out is not None and targets:
+        most = min(most, limits.axons_out // targets)
     low, high = 0, most  # a block of low neurons fits, one of high + 1 does not
     while low < high:
         middle = (low + high + 1) // 2
@@ -180,8 +178,8 @@ def _placed(
         block=block,
         memory=found.memory,
         axons_in=found.axons_in,
-        axons_out=block * _hearing(network, population.name, cores),
-        estimated=any(connection.fan.weight is None for connection in population.presynaptic),
+        axons_out=block * _target_cores(network, population.name, cores),
+        estimated=any(projection.fan.weight is None for projection in population.presynaptic),
     )
 
 
@@ -198,9 +196,9 @@ def _uncored(network: Topology, population: Population) -> Placement:
         first=None,
         block=population.size,
         memory=None,
-        axons_in=sum(connection.fan.out.size for connection in population.presynaptic),
+        axons_in=sum(projection.fan.out.size for projection in population.presynaptic),
         axons_out=0,
-        estimated=any(connection.fan.most for connection in population.presynaptic),
+        estimated=any(projection.fan.most for projection in population.presynaptic),
     )
 
 
@@ -211,27 +209,27 @@ def _fan_out(network: Topology, name: str) -> int:
 def _inputs(network: Topology, limits: Limits, cores: dict[str, int]) -> Iterator[Placement]:
     """Neurons that hand on the spikes of the inputs."""
     for name, width in network.inputs.items():
-        presynaptic = _hearing(network, name, cores)
+        targets = _target_cores(network, name, cores)
         most = limits.neurons_per_core or width
-        if limits.axons_out is not None and presynaptic:
-            most = max(min(most, limits.axons_out // presynaptic), 1)
+        if limits.axons_out is not None and targets:
+            most = max(min(most, limits.axons_out // targets), 1)
         taken = -(-width // most)
         block = -(-width // taken)
-        yield _source(name, "input", width, taken, block, presynaptic, _fan_out(network, name))
+        yield _source(name, "input", width, taken, block, targets, _fan_out(network, name))
 
 
 def _bias(network: Topology, cores: dict[str, int]) -> Iterator[Placement]:
     """The one neuron that spikes in every timestep, if any layer has a bias."""
     biased = [p for p in network.populations if p.biased]
     if biased:
-        presynaptic = sum(cores[p.name] for p in biased)
-        yield _source("bias", "bias", 1, 1, 1, presynaptic, sum(p.size for p in biased))
+        targets = sum(cores[p.name] for p in biased)
+        yield _source("bias", "bias", 1, 1, 1, targets, sum(p.size for p in biased))
 
 
 def _source(
-    name: str, kind: str, neurons: int, cores: int, block: int, presynaptic: int, fan_out: int
+    name: str, kind: str, neurons: int, cores: int, block: int, targets: int, fan_out: int
 ) -> Placement:
-    axons = block * presynaptic
+    axons = block * targets
     return Placement(name, kind, neurons, 0, 0, fan_out, cores, None, block, 0, 0, axons, False)
 
 

@@ -1,7 +1,4 @@
-"""Design rules on what a single node is: its kind, its neurons' parameters, its weights.
-
-Design rules on maps: their kernels, the values and the signs of their weights.
-"""
+"""Design rules on single nodes: their kind, the parameters of neurons, kernels and weights."""
 
 from collections.abc import Iterator
 
@@ -9,8 +6,13 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.design_rules.placed import PlacedNetwork
-from spikedeploy.runtime.design_rules.result import RuleResult, Status, allowed, at_most
+from spikedeploy.runtime.design_rules.rule import (
+    PlacedNetwork,
+    RuleResult,
+    Status,
+    allowed,
+    at_most,
+)
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import DENSE
@@ -61,7 +63,7 @@ def delay(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Loops only where neurons can hear themselves."""
+    """Loops only where neurons can be presynaptic to themselves."""
     for population in design.network.populations:
         if not population.recurrent:
             continue
@@ -187,7 +189,7 @@ def axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
         return
     remedy = "Train with sources of one sign, or double them."
     for name in (*design.network.inputs, *(p.name for p in design.network.populations)):
-        fans = [connection.fan for connection in design.network.leaving(name)]
+        fans = [projection.fan for projection in design.network.leaving(name)]
         weights = [fan.weight for fan in fans if fan.weight is not None]
         if weights:
             up, down = (_any(weights, sign) for sign in (1, -1))

@@ -22,7 +22,7 @@ POPULATIONS = (*NEURONS, nir.Threshold)
 
 
 @dataclass(frozen=True, eq=False)
-class Connection:
+class Projection:
     """All synapses of a population that come from one source by one way."""
 
     source: str
@@ -37,7 +37,7 @@ class Population:
     name: of the node.
     size: neurons, N.
     shape: of the node.
-    heard: what it listens to.
+    presynaptic: the projections onto it.
     biased: whether a map adds something to it in every timestep.
     leaves: whether its spikes or membranes leave the chip.
     decays: different sets of time constants among its neurons.
@@ -47,7 +47,7 @@ class Population:
     name: str
     size: int
     shape: tuple[int, ...]
-    presynaptic: tuple[Connection, ...]
+    presynaptic: tuple[Projection, ...]
     biased: bool
     leaves: bool
     decays: int
@@ -56,17 +56,17 @@ class Population:
     @property
     def fan_in(self) -> int:
         """Synapses of the neuron that has most; no more than that, where ways are many."""
-        return sum(int(connection.fan.into.max()) for connection in self.presynaptic)
+        return sum(int(projection.fan.into.max()) for projection in self.presynaptic)
 
     @property
     def synapses(self) -> int:
         """All that reach it."""
-        return sum(connection.fan.synapses for connection in self.presynaptic)
+        return sum(projection.fan.synapses for projection in self.presynaptic)
 
     @property
     def recurrent(self) -> bool:
         """Whether a loop closes here."""
-        return any(connection.fan.late for connection in self.presynaptic)
+        return any(projection.fan.late for projection in self.presynaptic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Topology:
     """The populations of a graph.
 
     inputs: M of each input.
-    populations: in an order in which those that close no loop come after what they hear.
+    populations: in an order in which those that close no loop come after their sources.
     host: names of the maps behind the last neurons, which the host computes.
     """
 
@@ -82,8 +82,8 @@ class Topology:
     populations: tuple[Population, ...]
     host: tuple[str, ...]
 
-    def leaving(self, name: str) -> list[Connection]:
-        """The connections that start in an input or population."""
+    def leaving(self, name: str) -> list[Projection]:
+        """The projections that start in an input or population."""
         return [c for p in self.populations for c in p.presynaptic if c.source == name]
 
     def fan_out(self, name: str, targets: Collection[str]) -> Counts:
@@ -157,14 +157,14 @@ def _population(
 ) -> Population:
     node = graph.nodes[name]
     presynaptic = tuple(
-        Connection(source, name, fan) for source, fan in _arriving(graph, name, ways, late)
+        Projection(source, name, fan) for source, fan in _arriving(graph, name, ways, late)
     )
     return Population(
         name=name,
         size=_size(node),
         shape=tuple(int(n) for n in node.output_type["output"]),
         presynaptic=presynaptic,
-        biased=any(connection.fan.biased for connection in presynaptic),
+        biased=any(projection.fan.biased for projection in presynaptic),
         leaves=bool(ahead[name] & (_host(graph, ahead) | set(graph.outputs))),
         decays=_different(node, ("tau", "tau_syn", "tau_mem")),
         thresholds=_different(node, ("v_threshold", "threshold")),

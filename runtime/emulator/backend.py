@@ -24,11 +24,6 @@ PREFERENCES: Mapping[str, tuple[str, ...]] = {
     "interpreter": ("interpreter",),
 }
 INTERPRETER = "spikedeploy.runtime.emulator.interpreter_backend:InterpreterBackend"
-# of chips whose arithmetic is None: `ideal`, which computes in float64
-FLOAT64 = {
-    "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
-    "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
-}
 
 # "window": all timesteps of a layer at once; "row": one timestep of all layers after another, which
 # closes loops; "step": one timestep of the chip, with the delays of the chip
@@ -143,7 +138,7 @@ def backend_class(program: Program, name: str) -> type[Backend]:
         choices = ", ".join(map(repr, get_args(BackendName)))
         raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
     arithmetic = program.chip.arithmetic
-    able = {**(FLOAT64 if arithmetic is None else arithmetic.backends), "interpreter": INTERPRETER}
+    able = {**arithmetic.backends, "interpreter": INTERPRETER}
     obstacle: str | None = (
         f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which only the "
         "interpreter knows."

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.emulator.ledger import LedgerBuilder, count
@@ -60,7 +61,7 @@ class InterpreterBackend:
         counts = count(
             _without_biases(self._program, self._waiting),
             {self._program.input: self._raster, **{n: t.spikes for n, t in traces.items()}},
-            {name: trace.busy for name, trace in traces.items()},
+            {name: trace.active for name, trace in traces.items()},
             {name: trace.overflows for name, trace in traces.items()},
         )
         ledger.add(counts, timesteps, self._program.steps(timesteps))

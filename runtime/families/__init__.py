@@ -1,8 +1,11 @@
 """The families of chips: a folder for each arithmetic, with its datasheets, quantiser and update.
 
-cuba/            a synaptic current and a membrane that decay by factors.
-cuba_numba/      The compiled kernels of CuBa-LIF neurons, equal to the interpreter bit for bit
-cuba_numpy/      The NumPy kernels of CuBa-LIF neurons, equal to the interpreter bit for bit.
-integrate_and_fire/ TrueNorth, Speck, ODIN, Spiker.
-xylo/            events added one by one, states that saturate, decays by shifts.
+Nothing outside imports them: the table runtime.chips.CHIPS says where a chip stands, and its
+arithmetic which backends can run it. A new family is a folder here and a line in that table.
+
+cuba                  CuBa-LIF neurons: Loihi 1 and 2, SpiNNaker2, free widths, and no chip at all
+xylo                  Xylo: events one by one, states that saturate, decays by shifts
+integrate_and_fire    no synaptic current: TrueNorth, Speck, ODIN, Spiker
+cuba_numpy            NumPy kernels of cuba, equal to its update bit for bit
+cuba_numba            compiled kernels of cuba, equal to its update bit for bit
 """

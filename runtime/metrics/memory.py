@@ -10,10 +10,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, Ledger
-
-FLOAT_BITS = 32  # of a weight or state on a chip that rounds nothing
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,7 @@ class MemoryTraffic:
 
 
 def widths(chip: Chip) -> Widths:
-    """Widths of a chip's weights and states; those of float32 where it rounds nothing."""
-    if chip.arithmetic is None:
-        return Widths(FLOAT_BITS, (FLOAT_BITS, FLOAT_BITS))
+    """The widths of a chip's weights and states; those of float32 where it rounds nothing."""
     return Widths(chip.arithmetic.weight_bits, chip.arithmetic.state_bits)
 
 

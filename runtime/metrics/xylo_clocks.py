@@ -3,13 +3,14 @@
 There is no energy: for Xylo only the power of whole tasks is published, none of an operation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
 # [clock cycles] rockpool 3.1, devices/xylo/syns61201 cycles_model; the same for all Xylos
@@ -71,3 +72,9 @@ def _hidden(layer: Layer, rate: float) -> float:
 
 def _rate(raster: NDArray[Any]) -> float:
     return float(np.count_nonzero(raster) / raster.size)
+
+
+# name, as arithmetics give it -> [s] of an inference
+TIME_MODELS: dict[str, Callable[[Program, Mapping[str, NDArray[Any]]], EnergyEstimate]] = {
+    "xylo-clocks": xylo_time
+}

@@ -1,4 +1,4 @@
-"""Fields: a JSON object that somebody else wrote, read by name, with errors that name the field."""
+"""A JSON object of another program, read by name, with errors that name the field."""
 
 import json
 from collections.abc import Mapping

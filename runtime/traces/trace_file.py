@@ -1,9 +1,7 @@
 """Trace files: what an emulator or a chip did, with everything that is needed to do it again.
 
 The format is in docs/traces.md. It grew from what four emulators write, so quantities have several
-names, and a file says in prose who made it.
-
-Verdicts: what became of a trace when it was replayed.
+names, and a file says in prose who made it. A verdict is what became of a trace when replayed.
 """
 
 import re
@@ -34,13 +32,13 @@ MAKERS = (
     (r"lava", "loihi1"),
 )
 READERS = {
-    "loihi1": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "loihi1-brian2": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "loihi1-nengo": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "loihi2": "spikedeploy.runtime.traces.loihi:loihi_trace",
-    "xylo-a2": "spikedeploy.runtime.traces.xylo:xylo_trace",
-    "xylo-a3": "spikedeploy.runtime.traces.xylo:xylo_trace",
-    "xylo-imu": "spikedeploy.runtime.traces.xylo:xylo_trace",
+    "loihi1": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "loihi2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
+    "xylo-a2": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
+    "xylo-a3": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
+    "xylo-imu": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
 }
 # what is for people
 PROSE = {
@@ -135,7 +133,7 @@ class Difference:
     """The first number that is not as recorded.
 
     step: row of the trace, counted from 0.
-    layer, neuron: whose it is; neurons are counted from 0.
+    layer, neuron: where it is; neurons are counted from 0.
     quantity: one of QUANTITIES, or what was summed up over the run, which has no place.
     expected, found: in the trace, and here.
     """
@@ -159,7 +157,7 @@ class Difference:
 class Verdict:
     """What became of a trace.
 
-    chip: in whose reading it was replayed.
+    chip: the one that it was replayed on.
     source: who recorded it.
     steps: T.
     compared: numbers that were compared.

@@ -1,4 +1,4 @@
-"""Verifying: a recorded run once more on our arithmetic, and the first place where it differs."""
+"""A recorded run once more on our arithmetic, and the first number that differs."""
 
 from collections.abc import Mapping
 from pathlib import Path

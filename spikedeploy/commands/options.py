@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from spikedeploy.runtime.compiler.quantisation import Quantisation
+    from spikedeploy.runtime.chips.quantisation import Quantisation
 
 
 # The choices of the runtime, which takes numpy to load; tests/spikedeploy/commands/test_options.py
@@ -135,6 +135,6 @@ def quantisation(
     weight_shift: int,
 ) -> "Quantisation":
     """The quantisation that the five options ask for."""
-    from spikedeploy.runtime.compiler.quantisation import Quantisation
+    from spikedeploy.runtime.chips.quantisation import Quantisation
 
     return Quantisation(quantise, rounding, headroom, thresholds, weight_shift=weight_shift)

@@ -15,7 +15,7 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import Frame, Pace, captioned, mp4
 

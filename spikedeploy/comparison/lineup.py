@@ -7,7 +7,7 @@ from pathlib import Path
 from spikedeploy import envs, zoo
 from spikedeploy.policies.interface import FLOAT, Candidate
 from spikedeploy.policies.registry import find
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 
 CONTROLS = (

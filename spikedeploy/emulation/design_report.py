@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.compiler.check import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.check import check as check_on
 from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
-from spikedeploy.runtime.design_rules.result import RuleResult, Status
+from spikedeploy.runtime.design_rules.rule import RuleResult, Status
 from spikedeploy.runtime.design_rules.table import RULES
 from spikedeploy.runtime.errors import ConfigError
 

@@ -9,7 +9,7 @@ from spikedeploy.runtime.analysis.drift import TAU, Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.convention import Convention
 
 

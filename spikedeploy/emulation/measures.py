@@ -19,7 +19,7 @@ from spikedeploy.runtime.metrics.energy import (
 )
 from spikedeploy.runtime.metrics.memory import MemoryTraffic, memory_traffic
 from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
-from spikedeploy.runtime.metrics.xylo_clocks import xylo_time
+from spikedeploy.runtime.metrics.xylo_clocks import TIME_MODELS
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _events(ledger: Ledger) -> dict[str, dict[str, int]]:
 def _latencies(
     program: Program, spikes: Mapping[str, NDArray[Any]], ledger: Ledger
 ) -> dict[str, EnergyEstimate]:
-    if program.chip.events is not None:
-        return {"xylo-clocks": xylo_time(program, spikes)}
+    if (model := program.chip.arithmetic.time_model) is not None:
+        return {model: TIME_MODELS[model](program, spikes)}
     tables = [TABLES[name] for name in program.chip.energy_tables]
     return {table.name: latency_estimate(ledger, table) for table in tables if table.timed}

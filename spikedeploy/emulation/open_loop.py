@@ -14,8 +14,8 @@ from spikedeploy.emulation.rasters import Raster, in_batch
 from spikedeploy.files import replacing
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called, running
 from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError

@@ -122,8 +122,8 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
 
 
 def priced_by(chip: Chip | None) -> tuple[str, ...]:
-    """The chip's own energy tables, and the one shared with float networks of its precision."""
-    if chip is None or chip.arithmetic is None:
+    """The chip's own energy tables, and the one that a float network of its precision has too."""
+    if chip is None or not chip.arithmetic.rounds:
         return ("horowitz45",)
     return (*chip.energy_tables, "horowitz45-int8")
 

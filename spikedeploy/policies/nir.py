@@ -12,7 +12,7 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import Costs, spiking_costs
 from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called

@@ -7,7 +7,7 @@ from spikedeploy.emulation.design_report import DesignReport, statuses, worst
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.compiler.check import DesignCheck
 from spikedeploy.runtime.design_rules.mapping import Placement, of_mapping, of_placement
-from spikedeploy.runtime.design_rules.result import RuleResult, text
+from spikedeploy.runtime.design_rules.rule import RuleResult, text
 
 MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"

@@ -19,7 +19,7 @@ from spikedeploy.policies.interface import Candidate
 from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.reports.plots import draw_energy, draw_returns
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.compiler.quantisation import PLAIN
+from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.metrics.energy import describe_table, energy_table
 from spikedeploy.trainers.versions import own
 

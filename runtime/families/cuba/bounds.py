@@ -1,8 +1,8 @@
-"""Bounds: how large the numbers of a layer can get, so that fast arithmetic is proven exact.
+"""How large the numbers of a layer can get, whatever the spikes, and scales that none overflows at.
 
-Headroom: the largest scale at which no register of the chip can overflow, whatever the spikes.
-
-The widths count even where a reading of the chip does not model what happens beyond them.
+Bounds prove that fast arithmetic is exact. Headroom is the largest scale at which no register of
+the chip can overflow; widths count even where a reading of the chip does not model what happens
+beyond them.
 """
 
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer, Network
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.compiler.program import Layer, Program
-from spikedeploy.runtime.compiler.quantisation import Quantisation
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 from spikedeploy.runtime.families.cuba.quantise import quantise
 
 Floats = NDArray[np.float64]
@@ -54,15 +54,17 @@ def room(register: Register) -> int:
     return EXACT if unbounded else register.limit
 
 
-def bounds(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int | None) -> Bounds:
+def bounds(
+    network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
+) -> Bounds:
     """Bounds of a layer that starts from 0; timesteps None is a state that is never reset."""
-    one = float(1 << fixed.mantissa_shift)
+    one = float(1 << registers.mantissa_shift)
     weights = [s.weight.astype(np.int64) for s in layer.synapses]
     positive = sum((w.clip(min=0).sum(axis=0) for w in weights), layer.bias.clip(min=0))
     negative = sum((-w.clip(max=0).sum(axis=0) for w in weights), -layer.bias.clip(max=0))
-    raised, above = _leaky(layer, fixed, positive * one, layer.voltage_bias, timesteps)
-    lowered, below = _leaky(layer, fixed, negative * one, -layer.voltage_bias, timesteps)
-    if program.convention.reset == "zero":
+    raised, above = _leaky(layer, registers, positive * one, layer.voltage_bias, timesteps)
+    lowered, below = _leaky(layer, registers, negative * one, -layer.voltage_bias, timesteps)
+    if network.convention.reset == "zero":
         # no membrane stays above its threshold
         above = np.minimum(above, layer.threshold + raised + layer.voltage_bias.clip(min=0))
     partial = np.maximum(positive, negative).max()
@@ -75,40 +77,40 @@ def bounds(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int
     )
 
 
-def harmless(layer: Layer, fixed: CubaFixedPoint, timesteps: int, most: int) -> int:
+def harmless(layer: Layer, registers: CubaRegisters, timesteps: int, most: int) -> int:
     """Spikes in a window of T timesteps from zero that can take no state beyond `most`.
 
     Each adds at most the largest weight to the sum of the magnitudes that arrive, and no state
     exceeds that sum times the peak that follows a single arrival.
     """
-    one = 1 << fixed.mantissa_shift
+    one = 1 << registers.mantissa_shift
     steady = _largest(layer.bias) * one + _largest(layer.voltage_bias)
-    left = most / _peak(layer, fixed, timesteps) - timesteps * steady
+    left = most / _peak(layer, registers, timesteps) - timesteps * steady
     largest = max(_largest(synapses.weight) for synapses in layer.synapses) * one
     return max(-1, int(left // largest)) if largest else -1
 
 
-def single(layer: Layer, fixed: CubaFixedPoint) -> int:
+def single(layer: Layer, registers: CubaRegisters) -> int:
     """Largest state that float32 decays exactly, and holds even if another is added to it."""
     thresholds = layer.threshold.astype(np.int64)
     if _largest(thresholds) >= SINGLE or _largest(layer.voltage_bias) >= SINGLE:
         return 0
-    keeps = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
+    factors = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
     # the odd part of a decay is what makes a product longer
-    odd = keeps // np.maximum(keeps & -keeps, 1)
+    odd = factors // np.maximum(factors & -factors, 1)
     return SINGLE // max(int(odd.max(initial=0)), 2)
 
 
-def exact_ticks(layer: Layer, fixed: CubaFixedPoint) -> int:
+def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
     """Decays after a reset that leave nothing to round, whatever the spikes.
 
     All that is added to the states is a multiple of 2**shift, and each decay takes as many bits off
     it as its fraction has: PopSAN's halves and quarters three times none of Loihi's six.
     """
-    added = [1 << fixed.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
+    added = [1 << registers.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
     shift = min(_trailing(int(value)) for value in added)
-    keeps = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
-    bits = max(max(fixed.decay_bits - _trailing(int(keep)), 0) for keep in keeps)
+    factors = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
+    bits = max(max(registers.decay_bits - _trailing(int(factor)), 0) for factor in factors)
     return shift // bits if bits else LONG
 
 
@@ -117,15 +119,15 @@ def _trailing(value: int) -> int:
     return (value & -value).bit_length() - 1 if value else LONG
 
 
-def _peak(layer: Layer, fixed: CubaFixedPoint, timesteps: int) -> float:
+def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
     """Largest current or membrane in a window after a single arrival of 1, without rounding."""
-    keep_current = layer.current_decay / float(fixed.decay_one)
-    keep_membrane = layer.membrane_decay / float(fixed.decay_one)
+    current_factor = layer.current_decay / float(registers.decay_one)
+    membrane_factor = layer.membrane_decay / float(registers.decay_one)
     current, membrane = np.ones(layer.size), np.ones(layer.size)
     peak = 1.0
     for _ in range(timesteps):
-        current = keep_current * current
-        membrane = keep_membrane * membrane + current
+        current = current_factor * current
+        membrane = membrane_factor * membrane + current
         peak = max(peak, float(membrane.max()))
     return peak
 
@@ -135,75 +137,71 @@ def _largest(values: NDArray[Any]) -> int:
 
 
 def _leaky(
-    layer: Layer, fixed: CubaFixedPoint, drive: Floats, bias: NDArray[Any], timesteps: int | None
+    layer: Layer, registers: CubaRegisters, drive: Floats, bias: NDArray[Any], timesteps: int | None
 ) -> tuple[Floats, Floats]:
     """Largest current and membrane (N,) when so much arrives in every timestep."""
-    keep_current = layer.current_decay / float(fixed.decay_one)
-    keep_membrane = layer.membrane_decay / float(fixed.decay_one)
+    current_factor = layer.current_decay / float(registers.decay_one)
+    membrane_factor = layer.membrane_decay / float(registers.decay_one)
     push = bias.clip(min=0).astype(np.float64)
     if timesteps is None or timesteps > LONG:
-        current = _endless(drive, keep_current)
-        return current, _endless(current + push, keep_membrane)
+        current = _endless(drive, current_factor)
+        return current, _endless(current + push, membrane_factor)
     current = membrane = np.zeros(layer.size)
     for _ in range(timesteps):
-        current = keep_current * current + drive
-        membrane = keep_membrane * membrane + current + push
+        current = current_factor * current + drive
+        membrane = membrane_factor * membrane + current + push
     return current, membrane
 
 
-def _endless(drive: Floats, keep: Floats) -> Floats:
-    """Limit of x = keep x + drive: drive / (1 - keep), and endless without a leak."""
+def _endless(drive: Floats, factor: Floats) -> Floats:
+    """Limit of x = factor x + drive: drive / (1 - factor), and endless without a leak."""
     endless = np.where(drive > 0, np.inf, 0.0)
-    return np.divide(drive, 1 - keep, out=endless, where=keep < 1)
+    return np.divide(drive, 1 - factor, out=endless, where=factor < 1)
 
 
-# rounding may lift a bound a little over its register again; each round takes away what is over
+# rounding may lift a bound a little over its register again; each round takes away the excess
 ROUNDS = 50
 SLACK = 1e-3
 
 
 def with_headroom(
-    program: Program,
-    floats: list[Layer],
-    fixed: CubaFixedPoint,
-    quantisation: Quantisation,
-    timesteps: int | None,
-) -> Program:
-    """The program with layers that are quantised anew, so that nothing can overflow.
+    registers: CubaRegisters, network: Network, quantisation: Quantisation, timesteps: int | None
+) -> list[Layer]:
+    """The float layers of a network, quantised so that nothing can overflow.
 
-    floats: its layers before they were quantised.
     timesteps: T of an inference; None is a state that is never reset.
     """
-    layers = (_proven(program, a, fixed, quantisation, timesteps) for a in floats)
-    return replace(program, layers=tuple(layers))
+    return [_proven(network, a, registers, quantisation, timesteps) for a in network.layers]
 
 
-def excess(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int | None) -> float:
+def overflow_ratio(
+    network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
+) -> float:
     """How many times the largest that fits its register a number of the layer can become."""
-    worst = bounds(program, layer, fixed, timesteps)
+    worst = bounds(network, layer, registers, timesteps)
     push = worst.current + float(np.abs(layer.voltage_bias).max(initial=0))
     return max(
-        worst.drive / fixed.accumulator.limit,
-        worst.current / fixed.current.limit,
-        push / fixed.push.limit,
-        worst.above / fixed.membrane.limit,
-        worst.below / fixed.membrane.limit,
+        worst.drive / registers.accumulator.limit,
+        worst.current / registers.current.limit,
+        push / registers.push.limit,
+        worst.above / registers.membrane.limit,
+        worst.below / registers.membrane.limit,
     )
 
 
 def _proven(
-    program: Program,
+    network: Network,
     layer: Layer,
-    fixed: CubaFixedPoint,
+    registers: CubaRegisters,
     quantisation: Quantisation,
     timesteps: int | None,
 ) -> Layer:
     each = quantisation.granularity == "channel"
     share = np.ones(layer.size if each else 1)
     for _ in range(ROUNDS):
-        quantised = quantise(layer, fixed, quantisation, share if each else float(share[0]))
+        quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))
         parts = [_alone(quantised, n) for n in range(layer.size)] if each else [quantised]
-        over = np.array([excess(program, part, fixed, timesteps) for part in parts])
+        over = np.array([overflow_ratio(network, part, registers, timesteps) for part in parts])
         if (over <= 1).all():
             return quantised
         if not np.isfinite(over).all():

@@ -1,107 +1,119 @@
 """The integer CuBa-LIF arithmetic of Loihi."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.errors import ChipError
+import numpy as np
+from numpy.typing import NDArray
 
-SignMode = Literal["split", "mixed"]
-StepRounding = Literal["floor", "zero"]
-Exponents = Literal["sum", "weight", "exact"]
-CHOICES = {
-    "sign_mode": get_args(SignMode),
-    "step_rounding": get_args(StepRounding),
-    "exponents": get_args(Exponents),
-}
+from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.registers import decay
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.families.cuba.bounds import with_headroom
+from spikedeploy.runtime.families.cuba.neurons import CubaRegisters, arriving, update
+from spikedeploy.runtime.families.cuba.quantise import quantise
+
+# from rounded weights to the chip, each with those before it
+ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
 
 
 @dataclass(frozen=True)
-class CubaFixedPoint:
-    """The integer CuBa-LIF arithmetic of a chip.
-
-    weight_bits: stored bits of a weight's magnitude; fewer than the widest drop low bits.
-    weight_bits_allowed: what may be chosen.
-    sign_mode: "split" keeps excitatory and inhibitory weights in lists of their own, all bits
-        magnitude; "mixed" spends one bit on the sign, so the weight's step doubles.
-    step_rounding: where a mixed weight goes that is no multiple of the step; the emulators
-        differ for negative ones. Split weights go toward zero in all of them.
-    exponents: what a negative weight exponent rounds down: "sum", that of the weights of a list
-        that arrive together; "weight", each weight by itself; "exact", nothing.
-    mantissa_shift: weights and thresholds are multiplied by 2**this to meet the states.
-    threshold_max: largest threshold mantissa.
-    bias_mantissa_max, bias_exponent_max: a voltage bias is mantissa * 2**exponent.
-    decay_bits: a decay is a fraction of 2**this.
-    decay_max: largest number in a decay's register.
-    current_decay_offset: added to the current's decay register by the hardware.
-    membrane_decay_offset: likewise for the membrane.
-    accumulator: sum of the weights that arrive in a timestep, after the shift.
-    current, membrane: the two states.
-    push: the current and the voltage bias, on their way to the membrane.
-    refractory: timesteps from a spike to the next possible one; 1 is none.
-    """
+class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
+    """The integer CuBa-LIF arithmetic of a chip; its fields are those of CubaRegisters."""
 
     backends: ClassVar[Mapping[str, str]] = {
         "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
         "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
     }
-
-    weight_bits: int
-    weight_bits_allowed: tuple[int, ...]
-    sign_mode: SignMode
-    step_rounding: StepRounding
-    exponents: Exponents
-    mantissa_shift: int
-    threshold_max: int
-    bias_mantissa_max: int
-    bias_exponent_max: int
-    decay_bits: int
-    decay_max: int
-    current_decay_offset: int
-    membrane_decay_offset: int
-    accumulator: Register
-    current: Register
-    push: Register
-    membrane: Register
-    refractory: int
-
-    def __post_init__(self) -> None:
-        if self.weight_bits not in self.weight_bits_allowed:
-            raise ChipError(
-                f"weight_bits is {self.weight_bits}; the chip stores one of "
-                f"{', '.join(map(str, self.weight_bits_allowed))}."
-            )
-        for option, allowed in CHOICES.items():
-            if (found := getattr(self, option)) not in allowed:
-                choices = " or ".join(map(repr, allowed))
-                raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
-        if not self.weight_max:
-            raise ChipError(
-                "weight_bits is 1 and sign_mode 'mixed': the bit is the sign, and nothing is left "
-                "for the weight. Choose more bits, or 'split'."
-            )
-        if self.refractory < 1:
-            raise ChipError(f"refractory is {self.refractory}; the least is 1, which is none.")
-
-    @property
-    def weight_step(self) -> int:
-        """Distance between two neighbouring weights, a power of two."""
-        dropped = max(self.weight_bits_allowed) - self.weight_bits
-        return 1 << (dropped + (self.sign_mode == "mixed"))
-
-    @property
-    def weight_max(self) -> int:
-        """Largest weight of either sign."""
-        widest = 1 << max(self.weight_bits_allowed)
-        return int((widest - 1) // self.weight_step * self.weight_step)
-
-    @property
-    def decay_one(self) -> int:
-        """The decay that leaves nothing."""
-        return 1 << self.decay_bits
+    spikes_max: ClassVar[int] = 1
+    choices: ClassVar[tuple[str, ...]] = (
+        "granularity",
+        "rounding",
+        "headroom",
+        "thresholds",
+        "tuned",
+    )
+    spikes_and_floor: ClassVar[tuple[str, str] | None] = ("above", "none")
+    ablation_steps: ClassVar[tuple[str, ...]] = ROUNDING_STEPS
 
     @property
     def state_bits(self) -> tuple[int, ...]:
-        """Width of each state of a neuron [bits]."""
+        """Width of each state of a neuron [bits]: its current and its membrane."""
         return self.current.bits, self.membrane.bits
+
+    @property
+    def weight_lists(self) -> int:
+        """Lists that hold the weights of an axon: 2 where each sign has its own."""
+        return 2 if self.sign_mode == "split" else 1
+
+    def with_one_list(self) -> "CubaFixedPoint | None":
+        """The same with weights of both signs in one list; None where that is no choice."""
+        if self.sign_mode != "split" or self.weight_bits < 2:
+            return None
+        return replace(self, sign_mode="mixed")
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The float layers as integers, with as much headroom as is asked for."""
+        if quantisation.headroom == "proven":
+            return with_headroom(self, network, quantisation, timesteps)
+        return [quantise(layer, self, quantisation) for layer in network.layers]
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        return update(self, network.convention, layer, arriving(layer, presynaptic), state)
+
+    def partly_rounded(self, before: Layer, after: Layer, step: str) -> Layer:
+        """The layer in float64 and state units, rounded up to one of the ablation steps."""
+        units, one = 1.0 / after.scale, float(1 << self.mantissa_shift)
+        thresholds, decays = step != "weights", step == "decays"
+        return replace(
+            after,
+            synapses=tuple(
+                replace(s, weight=s.weight.astype(np.float64) * one) for s in after.synapses
+            ),
+            bias=after.bias * one,
+            threshold=after.threshold.astype(np.float64)
+            if thresholds
+            else before.threshold * units,
+            voltage_bias=after.voltage_bias * 1.0 if thresholds else before.voltage_bias * units,
+            current_decay=after.current_decay / self.decay_one if decays else before.current_decay,
+            membrane_decay=after.membrane_decay / self.decay_one
+            if decays
+            else before.membrane_decay,
+        )
+
+    def before_reset(
+        self,
+        layer: Layer,
+        convention: Convention,
+        current: Numbers,
+        membrane: Numbers,
+        spikes: Numbers,
+    ) -> Numbers:
+        """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
+        # v = b v + (u + bias)      each as its register holds it
+        push = self.push.fit(current + layer.voltage_bias)
+        factor = layer.membrane_decay.astype(np.int64)
+        return self.membrane.fit(decay(one_step_later(membrane), factor, self.decay_bits) + push)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        signs = "with the sign" if self.sign_mode == "mixed" else "and sign"
+        return Description("CuBa-LIF", f"{self.weight_bits} bits {signs}", self.membrane.describe())
+
+
+def one_step_later(states: NDArray[Any]) -> NDArray[Any]:
+    """States (B, T, N) of the timestep before, from zero."""
+    return np.concatenate([np.zeros_like(states[:, :1]), states[:, :-1]], axis=1)

@@ -1,6 +1,4 @@
-"""Loihi's arithmetic with free widths, for exploring what a chip would need.
-
-No chip that exists: a family with free bit widths, to find out what one would need.
+"""Loihi's arithmetic with free bit widths: no chip that exists, to find out what one would need.
 
     chip("int", weight_bits=4, decay_bits=6, membrane=Register(12, "saturate"))
     --chip int:weight_bits=4,decay_bits=6,membrane=12-wrap
@@ -12,6 +10,7 @@ subtract.
 
 from dataclasses import dataclass, field
 
+from spikedeploy.runtime.chips.arithmetic import Description
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ChipError
@@ -26,7 +25,7 @@ WIDEST_WEIGHT = 16
 
 @dataclass(frozen=True)
 class CubaFreeWidth(CubaFixedPoint):
-    """The integer CuBa-LIF neurons of FixedPoint; fields that follow from others are not given.
+    """The integer CuBa-LIF neurons of CubaFixedPoint; fields that follow from others are not given.
 
     weight_bits: where sign_mode is "mixed", with the sign: -(2**(n - 1) - 1) to 2**(n - 1) - 1;
         where it is "split", of the magnitude. Weights have no bits that are dropped: a narrow
@@ -42,10 +41,10 @@ class CubaFreeWidth(CubaFixedPoint):
     def __post_init__(self) -> None:
         mixed = self.sign_mode == "mixed"
         widths = range(2, WIDEST_WEIGHT + 1) if mixed else range(1, WIDEST_WEIGHT)
-        reach = (self.membrane.limit - 1) >> self.mantissa_shift
+        largest = (self.membrane.limit - 1) >> self.mantissa_shift
         # a frozen dataclass is written on in no other way
         object.__setattr__(self, "weight_bits_allowed", tuple(widths))
-        object.__setattr__(self, "threshold_max", min((1 << self.threshold_bits) - 1, reach))
+        object.__setattr__(self, "threshold_max", min((1 << self.threshold_bits) - 1, largest))
         object.__setattr__(self, "decay_max", self.decay_one)
         super().__post_init__()
         self._check_widths()
@@ -59,6 +58,11 @@ class CubaFreeWidth(CubaFixedPoint):
     def weight_max(self) -> int:
         """Largest weight of either sign."""
         return (1 << (self.weight_bits - (self.sign_mode == "mixed"))) - 1
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        _, weights, membrane = super().describe()
+        return Description("CuBa-LIF, free widths", f"{weights}, free", f"{membrane}, free")
 
     def _check_widths(self) -> None:
         if not 1 <= self.decay_bits <= WIDEST_DECAY:

@@ -1,15 +1,12 @@
 """Quantisation: a layer in floats becomes the integers that a chip can hold.
 
-The scale of a layer: how many mantissas stand for a float unit.
+The scale of a layer is how many mantissas stand for a float unit. The largest weight or bias
+becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the threshold or the voltage
+bias would not fit then. A spike has no size, so scales never meet, neither those of layers nor
+those of neurons of a layer: threshold, bias and membrane follow the scale.
 
-The largest weight or bias becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the
-threshold or the voltage bias would not fit then. A spike has no size, so scales never meet, neither
-those of layers nor those of neurons of a layer: threshold, bias and membrane follow the scale.
-
-Few distinct thresholds for many neurons, since a core stores only so many of them.
-
-A neuron that has a scale of its own has a threshold of its own. Scales may shrink a little, so that
-neurons share thresholds; a spike has no size, so nothing else has to follow.
+A neuron that has a scale of its own has a threshold of its own, and a core stores only so many.
+Scales may shrink a little, so that neurons share thresholds; nothing else has to follow.
 """
 
 from collections.abc import Sequence
@@ -19,11 +16,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, rounded
-from spikedeploy.runtime.compiler.program import Layer, Synapses
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
 Floats = NDArray[np.float64]
 
@@ -32,16 +29,21 @@ Scale: TypeAlias = float | Floats
 
 
 def mantissas_per_unit(
-    layer: Layer, fixed: CubaFixedPoint, granularity: Granularity, reach: float = 1.0
+    layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float = 1.0
 ) -> Scale:
     """As many as the weights, the threshold and the bias allow.
 
-    reach: as in Tuning.
+    clip_ratio: as in Tuning.
     """
-    widest_bias = fixed.bias_mantissa_max << fixed.bias_exponent_max >> fixed.mantissa_shift
+    widest_bias = (
+        registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
+    )
     limits = (
-        (fixed.weight_max * max(reach, 1.0), [*(s.weight for s in layer.synapses), layer.bias]),
-        (fixed.threshold_max, [layer.threshold]),
+        (
+            registers.weight_max * max(clip_ratio, 1.0),
+            [*(s.weight for s in layer.synapses), layer.bias],
+        ),
+        (registers.threshold_max, [layer.threshold]),
         (widest_bias, [layer.voltage_bias]),
     )
     scale = np.full(layer.size, np.inf)
@@ -50,7 +52,7 @@ def mantissas_per_unit(
         found = found if granularity == "channel" else np.full(layer.size, found.max(initial=0.0))
         scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
-    scale = np.where(np.isfinite(scale), scale, 1.0) * min(reach, 1.0)
+    scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
     return scale if granularity == "channel" else float(scale.min(initial=np.inf))
 
 
@@ -73,8 +75,8 @@ def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
     whole = np.floor(scale * thresholds)
     used = np.unique(whole[whole > 0])
     # a threshold of 0 is one of them
-    room = max(most - int((whole <= 0).any()), 1)
-    starts = used if len(used) <= room else _starts(used, _least_ratio(used, room))
+    limit = max(most - int((whole <= 0).any()), 1)
+    starts = used if len(used) <= limit else _starts(used, _least_ratio(used, limit))
     if not len(starts):
         return scale
     level = starts[(np.searchsorted(starts, whole, "right") - 1).clip(min=0)]
@@ -103,53 +105,55 @@ Integers = NDArray[np.int64]
 
 
 def quantise(
-    layer: Layer, fixed: CubaFixedPoint, quantisation: Quantisation = PLAIN, share: Scale = 1.0
+    layer: Layer, registers: CubaRegisters, quantisation: Quantisation = PLAIN, share: Scale = 1.0
 ) -> Layer:
     """The float layer as the chip's integers.
 
-    share: () or (N,) part of the largest scale that is used; runtime.headroom finds it.
+    share: () or (N,) part of the largest scale that is used; headroom may ask for less than 1.
     """
-    _check_bias(layer, fixed)
+    _check_bias(layer, registers)
     tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
-    scale = mantissas_per_unit(tuned, fixed, quantisation.granularity, tuning.reach) * share
+    scale = (
+        mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio) * share
+    )
     if quantisation.thresholds is not None:
         scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
-    one = 1 << fixed.mantissa_shift
+    one = 1 << registers.mantissa_shift
     quantised = replace(
         layer,
-        synapses=tuple(_synapses(s, scale, fixed, rounding) for s in layer.synapses),
-        bias=_weights(layer.bias, scale, fixed, rounding),
-        voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, fixed, rounding),
-        threshold=_threshold(tuned, scale, fixed, rounding) * one,
-        current_decay=_keep(layer, "current", fixed, rounding),
-        membrane_decay=_keep(layer, "membrane", fixed, rounding),
+        synapses=tuple(_synapses(s, scale, registers, rounding) for s in layer.synapses),
+        bias=_weights(layer.bias, scale, registers, rounding),
+        voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
+        threshold=_threshold(tuned, scale, registers, rounding) * one,
+        current_decay=_decay_factor(layer, "current", registers, rounding),
+        membrane_decay=_decay_factor(layer, "membrane", registers, rounding),
         scale=layer.scale / (scale * one),
     )
-    _check_alive(layer, quantised, fixed)
+    _check_alive(layer, quantised, registers)
     return quantised
 
 
-def stored(weights: NDArray[Any], fixed: CubaFixedPoint, exponent: int = 0) -> NDArray[np.int16]:
-    """What the chip keeps of whole weights when it drops the bits below its weight step.
+def stored(weights: NDArray[Any], registers: CubaRegisters, exponent: int = 0) -> NDArray[np.int16]:
+    """What the chip stores of whole weights when it drops the bits below its weight step.
 
     exponent: each weight then counts 2**this times, rounded down.
     """
     whole = weights.astype(np.int64)
-    if fixed.sign_mode == "mixed" and fixed.step_rounding == "floor":
-        steps = whole // fixed.weight_step
+    if registers.sign_mode == "mixed" and registers.step_rounding == "floor":
+        steps = whole // registers.weight_step
     else:
-        steps = np.sign(whole) * (np.abs(whole) // fixed.weight_step)
-    kept = steps * fixed.weight_step
-    kept = kept << exponent if exponent > 0 else kept >> -exponent
-    if fixed.exponents == "weight":  # brian2_loihi clips what a weight adds to the accumulator
-        limit = fixed.accumulator.limit >> fixed.mantissa_shift
-        kept = np.clip(kept, -limit, limit)
-    return np.asarray(kept, np.int16)
+        steps = np.sign(whole) * (np.abs(whole) // registers.weight_step)
+    held = steps * registers.weight_step
+    held = held << exponent if exponent > 0 else held >> -exponent
+    if registers.exponents == "weight":  # brian2_loihi clips what a weight adds to the accumulator
+        limit = registers.accumulator.limit >> registers.mantissa_shift
+        held = np.clip(held, -limit, limit)
+    return np.asarray(held, np.int16)
 
 
-def _check_bias(layer: Layer, fixed: CubaFixedPoint) -> None:
-    if not fixed.bias_mantissa_max and layer.voltage_bias.any():
+def _check_bias(layer: Layer, registers: CubaRegisters) -> None:
+    if not registers.bias_mantissa_max and layer.voltage_bias.any():
         raise RuleError(
             f"rule bias: layer {layer.name!r}: a voltage bias of "
             f"{_magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
@@ -162,19 +166,23 @@ def _magnitude(values: Floats) -> float:
 
 
 def _synapses(
-    synapses: Synapses, scale: Scale, fixed: CubaFixedPoint, rounding: Rounding
+    synapses: Synapses, scale: Scale, registers: CubaRegisters, rounding: Rounding
 ) -> Synapses:
-    weight = _weights(synapses.weight, scale, fixed, rounding).astype(np.int16)
+    weight = _weights(synapses.weight, scale, registers, rounding).astype(np.int16)
     return replace(synapses, weight=weight)
 
 
-def _weights(weights: Floats, scale: Scale, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
-    """Multiples of the chip's weight step; what a reach above 1 sends further is clipped."""
-    steps = rounded(weights * scale / fixed.weight_step, rounding)
-    return np.clip(steps * fixed.weight_step, -fixed.weight_max, fixed.weight_max)
+def _weights(
+    weights: Floats, scale: Scale, registers: CubaRegisters, rounding: Rounding
+) -> Integers:
+    """Multiples of the chip's weight step; what a clip ratio above 1 sends further is clipped."""
+    steps = rounded(weights * scale / registers.weight_step, rounding)
+    return np.clip(steps * registers.weight_step, -registers.weight_max, registers.weight_max)
 
 
-def _threshold(layer: Layer, scale: Scale, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+def _threshold(
+    layer: Layer, scale: Scale, registers: CubaRegisters, rounding: Rounding
+) -> Integers:
     if layer.threshold.min(initial=0.0) < 0:
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
@@ -189,42 +197,42 @@ def _threshold(layer: Layer, scale: Scale, fixed: CubaFixedPoint, rounding: Roun
             f"{layer.threshold[lost].min():g} is {exact[lost].min():.2g} of the smallest that the "
             "chip can hold beside the largest weight. Clip the weights, or raise the threshold."
         )
-    return np.minimum(mantissa, fixed.threshold_max)
+    return np.minimum(mantissa, registers.threshold_max)
 
 
-def _voltage_bias(values: Floats, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) -> Integers:
     """Biases as mantissa * 2**exponent, with the smallest exponent that holds each value."""
-    over = np.maximum(np.abs(values) / max(fixed.bias_mantissa_max, 1), 1.0)
+    over = np.maximum(np.abs(values) / max(registers.bias_mantissa_max, 1), 1.0)
     exponent = np.ceil(np.log2(over)).astype(np.int64)
-    exponent = np.minimum(exponent, fixed.bias_exponent_max)
+    exponent = np.minimum(exponent, registers.bias_exponent_max)
     mantissa = rounded(values / 2.0**exponent, rounding)
-    limit = fixed.bias_mantissa_max
+    limit = registers.bias_mantissa_max
     return np.clip(mantissa, -limit, limit) << exponent
 
 
-def _keep(layer: Layer, of: str, fixed: CubaFixedPoint, rounding: Rounding) -> Integers:
+def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rounding) -> Integers:
     """What is left after a timestep, of 2**decay_bits, as near as the decay's register allows."""
-    keep = layer.current_decay if of == "current" else layer.membrane_decay
-    offset = fixed.current_decay_offset if of == "current" else fixed.membrane_decay_offset
-    least, most = offset, fixed.decay_max + offset
-    if (least > 0 and (keep == 1).any()) or (most < fixed.decay_one and (keep == 0).any()):
+    factor = layer.current_decay if of == "current" else layer.membrane_decay
+    offset = registers.current_decay_offset if of == "current" else registers.membrane_decay_offset
+    least, most = offset, registers.decay_max + offset
+    if (least > 0 and (factor == 1).any()) or (most < registers.decay_one and (factor == 0).any()):
         raise RuleError(
             f"rule decay-range: layer {layer.name!r}: a {of} that keeps "
             f"{'all' if least else 'nothing'} of itself is not possible; the chip takes away "
-            f"{least} to {most} of {fixed.decay_one} in each timestep. Choose another time "
+            f"{least} to {most} of {registers.decay_one} in each timestep. Choose another time "
             "constant."
         )
-    decays = rounded((1 - keep) * fixed.decay_one, rounding)
-    return fixed.decay_one - np.clip(decays, least, most)
+    decays = rounded((1 - factor) * registers.decay_one, rounding)
+    return registers.decay_one - np.clip(decays, least, most)
 
 
-def _check_alive(layer: Layer, quantised: Layer, fixed: CubaFixedPoint) -> None:
+def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> None:
     """A layer with weights must not lose all of them to the range of its threshold or bias."""
     before = max(_magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
         raise RuleError(
             f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
             f"{before:g}, is too small beside its threshold ({_magnitude(layer.threshold):g}, of "
-            f"at most {fixed.threshold_max} mantissas) or bias. Scale the weights up, or the "
+            f"at most {registers.threshold_max} mantissas) or bias. Scale the weights up, or the "
             "others down."
         )

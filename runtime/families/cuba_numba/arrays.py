@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState
 from spikedeploy.runtime.families.cuba.bounds import bounds, room
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts
 from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
 from spikedeploy.runtime.families.cuba_numpy.raster import Raster

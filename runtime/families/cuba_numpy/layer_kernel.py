@@ -12,11 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer, LayerState
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState
-from spikedeploy.runtime.emulator.interpreter import LayerState, update
 from spikedeploy.runtime.families.cuba.bounds import Bounds, bounds, harmless, room
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.neurons import update
 from spikedeploy.runtime.families.cuba_numpy.neuron_update import NeuronUpdate
 from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch, aligned
 from spikedeploy.runtime.families.cuba_numpy.sums import summing
@@ -31,12 +32,14 @@ class OverflowCheck:
     able to overflow; else the largest and the smallest state are looked for, which may report an
     overflow where there was none, and is fast.
 
+    fixed: the integers of the chip.
     timesteps: of a window that starts from zero; None where states are kept.
     """
 
     def __init__(
         self, layer: Layer, fixed: CubaFixedPoint, limits: Bounds, timesteps: int | None
     ) -> None:
+        self.fixed = fixed
         current, membrane = room(fixed.current), room(fixed.membrane)
         self._room = min(current, membrane)
         self._push = float(layer.voltage_bias.max(initial=0))
@@ -125,7 +128,7 @@ class LayerKernel:
         self._update()
         if self._check is not None and not self._check.passed(self.states, presynaptic):
             self.interpreted = True
-            self._interpret()
+            self._interpret(self._check.fixed)
         return Raster(self.spikes)
 
     def wait(self) -> Raster:
@@ -143,18 +146,18 @@ class LayerKernel:
         self.states[-1] = saved["states"]
         self._refractory = saved["refractory"].copy()
 
-    def _interpret(self) -> None:
+    def _interpret(self, fixed: CubaFixedPoint) -> None:
         """The window once more, by the specification."""
         before = self.states[0].astype(np.int64)
         state = LayerState(before[0], before[1], self._refractory)
         self.overflows.fill(0)
         for row, weights in enumerate(self._input.weights()):
-            result = update(self._program, self.layer, weights, state)
+            result = update(fixed, self._program.convention, self.layer, weights, state)
             self.states[row + 1] = state.current, state.membrane
             self.spikes[row] = result.spikes
             self.overflows += result.overflows.sum(axis=1)
         if self._kept:
-            self._refractory = state.silent
+            self._refractory = state.refractory
 
 
 class SynapticInput:

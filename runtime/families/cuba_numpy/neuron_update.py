@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.compiler.program import Layer
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.families.cuba.bounds import exact_ticks
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 

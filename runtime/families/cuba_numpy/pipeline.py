@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.compiler.program import Layer, Program
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
     Recording,
     SavedState,

@@ -1,131 +1,81 @@
 """The arithmetic of chips that add spikes straight to the membrane, without a synaptic current."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
 
-from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.errors import ChipError
+from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
+from spikedeploy.runtime.families.integrate_and_fire.quantise import check_axons, quantise
 
-Signs = Literal["weight", "axon"]
-Leak = Literal["none", "linear", "crossing", "shift"]
-LeakOrder = Literal["first", "last"]
-Moment = Literal["step", "event"]
-Fires = Literal["above", "reached"]
-Scaling = Literal["full", "binary"]
-StepRounding = Literal["nearest", "truncate"]
-CHOICES = {
-    "signs": get_args(Signs),
-    "leak": get_args(Leak),
-    "leak_order": get_args(LeakOrder),
-    "adds": get_args(Moment),
-    "checks": get_args(Moment),
-    "fires": get_args(Fires),
-    "scaling": get_args(Scaling),
-    "rounding": get_args(StepRounding),
+LEAKS = {
+    "none": "IF",
+    "linear": "IF, linear leak",
+    "crossing": "IF, linear leak",
+    "shift": "LIF, leak by a shift",
 }
 
 
 @dataclass(frozen=True)
-class IntegrateAndFire:
-    """The integers of integrate-and-fire neurons.
-
-    weight_bits: of a weight; with the sign, or of the magnitude where axons have the sign.
-    signs: what has a sign of its own: each "weight", or each "axon" for all its weights.
-    axon_types: an axon is of one of so many types, and a neuron has one weight for each; 0 where
-        every synapse has a weight of its own.
-    bias_bits: with the sign, of what a neuron adds in each timestep; 0 where a bias has to be the
-        weight of an axon that spikes in every timestep.
-    leak: what a membrane loses in each timestep: nothing ("none"), the same amount toward 0 at
-        which it stops ("linear") or which it may step over ("crossing"), or itself shifted right,
-        rounded down ("shift").
-    leak_bits: of that amount, or of that shift.
-    leak_order: whether a timestep begins with the leak ("first"), or spikes come before it.
-    membrane: the state.
-    floor: below which no membrane falls; None leaves it to its register.
-    floors: what a convention may want as floor instead, as in Convention.
-    adds: whether the membrane takes in all spikes of a "step" as one sum, or each "event" by
-        itself, saturating every time.
-    checks: when the threshold is looked at: at the end of the "step", or after each "event", of
-        which a leak that comes first is one.
-    fires: whether a neuron fires where its membrane is "above" the threshold, or at it too
-        ("reached").
-    threshold_bits: of a threshold, unsigned.
-    spikes_max: spikes of a neuron in a timestep.
-    scaling: what floats are multiplied with to become whole: as much as fits ("full"), or the
-        largest power of two that fits ("binary").
-    rounding: how the chip's own tools round, where nothing else is wanted.
-    """
-
-    # the interpreter alone
-    backends: ClassVar[Mapping[str, str]] = {}
-
-    weight_bits: int
-    signs: Signs
-    axon_types: int
-    bias_bits: int
-    leak: Leak
-    leak_bits: int
-    leak_order: LeakOrder
-    membrane: Register
-    floor: int | None
-    floors: tuple[str, ...]
-    adds: Moment
-    checks: Moment
-    fires: Fires
-    threshold_bits: int
-    spikes_max: int
-    scaling: Scaling
-    rounding: StepRounding
-
-    def __post_init__(self) -> None:
-        for option, allowed in CHOICES.items():
-            if (found := getattr(self, option)) not in allowed:
-                choices = " or ".join(map(repr, allowed))
-                raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
-        least = 2 if self.signs == "weight" else 1
-        if not least <= self.weight_bits <= 16:
-            raise ChipError(f"weight_bits is {self.weight_bits}; choose {least} to 16.")
-        if not 1 <= self.spikes_max <= 255:
-            raise ChipError(f"spikes_max is {self.spikes_max}; choose 1 to 255.")
-        if self.floor is not None and self.floor > 0:
-            raise ChipError(f"floor is {self.floor}; membranes start from 0. Choose 0 or less.")
-        if self.checks == "event" and self.adds == "step":
-            raise ChipError(
-                "checks is 'event' and adds 'step': where all spikes are one sum, there is no "
-                "event to look after. Choose adds 'event', or checks 'step'."
-            )
-
-    @property
-    def weight_range(self) -> tuple[int, int]:
-        """Least and largest weight."""
-        if self.signs == "axon":
-            most = (1 << self.weight_bits) - 1
-            return -most, most
-        return _signed(self.weight_bits)
-
-    @property
-    def bias_range(self) -> tuple[int, int]:
-        """Least and largest bias, in whichever way neurons get one."""
-        return _signed(self.bias_bits) if self.bias_bits else self.weight_range
-
-    @property
-    def threshold_max(self) -> int:
-        """Largest threshold that a membrane can reach, or be above."""
-        reach = self.membrane.limit - (self.fires == "above")
-        return min((1 << self.threshold_bits) - 1, reach)
-
-    @property
-    def leak_max(self) -> int:
-        """Largest amount or shift."""
-        return min((1 << self.leak_bits) - 1, self.membrane.limit)
+class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
+    """The integers of integrate-and-fire neurons; its fields are those of IntegrateAndFireRules."""
 
     @property
     def state_bits(self) -> tuple[int, ...]:
         """Width of each state of a neuron [bits]: its membrane."""
         return (self.membrane.bits,)
 
+    def check_convention(self, convention: Convention, chip_name: str) -> None:
+        """Refuse spikes and floors that the chip's neurons have not."""
+        if convention.spikes == "many" and self.spikes_max == 1:
+            raise RuleError(
+                f"rule convention: spikes 'many': a neuron on {chip_name} sends at most one in a "
+                "timestep. Run in float, or choose spikes 'above'."
+            )
+        if convention.floor not in self.floors:
+            raise RuleError(
+                f"rule convention: floor {convention.floor!r}: membranes on {chip_name} can have "
+                f"{', '.join(map(repr, self.floors))}. Choose one of them, or run in float."
+            )
 
-def _signed(bits: int) -> tuple[int, int]:
-    half = 1 << (bits - 1)
-    return -half, half - 1
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The float layers as integers that the chip's axons can carry."""
+        rounding = quantisation.rounding
+        layers = [quantise(layer, chip_name, self, rounding, limits) for layer in network.layers]
+        if limits:
+            check_axons(layers, chip_name, self)
+        return layers
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        return update(self, network.convention, layer, presynaptic, state)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        each = ", event by event" if self.adds == "event" else ""
+        signs = "and the axon's sign" if self.signs == "axon" else "with the sign"
+        types = f", {self.axon_types} a neuron" if self.axon_types else ""
+        return Description(
+            f"{LEAKS[self.leak]}{each}",
+            f"{self.weight_bits} bits {signs}{types}",
+            self._membrane(),
+        )
+
+    def _membrane(self) -> str:
+        described = self.membrane.describe()
+        if self.floor != 0:
+            return described
+        _, _, overflow = described.partition(", ")
+        return f"{self.membrane.bits - 1} bits unsigned, {overflow}"

@@ -1,9 +1,7 @@
 """Quantisation for chips without a synaptic current.
 
 All numbers of a layer are multiplied by one scale: as large as weights, biases and the threshold
-allow.
-
-What a network must keep to on chips without a synaptic current: rules of their arithmetic.
+allow. What a network has that these neurons do not is refused.
 """
 
 from collections.abc import Sequence
@@ -13,12 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Rounding, rounded
-from spikedeploy.runtime.compiler.program import Layer
-from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 
 LINEAR = (
     "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "
@@ -34,36 +30,22 @@ REMEDIES = {
 }
 
 
-def check_convention(convention: Convention, name: str, point: IntegrateAndFire) -> None:
-    """Refuse spikes and floors that the chip's neurons have not."""
-    if convention.spikes == "many" and point.spikes_max == 1:
-        raise RuleError(
-            f"rule convention: spikes 'many': a neuron on {name} sends at most one in a timestep. "
-            "Run in float, or choose spikes 'above'."
-        )
-    if convention.floor not in point.floors:
-        raise RuleError(
-            f"rule convention: floor {convention.floor!r}: membranes on {name} can have "
-            f"{', '.join(map(repr, point.floors))}. Choose one of them, or run in float."
-        )
-
-
-def check_neurons(layer: Layer, chip: Chip, point: IntegrateAndFire, limits: bool) -> None:
+def check_neurons(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool) -> None:
     """Refuse neurons with a current, or with another leak than the chip's, in floats.
 
     limits: False lets a leak pass that the chip has something near for.
     """
-    _check_current(layer, chip)
-    _check_leak(layer, chip, point, limits)
+    _check_current(layer, chip_name)
+    _check_leak(layer, chip_name, rules, limits)
 
 
-def check_axons(layers: Sequence[Layer], chip: Chip, point: IntegrateAndFire) -> None:
+def check_axons(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFireRules) -> None:
     """Refuse weights that the chip's axons cannot carry, however many bits they have."""
-    if point.signs == "axon":
-        _check_signs(layers, chip)
-    if point.axon_types:
+    if rules.signs == "axon":
+        _check_signs(layers, chip_name)
+    if rules.axon_types:
         for layer in layers:
-            _check_types(layer, chip, point.axon_types)
+            _check_types(layer, chip_name, rules.axon_types)
 
 
 def axon_types(weight: NDArray[Any]) -> int:
@@ -83,28 +65,28 @@ def axon_types(weight: NDArray[Any]) -> int:
     return len(types)
 
 
-def _check_current(layer: Layer, chip: Chip) -> None:
+def _check_current(layer: Layer, chip_name: str) -> None:
     if layer.current_decay.any():
         raise RuleError(
             f"rule primitive: layer {layer.name!r} has a synaptic current that keeps "
-            f"{layer.current_decay.max():.3g} of itself; {chip.name} adds spikes to the membrane. "
+            f"{layer.current_decay.max():.3g} of itself; {chip_name} adds spikes to the membrane. "
             "Train with LIF or IF neurons."
         )
 
 
-def _check_leak(layer: Layer, chip: Chip, point: IntegrateAndFire, limits: bool) -> None:
-    strange = (layer.membrane_decay == 1) == (point.leak == "shift")
-    if not strange.any() or (point.leak != "none" and not limits):
+def _check_leak(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool) -> None:
+    other = (layer.membrane_decay == 1) == (rules.leak == "shift")
+    if not other.any() or (rules.leak != "none" and not limits):
         return
-    found = f"{layer.membrane_decay[strange].min():.3g}"
-    remedy = REMEDIES[point.leak].format(chip=chip.name)
+    found = f"{layer.membrane_decay[other].min():.3g}"
+    remedy = REMEDIES[rules.leak].format(chip=chip_name)
     raise RuleError(
         f"rule decay-range: layer {layer.name!r} keeps {found} of its membrane; {remedy}"
     )
 
 
-def _check_signs(layers: Sequence[Layer], chip: Chip) -> None:
-    """A neuron excites or inhibits all that hear it, in whichever layer."""
+def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
+    """A neuron excites or inhibits all that it projects to, in whichever layer."""
     signs: dict[str, tuple[Any, Any]] = {}
     for layer in layers:
         for synapses in layer.synapses:
@@ -115,17 +97,17 @@ def _check_signs(layers: Sequence[Layer], chip: Chip) -> None:
                 raise RuleError(
                     f"rule sign: layer {layer.name!r}: {both.size} of {up.size} axons from "
                     f"{synapses.source!r} have weights of both signs, the first is axon {both[0]}; "
-                    f"on {chip.name} an axon has one. Train with signed axons, or compile with "
+                    f"on {chip_name} an axon has one. Train with signed axons, or compile with "
                     "limits off."
                 )
 
 
-def _check_types(layer: Layer, chip: Chip, most: int) -> None:
+def _check_types(layer: Layer, chip_name: str, most: int) -> None:
     found = axon_types(np.concatenate([s.weight for s in layer.synapses]))
     if found > most:
         raise RuleError(
             f"rule axon-types: layer {layer.name!r}: its weights need {found} types of axons, put "
-            f"into the first that fits; {chip.name} has {most}, and each neuron one weight for "
+            f"into the first that fits; {chip_name} has {most}, and each neuron one weight for "
             "each. Train with fewer different weights, or compile with limits off."
         )
 
@@ -137,20 +119,24 @@ Integers = NDArray[np.int64]
 NO_LEAK = -1
 
 
-def quantise_steps(
-    layer: Layer, chip: Chip, point: IntegrateAndFire, rounding: Rounding | None, limits: bool
+def quantise(
+    layer: Layer,
+    chip_name: str,
+    rules: IntegrateAndFireRules,
+    rounding: Rounding | None,
+    limits: bool,
 ) -> Layer:
     """The float layer as the chip's integers.
 
     rounding: None is the chip's own.
     limits: False emulates a leak that the chip has not by the nearest that it has.
     """
-    check_neurons(layer, chip, point, limits)
-    rounding = rounding or point.rounding
+    check_neurons(layer, chip_name, rules, limits)
+    rounding = rounding or rules.rounding
     bias = layer.bias + layer.voltage_bias
-    scale = _scale(layer, bias, point)
-    low, high = point.weight_range
-    whole_bias = np.clip(rounded(bias * scale, rounding), *point.bias_range)
+    scale = _scale(layer, bias, rules)
+    low, high = rules.weight_range
+    whole_bias = np.clip(rounded(bias * scale, rounding), *rules.bias_range)
     nothing = np.zeros_like(whole_bias)
     quantised = replace(
         layer,
@@ -158,31 +144,31 @@ def quantise_steps(
             replace(s, weight=_clipped(rounded(s.weight * scale, rounding), low, high))
             for s in layer.synapses
         ),
-        bias=nothing if point.bias_bits else whole_bias,
-        voltage_bias=whole_bias if point.bias_bits else nothing,
-        threshold=_threshold(layer, chip, scale, point, rounding, limits),
+        bias=nothing if rules.bias_bits else whole_bias,
+        voltage_bias=whole_bias if rules.bias_bits else nothing,
+        threshold=_threshold(layer, chip_name, scale, rules, rounding, limits),
         current_decay=nothing,
-        membrane_decay=_leak(layer, point, scale, rounding),
+        membrane_decay=_leak(layer, rules, scale, rounding),
         scale=layer.scale / scale,
     )
-    _check_alive(layer, quantised, chip)
+    _check_alive(layer, quantised, chip_name)
     return quantised
 
 
-def _scale(layer: Layer, bias: Floats, point: IntegrateAndFire) -> float:
+def _scale(layer: Layer, bias: Floats, rules: IntegrateAndFireRules) -> float:
     """What makes the largest weight, bias or threshold the largest that fits."""
     ranges = (
-        *((s.weight, point.weight_range) for s in layer.synapses),
-        (bias, point.bias_range),
-        (layer.threshold, (0, point.threshold_max)),
+        *((s.weight, rules.weight_range) for s in layer.synapses),
+        (bias, rules.bias_range),
+        (layer.threshold, (0, rules.threshold_max)),
     )
-    scale = min(_room(values, *between) for values, between in ranges)
+    scale = min(_largest_scale(values, *between) for values, between in ranges)
     if not np.isfinite(scale):
         return 1.0
-    return float(2.0 ** np.floor(np.log2(scale))) if point.scaling == "binary" else scale
+    return float(2.0 ** np.floor(np.log2(scale))) if rules.scaling == "binary" else scale
 
 
-def _room(values: Floats, low: int, high: int) -> float:
+def _largest_scale(values: Floats, low: int, high: int) -> float:
     top, bottom = float(values.max(initial=0.0)), float(values.min(initial=0.0))
     above = high / top if top > 0 else np.inf
     below = low / bottom if bottom < 0 and low < 0 else np.inf
@@ -196,47 +182,47 @@ def _clipped(weights: Integers, low: int, high: int) -> NDArray[np.int16]:
 
 def _threshold(
     layer: Layer,
-    chip: Chip,
+    chip_name: str,
     scale: float,
-    point: IntegrateAndFire,
+    rules: IntegrateAndFireRules,
     rounding: Rounding,
     limits: bool,
 ) -> Integers:
     if layer.threshold.min(initial=0.0) < 0:
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
-            f"below 0; {chip.name} is emulated with thresholds of 0 and above. Train with those."
+            f"below 0; {chip_name} is emulated with thresholds of 0 and above. Train with those."
         )
-    whole = np.minimum(rounded(layer.threshold * scale, rounding), point.threshold_max)
+    whole = np.minimum(rounded(layer.threshold * scale, rounding), rules.threshold_max)
     lost = (whole == 0) & (layer.threshold > 0)
     if lost.any() and limits:
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold "
             f"{layer.threshold[lost].min():g} becomes 0 beside the largest weight, which has "
-            f"{point.weight_bits} bits on {chip.name}. Clip the weights, raise the threshold, or "
+            f"{rules.weight_bits} bits on {chip_name}. Clip the weights, raise the threshold, or "
             "compile with limits off."
         )
     return np.where(lost, 1, whole)
 
 
-def _leak(layer: Layer, point: IntegrateAndFire, scale: float, rounding: Rounding) -> Integers:
+def _leak(layer: Layer, rules: IntegrateAndFireRules, scale: float, rounding: Rounding) -> Integers:
     """(N,) amounts, or shifts."""
     lost = 1 - layer.membrane_decay
-    if point.leak == "shift":
+    if rules.leak == "shift":
         with np.errstate(divide="ignore"):
             # shift = int(|log2(1 - beta)|)
             shift = np.where(lost > 0, np.abs(np.log2(lost)), 0.0)
-        return np.where(lost > 0, np.minimum(np.trunc(shift), point.leak_max), NO_LEAK).astype(int)
+        return np.where(lost > 0, np.minimum(np.trunc(shift), rules.leak_max), NO_LEAK).astype(int)
     # leak = (1 - beta) threshold / 2
     amount = rounded(lost * layer.threshold * scale / 2, rounding)
-    return np.minimum(amount, point.leak_max)
+    return np.minimum(amount, rules.leak_max)
 
 
-def _check_alive(layer: Layer, quantised: Layer, chip: Chip) -> None:
+def _check_alive(layer: Layer, quantised: Layer, chip_name: str) -> None:
     before = max(float(np.abs(s.weight).max(initial=0.0)) for s in layer.synapses)
     if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
         raise RuleError(
             f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
-            f"{before:g}, is too small on {chip.name} beside its threshold, "
+            f"{before:g}, is too small on {chip_name} beside its threshold, "
             f"{layer.threshold.max():g}, or its bias. Scale the weights up, or the others down."
         )

@@ -1,7 +1,11 @@
 """Xylo's neurons: events added one by one, states that saturate, decays by shifts.
 
-arithmetic       The arithmetic of chips that add up event by event, saturate at each, and deca
-datasheets       Xylo-Audio 2 (SynSense SYNS61201): core version 2, in the reading of xylosim
-layers           A network as Xylo has it, still in floats: populations, dashes, biases and tim
-quantise         Quantisation for Xylo: 8-bit weights, and thresholds and biases that follow th
+`neurons` is the specification, equal to SynSense's simulator xylosim.
+
+neurons          the registers, and one timestep
+arithmetic       the arithmetic of Xylo
+layers           a network as Xylo has it, still in floats: populations, dashes, biases and time
+quantise         8-bit weights, and thresholds and biases that follow their scale
+datasheets       Xylo-Audio 2 and 3, and Xylo-IMU
+xylosim_traces   recorded runs of Xylo, as xylosim's layers are built and recorded
 """

@@ -1,15 +1,12 @@
-"""Xylo-Audio 2 (SynSense SYNS61201): core version 2, in the reading of xylosim.
+"""The datasheets of three Xylos, in the reading of xylosim.
 
-Equal to xylosim's traces, which SynSense calls exact; never "equal to the chip".
+Xylo-Audio 2 (SynSense SYNS61201), core version 2: equal to xylosim's traces, which SynSense calls
+exact; never "equal to the chip".
+Xylo-Audio 3 (SynSense SYNS65302): fewer hidden neurons; numbers of neurons and connections are what
+differs in rockpool's table.
+Xylo-IMU (SynSense SYNS63300): one current for each neuron.
 
-Xylo-Audio 3 (SynSense SYNS65302): computes as Xylo-Audio 2, with fewer hidden neurons.
-
-The numbers of neurons and connections are what differs in rockpool's table; the arithmetic of
-Xylo-Audio 2 is taken for it, and no trace of this chip was to be had.
-
-Xylo-IMU (SynSense SYNS63300): computes as Xylo-Audio 2, with one current for each neuron.
-
-The arithmetic of Xylo-Audio 2 is taken for it, and no trace of this chip was to be had.
+The arithmetic of Xylo-Audio 2 is taken for the other two; there was no trace of either.
 """
 
 from dataclasses import replace

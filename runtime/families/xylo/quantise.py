@@ -16,47 +16,38 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer, Network, Synapses
+from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, rounded
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
-from spikedeploy.runtime.compiler.quantisation import PLAIN, Granularity, Quantisation
-from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 
 Floats: TypeAlias = NDArray[np.float64]
 
 
-def quantise_xylo(
-    program: Program,
-    point: XyloArithmetic,
-    quantisation: Quantisation = PLAIN,
-) -> Program:
-    """The float layers of the program as Xylo's integers.
+def quantise(
+    network: Network, registers: XyloRegisters, quantisation: Quantisation = PLAIN
+) -> list[Layer]:
+    """The float layers of the network as Xylo's integers.
 
     quantisation: "layer" is one scale for all hidden neurons and one for all outputs, "channel" one
         for each neuron, which a spike without size allows; rounding is to the nearest by itself.
     """
-    quantisation.only(program.chip.name, "granularity", "rounding")
-    weight_shift = quantisation.weight_shift
-    if not 0 <= weight_shift <= point.shift_max:
-        raise ConfigError(f"weight_shift is {weight_shift}; choose 0 to {point.shift_max} bits.")
-    scales = _scales(program, point, quantisation.granularity, 1 << weight_shift)
+    one = 1 << quantisation.weight_shift
+    scales = _scales(network, registers, quantisation.granularity, one)
     rounding = quantisation.rounding or "nearest"
-    layers = (
-        _layer(layer, scales[layer.name], point, rounding, 1 << weight_shift)
-        for layer in program.layers
-    )
-    return replace(program, layers=tuple(layers))
+    return [_layer(layer, scales[layer.name], registers, rounding, one) for layer in network.layers]
 
 
 def _scales(
-    program: Program, point: XyloArithmetic, granularity: Granularity, one: int
+    network: Network, registers: XyloRegisters, granularity: Granularity, one: int
 ) -> dict[str, Floats]:
     """Weights per float unit (N,) of each layer; a weight of 1 is worth so many state units."""
     biases_too = granularity == "layer"
-    each = {layer.name: _fitting(layer, point, one, biases_too) for layer in program.layers}
+    each = {layer.name: _fitting(layer, registers, one, biases_too) for layer in network.layers}
     if granularity == "channel":
         return each
-    outputs = {program.output} if program.output_apart else set()
+    outputs = {network.output} if network.output_apart else set()
     common: dict[str, Floats] = {}
     for population in (each.keys() - outputs, outputs):
         least = min((each[name].min() for name in population), default=1.0)
@@ -64,7 +55,7 @@ def _scales(
     return common
 
 
-def _fitting(layer: Layer, point: XyloArithmetic, one: int, biases_too: bool) -> Floats:
+def _fitting(layer: Layer, registers: XyloRegisters, one: int, biases_too: bool) -> Floats:
     """(N,) largest scale at which the weights, the bias and the threshold of each neuron fit.
 
     biases_too: whether biases, which have 16 bits, are to be no larger than weights all the same.
@@ -73,9 +64,9 @@ def _fitting(layer: Layer, point: XyloArithmetic, one: int, biases_too: bool) ->
     bias = np.abs(layer.voltage_bias)
     weight = np.concatenate([np.abs(s.weight) for s in layer.synapses]).max(axis=0, initial=0.0)
     largest = np.maximum(weight, bias) if biases_too else weight
-    wide = point.state.limit / one
+    wide = registers.state.limit / one
     with np.errstate(divide="ignore"):
-        scales = point.weight_max / largest, wide / layer.threshold, wide / bias
+        scales = registers.weight_max / largest, wide / layer.threshold, wide / bias
     return np.asarray(np.min(scales, axis=0))
 
 
@@ -88,9 +79,9 @@ def _check_thresholds(layer: Layer) -> None:
 
 
 def _layer(
-    layer: Layer, scale: Floats, point: XyloArithmetic, rounding: Rounding, one: int
+    layer: Layer, scale: Floats, registers: XyloRegisters, rounding: Rounding, one: int
 ) -> Layer:
-    synapses = tuple(_synapses(s, scale, point, rounding, one) for s in layer.synapses)
+    synapses = tuple(_synapses(s, scale, registers, rounding, one) for s in layer.synapses)
     states = scale * one
     threshold = rounded(layer.threshold * states, rounding)
     if (lost := threshold < 1).any():
@@ -112,9 +103,9 @@ def _layer(
 
 
 def _synapses(
-    synapses: Synapses, scale: Floats, point: XyloArithmetic, rounding: Rounding, one: int
+    synapses: Synapses, scale: Floats, registers: XyloRegisters, rounding: Rounding, one: int
 ) -> Synapses:
-    most = point.weight_max
+    most = registers.weight_max
     weight = rounded(synapses.weight * scale, rounding).clip(-most, most)
     return replace(synapses, weight=(weight * one).astype(np.int32))
 

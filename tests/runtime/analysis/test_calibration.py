@@ -6,8 +6,8 @@ import pytest
 from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import UNTUNED, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import UNTUNED, Quantisation
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from tests.networks import popsan

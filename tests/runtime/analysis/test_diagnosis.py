@@ -10,8 +10,8 @@ from spikedeploy.runtime.analysis.diagnosis import diagnose
 from spikedeploy.runtime.analysis.drift import activity, drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import Quantisation
 from spikedeploy.runtime.convention import Convention
 from tests.networks import chain, cuba
 from tests.runtime.families.test_headroom import crowd

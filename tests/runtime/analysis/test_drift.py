@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.analysis.activity import Activity, chip_activity
 from spikedeploy.runtime.analysis.diagnosis import first
-from spikedeploy.runtime.analysis.drift import RUNGS, activity, drift
+from spikedeploy.runtime.analysis.drift import activity, drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ObservationError
 from tests.networks import chain, cuba, popsan, spiking_mlp
@@ -84,7 +84,7 @@ def test_rungs_add_one_rounding_after_another_and_end_on_the_chip():
     artifact = popsan()
     raster = raster_of(artifact)
     found = drift(artifact, chip("loihi1", weight_bits=3), raster)
-    assert tuple(rung.name for rung in found.rungs) == RUNGS
+    assert tuple(rung.name for rung in found.rungs) == ("weights", "thresholds", "decays", "states")
     last = found.rungs[-1]
     assert last.output == found.output
     assert last.distance == {layer.name: layer.distance for layer in found.layers}

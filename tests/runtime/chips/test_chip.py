@@ -15,12 +15,13 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.metrics.energy import TABLES
 from tests.networks import chain, cuba, lif, popsan
 
 NAMES = sorted(CHIPS)
 # the others have no synaptic current, which a PopSAN needs
-POLICIES = [name for name in NAMES if chip(name).steps is None]
+POLICIES = [name for name in NAMES if not isinstance(chip(name).arithmetic, IntegrateAndFire)]
 
 
 def policy(name):
@@ -42,8 +43,7 @@ def test_every_number_of_a_datasheet_has_a_source(name):
     datasheet = chip(name)
     described = {"name", "summary", "energy_tables", "sources", "evidence", "limits"}
     needed = {field.name for field in dataclasses.fields(datasheet)} - described
-    if datasheet.arithmetic:
-        inside = {field.name for field in dataclasses.fields(datasheet.arithmetic)}
+    if inside := {field.name for field in dataclasses.fields(datasheet.arithmetic)}:
         needed = needed - {"arithmetic"} | inside
     assert needed == set(datasheet.sources)
     assert all(datasheet.sources.values())
@@ -123,8 +123,8 @@ def test_the_ideal_chip_has_no_options_of_an_arithmetic():
 
 
 def test_an_option_replaces_a_field_and_leaves_the_table_alone():
-    assert chip("loihi1", weight_bits=4, delay=0).fixed.weight_bits == 4
-    assert chip("loihi1").fixed.weight_bits == 8
+    assert chip("loihi1", weight_bits=4, delay=0).arithmetic.weight_bits == 4
+    assert chip("loihi1").arithmetic.weight_bits == 8
 
 
 @pytest.mark.parametrize(
@@ -152,5 +152,5 @@ def test_a_single_bit_cannot_hold_a_sign_and_a_weight():
     [("split", 8, 1, 255), ("mixed", 8, 2, 254), ("split", 4, 16, 240), ("mixed", 4, 32, 224)],
 )
 def test_fewer_bits_and_a_sign_widen_the_step_between_weights(mode, bits, step, largest):
-    fixed = chip("loihi1", sign_mode=mode, weight_bits=bits).fixed
+    fixed = chip("loihi1", sign_mode=mode, weight_bits=bits).arithmetic
     assert (fixed.weight_step, fixed.weight_max) == (step, largest)

@@ -26,14 +26,14 @@ def test_text_and_python_give_the_same_chip():
 
 
 def test_what_python_gives_goes_before_the_text():
-    assert chip("loihi1:weight_bits=4,sign_mode=mixed", weight_bits=5).fixed.weight_bits == 5
-    assert chip("loihi1:weight_bits=4,sign_mode=mixed").fixed.sign_mode == "mixed"
+    assert chip("loihi1:weight_bits=4,sign_mode=mixed", weight_bits=5).arithmetic.weight_bits == 5
+    assert chip("loihi1:weight_bits=4,sign_mode=mixed").arithmetic.sign_mode == "mixed"
 
 
 def test_a_register_is_its_bits_and_overflows_as_before():
-    assert chip("loihi1", membrane=20).fixed.membrane == Register(20, "clip")
-    assert chip("loihi1:current=20").fixed.current == Register(20, "wrap-once")
-    assert chip("loihi1:current=20-wrap-once").fixed.current == Register(20, "wrap-once")
+    assert chip("loihi1", membrane=20).arithmetic.membrane == Register(20, "clip")
+    assert chip("loihi1:current=20").arithmetic.current == Register(20, "wrap-once")
+    assert chip("loihi1:current=20-wrap-once").arithmetic.current == Register(20, "wrap-once")
 
 
 @pytest.mark.parametrize(
@@ -55,9 +55,9 @@ def test_a_comma_parts_options_and_chips(text, names):
 def test_lists_and_nothing_have_a_spelling():
     assert chip("truenorth:resets=zero").resets == ("zero",)
     assert chip("spinnaker2:resets=zero/subtract").resets == ("zero", "subtract")
-    assert chip("truenorth:floor=-100").steps.floor == -100
-    assert chip("odin:floor=none").steps.floor is None
-    assert chip("xylo-a2:events_max=3").events.events_max == 3
+    assert chip("truenorth:floor=-100").arithmetic.floor == -100
+    assert chip("odin:floor=none").arithmetic.floor is None
+    assert chip("xylo-a2:events_max=3").arithmetic.events_max == 3
     assert chip("ideal:delay=1").delay == 1
 
 

@@ -23,7 +23,7 @@ from spikedeploy.runtime.design_rules.core_memory import (
     load,
 )
 from spikedeploy.runtime.design_rules.mapping import mapping, of_mapping, of_placement
-from spikedeploy.runtime.design_rules.placed import design
+from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.design_rules.table import judged
 from spikedeploy.runtime.design_rules.topology import topology
 from spikedeploy.runtime.graph.validate import check_graph

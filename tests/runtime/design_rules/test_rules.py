@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.compiler.check import check
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.design_rules.placed import design
+from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.design_rules.table import COMPILER_RULES, NODE_RULES, RULES, judged
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from tests.networks import chain, cuba, graph, lif, popsan
@@ -390,9 +390,11 @@ def test_every_rule_is_documented():
 
 
 COMPILER = [
+    "chips.arithmetic", "chips.layer",
     "compiler.compile", "compiler.linear", "compiler.program", "compiler.wiring",
-    "families.cuba.bounds", "families.cuba.float32", "families.cuba.quantise",
-    "families.integrate_and_fire.quantise", "families.xylo.layers", "families.xylo.quantise",
+    "families.cuba.bounds", "families.cuba.floating_point", "families.cuba.quantise",
+    "families.integrate_and_fire.arithmetic", "families.integrate_and_fire.quantise",
+    "families.xylo.layers", "families.xylo.quantise",
 ]  # fmt: skip
 
 

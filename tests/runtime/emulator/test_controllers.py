@@ -8,9 +8,9 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import Quantisation
 from spikedeploy.runtime.emulator.controllers import Sampler, SpikingController
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.network import MachinePool

@@ -3,7 +3,8 @@
 import numpy as np
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
@@ -16,7 +17,7 @@ def one_neuron(weights, **options):
     """Axons with these weights onto one neuron that keeps 3/4 of its current and 1/2 membrane."""
     weight = np.array(weights, np.int16)[:, None]
     neuron = layer(
-        CHIP.fixed,
+        CHIP.arithmetic,
         "neuron",
         weight.T,
         (Synapses("input", weight, delay=1),),

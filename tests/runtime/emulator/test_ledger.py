@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.emulator.machine import Machine
@@ -23,7 +24,7 @@ def program(weights, start=1, datasheet=CHIP, **options):
     """Axons onto neurons that forget their current and keep their membrane."""
     weight = np.array(weights, np.int16)
     neurons = layer(
-        datasheet.fixed,
+        datasheet.arithmetic,
         "neurons",
         weight.T,
         (Synapses("input", weight, delay=1),),

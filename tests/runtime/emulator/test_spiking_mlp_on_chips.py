@@ -13,10 +13,12 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import Interpreter, trace
 from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.floating_point import CubaFloat64
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from tests.networks import chain, lif, spiking_mlp
 
-FAST = [name for name in CHIPS if chip(name).arithmetic is None or chip(name).fixed]
+FAST = [n for n in CHIPS if isinstance(chip(n).arithmetic, CubaFixedPoint | CubaFloat64)]
 
 LOIHI1 = chip("loihi1")
 

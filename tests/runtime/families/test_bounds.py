@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.cuba.bounds import bounds, exact_ticks, harmless, single
@@ -21,7 +22,9 @@ WIDE = chip("loihi1", current=Register(60, "none"), membrane=Register(60, "none"
 def one_neuron(weights, decays, threshold=131071 << 6):
     weight = np.array(weights, np.int16)[:, None]
     axons = (Synapses("input", weight, delay=1),)
-    neuron = layer(WIDE.fixed, "n", weight.T, axons, decays=decays, threshold=threshold, start=1)
+    neuron = layer(
+        WIDE.arithmetic, "n", weight.T, axons, decays=decays, threshold=threshold, start=1
+    )
     return Program(WIDE, Convention(1e-3), "input", len(weight), (neuron,), "n", None)
 
 
@@ -29,7 +32,7 @@ def one_neuron(weights, decays, threshold=131071 << 6):
 @given(random_programs(), st.integers(0, 2**32 - 1), st.sampled_from([0.2, 1.0]))
 def test_no_spikes_exceed_the_bounds(program, seed, rate):
     raster = rasters(program, 2, 6, rate, seed)[0]
-    fixed = program.chip.fixed
+    fixed = program.chip.arithmetic
     traces = Interpreter(program, 2).run(raster)
     for a in program.layers:
         limits, ran = bounds(program, a, fixed, 6), traces[a.name]
@@ -52,7 +55,7 @@ def test_inhibition_in_every_timestep_reaches_the_bounds(timesteps):
     raster = np.zeros((1, timesteps, 3), np.uint8)
     raster[:, :, :2] = 1
     ran = Interpreter(program, 1).run(raster)["n"]
-    limits = bounds(program, program.layers[0], WIDE.fixed, timesteps)
+    limits = bounds(program, program.layers[0], WIDE.arithmetic, timesteps)
     assert limits.partial == 255
     # rounding toward zero keeps the states a little nearer to zero
     assert -ran.current.min() == pytest.approx(limits.current, rel=1e-3)
@@ -61,14 +64,14 @@ def test_inhibition_in_every_timestep_reaches_the_bounds(timesteps):
 
 def test_a_membrane_cannot_be_far_above_its_threshold():
     program = one_neuron([200, -55], decays=(4095, 0), threshold=1000 << 6)
-    limits = bounds(program, program.layers[0], WIDE.fixed, None)
+    limits = bounds(program, program.layers[0], WIDE.arithmetic, None)
     assert limits.above == (1000 + 200) * 64
     assert limits.below == np.inf
 
 
 def test_an_endless_leak_has_a_limit():
     program = one_neuron([200, -55], decays=(2047, 1024))
-    limits = bounds(program, program.layers[0], WIDE.fixed, None)
+    limits = bounds(program, program.layers[0], WIDE.arithmetic, None)
     assert limits.current == 2 * 200 * 64
     assert limits.below == 4 * 2 * 55 * 64
 
@@ -80,24 +83,24 @@ def the_layer(**fields):
 def test_so_many_spikes_are_harmless_as_the_peak_of_one_allows():
     # a current of 1 halves, a membrane keeps 3/4: 1, 1.25, 1.1875, … is the membrane's answer
     a = the_layer()
-    assert harmless(a, WIDE.fixed, 5, 10 * 200 * 64) == 8
+    assert harmless(a, WIDE.arithmetic, 5, 10 * 200 * 64) == 8
     # an always-on axon of 3 and a voltage bias of 64 arrive in each of the 5 timesteps
     biased = the_layer(bias=np.array([-3]), voltage_bias=np.array([64]))
-    assert harmless(biased, WIDE.fixed, 5, 10 * 200 * 64) == int((8 * 12800 - 5 * 256) / 12800)
-    assert harmless(biased, WIDE.fixed, 5, 100) == -1
+    assert harmless(biased, WIDE.arithmetic, 5, 10 * 200 * 64) == int((8 * 12800 - 5 * 256) / 12800)
+    assert harmless(biased, WIDE.arithmetic, 5, 100) == -1
 
 
 @settings(max_examples=60, deadline=None)
 @given(random_programs(), st.integers(1, 9), st.integers(0, 2**32 - 1), st.integers(8, 24))
 def test_harmless_spikes_leave_every_state_within_the_limit(program, timesteps, seed, bits):
-    wide = replace(program.chip, arithmetic=WIDE.fixed)
+    wide = replace(program.chip, arithmetic=WIDE.arithmetic)
     program = replace(program, chip=wide, convention=replace(program.convention, state="reset"))
     raster = rasters(program, 1, timesteps, 0.1, seed)[0]
     traces = Interpreter(program, 1).run(raster)
     spikes = {program.input: raster, **{name: ran.spikes for name, ran in traces.items()}}
     for a in program.layers:
         presynaptic = sum(int(spikes[s.source].sum()) for s in a.synapses)
-        if presynaptic <= harmless(a, WIDE.fixed, timesteps, 1 << bits):
+        if presynaptic <= harmless(a, WIDE.arithmetic, timesteps, 1 << bits):
             assert np.abs(traces[a.name].current).max() <= 1 << bits
             assert np.abs(traces[a.name].membrane).max() <= 1 << bits
 
@@ -113,7 +116,7 @@ def test_harmless_spikes_leave_every_state_within_the_limit(program, timesteps, 
 )
 def test_float32_decays_states_while_it_holds_the_product_with_the_odd_part(current, membrane, odd):
     a = the_layer(current_decay=np.array([current]), membrane_decay=np.array([membrane]))
-    most = single(a, WIDE.fixed)
+    most = single(a, WIDE.arithmetic)
     assert most == (1 << 24) // odd
     for keep in (current, membrane):
         for x in range(most - 50, most + 1):
@@ -123,7 +126,7 @@ def test_float32_decays_states_while_it_holds_the_product_with_the_odd_part(curr
 
 
 def test_float32_is_not_for_thresholds_that_it_cannot_hold():
-    assert single(the_layer(threshold=np.array([1 << 24])), WIDE.fixed) == 0
+    assert single(the_layer(threshold=np.array([1 << 24])), WIDE.arithmetic) == 0
 
 
 @pytest.mark.parametrize(
@@ -138,4 +141,4 @@ def test_float32_is_not_for_thresholds_that_it_cannot_hold():
     ],
 )
 def test_decays_of_few_bits_round_nothing_for_some_timesteps(fields, ticks):
-    assert exact_ticks(the_layer(**fields), WIDE.fixed) == ticks
+    assert exact_ticks(the_layer(**fields), WIDE.arithmetic) == ticks

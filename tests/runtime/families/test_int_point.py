@@ -71,7 +71,7 @@ def test_every_one_of_them_is_fast_and_equal_to_the_interpreter(used, reset, see
     counts = count(
         program,
         {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-        {name: t.busy for name, t in traces.items()},
+        {name: t.active for name, t in traces.items()},
         {name: t.overflows for name, t in traces.items()},
     )
     np.testing.assert_array_equal(machine.ledger.counts, counts)
@@ -81,7 +81,7 @@ def test_every_one_of_them_is_fast_and_equal_to_the_interpreter(used, reset, see
     ("mode", "bits", "largest"), [("mixed", 2, 1), ("mixed", 16, 32767), ("split", 1, 1)]
 )
 def test_a_weight_uses_all_its_bits(mode, bits, largest):
-    fixed = chip("int", sign_mode=mode, weight_bits=bits).fixed
+    fixed = chip("int", sign_mode=mode, weight_bits=bits).arithmetic
     assert (fixed.weight_step, fixed.weight_max) == (1, largest)
     program = compile_program(network(), chip("int", sign_mode=mode, weight_bits=bits))
     assert np.abs(program.layers[0].synapses[0].weight).max() == largest
@@ -124,7 +124,7 @@ def test_with_wide_numbers_it_comes_to_the_spikes_of_the_float_graph():
 def test_a_narrow_membrane_leaves_room_above_the_threshold():
     used = chip("int", membrane=Register(8, "clip"), mantissa_shift=0)
     # 127 is the largest membrane; 126 the largest threshold that it can be above
-    assert used.fixed.threshold_max == 126
+    assert used.arithmetic.threshold_max == 126
     neurons = lif(1, tau=1.0, r=1000.0, threshold=1.0)
     artifact = Artifact(
         chain(nir.Linear(np.ones((1, 1))), neurons, width=1, act=1), None, Convention(1e-3)

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.interpreter import Interpreter

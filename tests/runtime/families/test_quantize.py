@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Layer, Synapses
-from spikedeploy.runtime.compiler.quantisation import Quantisation, Tuning
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.cuba.quantise import quantise, stored
 
-FIXED = chip("loihi1").fixed
+FIXED = chip("loihi1").arithmetic
 TRUNCATE = Quantisation(rounding="truncate")
 CHANNEL = Quantisation(granularity="channel")
 
@@ -90,7 +90,7 @@ def test_a_current_without_memory_and_a_membrane_without_leak_are_exact():
     st.sampled_from(["split", "mixed"]),
 )
 def test_a_weight_is_off_by_half_a_step_at_most(seed, bits, mode):
-    fixed = chip("loihi1", weight_bits=bits, sign_mode=mode).fixed
+    fixed = chip("loihi1", weight_bits=bits, sign_mode=mode).arithmetic
     weight = np.random.default_rng(seed).normal(size=(6, 5))
     layer = quantise(floats(weight, threshold=3.0), fixed)
     whole = layer.synapses[0].weight
@@ -102,7 +102,7 @@ def test_a_weight_is_off_by_half_a_step_at_most(seed, bits, mode):
 
 @pytest.mark.parametrize("rounding", ["nearest", "truncate"])
 def test_what_is_quantised_is_stored_unchanged(rounding):
-    fixed = chip("loihi1", weight_bits=3, sign_mode="mixed").fixed
+    fixed = chip("loihi1", weight_bits=3, sign_mode="mixed").arithmetic
     weight = np.random.default_rng(1).normal(size=(9, 9))
     whole = (
         quantise(floats(weight, threshold=3.0), fixed, Quantisation(rounding=rounding))
@@ -114,7 +114,7 @@ def test_what_is_quantised_is_stored_unchanged(rounding):
 
 @pytest.mark.parametrize(("rule", "kept"), [("floor", -256), ("zero", -254)])
 def test_emulators_differ_in_odd_negative_mixed_weights(rule, kept):
-    fixed = chip("loihi1", sign_mode="mixed", step_rounding=rule).fixed
+    fixed = chip("loihi1", sign_mode="mixed", step_rounding=rule).arithmetic
     assert stored(np.array([[-255, 255, -254]]), fixed).tolist() == [[kept, 254, -254]]
 
 
@@ -163,7 +163,7 @@ def test_what_the_chip_cannot_hold_is_refused_by_rule_layer_and_limit(layer, rul
 
 
 def test_effective_decays_without_an_offset_may_be_nothing_or_all():
-    fixed = chip("loihi1", current_decay_offset=0, membrane_decay_offset=1).fixed
+    fixed = chip("loihi1", current_decay_offset=0, membrane_decay_offset=1).arithmetic
     layer = quantise(floats([[1.0]], alpha=1.0, beta=0.0), fixed)
     assert (layer.current_decay[0], layer.membrane_decay[0]) == (4096, 0)
 
@@ -209,7 +209,7 @@ def test_with_a_scale_for_each_neuron_one_without_weights_keeps_its_threshold():
     st.sampled_from(["nearest", "truncate"]),
 )
 def test_the_error_bound_of_a_neuron_with_its_own_scale_is_no_larger(seed, bits, mode, rounding):
-    fixed = chip("loihi1", weight_bits=bits, sign_mode=mode).fixed
+    fixed = chip("loihi1", weight_bits=bits, sign_mode=mode).arithmetic
     weight = np.random.default_rng(seed).normal(size=(6, 5))
     worst = 1.0 if rounding == "truncate" else 0.5
     bounds = {}
@@ -224,16 +224,16 @@ def test_the_error_bound_of_a_neuron_with_its_own_scale_is_no_larger(seed, bits,
     assert bounds["channel"].max() == pytest.approx(bounds["layer"].max())
 
 
-def test_a_reach_above_one_clips_the_largest_weights_and_nothing_else():
-    tuned = Quantisation(tuned={"lif1": Tuning(reach=2.0)})
+def test_a_clip_ratio_above_one_clips_the_largest_weights_and_nothing_else():
+    tuned = Quantisation(tuned={"lif1": Tuning(clip_ratio=2.0)})
     layer = quantise(floats([[0.3, -0.6, 0.1]]), FIXED, tuned)
     # 2 * 255 / 0.6 = 850 mantissas per unit
     assert layer.synapses[0].weight.tolist() == [[255, -255, 85]]
     assert layer.threshold.tolist() == [425 * 64] * 3
 
 
-def test_a_reach_above_one_leaves_a_threshold_that_fills_its_register():
-    tuned = Quantisation(tuned={"lif1": Tuning(reach=2.0)})
+def test_a_clip_ratio_above_one_leaves_a_threshold_that_fills_its_register():
+    tuned = Quantisation(tuned={"lif1": Tuning(clip_ratio=2.0)})
     layer = quantise(floats([[0.6, 0.2]], threshold=1000.0), FIXED, tuned)
     assert layer.threshold.tolist() == [131071 * 64] * 2
     assert layer.synapses[0].weight.tolist() == [[79, 26]]
@@ -256,5 +256,5 @@ def test_an_unknown_choice_is_refused_by_name(wrong):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
 def test_a_tuning_that_is_no_factor_is_refused(value):
-    with pytest.raises(ConfigError, match="reach"):
-        Tuning(reach=value)
+    with pytest.raises(ConfigError, match="clip_ratio"):
+        Tuning(clip_ratio=value)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.compile import compile_program, for_xylo
-from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.compiler.compile import compile_program, float_program
 from spikedeploy.runtime.compiler.wiring import wiring
 from tests.xylo_networks import network
 
@@ -80,9 +80,7 @@ def test_the_integers_are_rockpools(rockpool, granularity, biased, seed):
 def floats(artifact):
     """The network as Xylo has it, before rounding."""
     chosen = chip("xylo-a2")
-    return for_xylo(
-        artifact, chosen, chosen.events, wiring(artifact.graph, artifact.convention), None
-    )
+    return float_program(artifact, chosen, wiring(artifact.graph, artifact.convention))
 
 
 def quantised(rockpool, found, granularity):

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Layer, Synapses
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.quantise import (
     axon_types,
     check_axons,
-    quantise_steps,
+    quantise,
 )
 
 
@@ -34,7 +34,7 @@ def floats(weight, bias=0.0, threshold=1.0, voltage_bias=0.0, alpha=0.0, beta=1.
 
 def quantised(layer, name, rounding=None, limits=True, **options):
     used = chip(name, **options)
-    return quantise_steps(layer, used, used.steps, rounding, limits)
+    return quantise(layer, name, used.arithmetic, rounding, limits)
 
 
 def whole(layer):
@@ -106,7 +106,7 @@ def test_what_is_wanted_goes_before_the_chips_own_rounding():
 )
 def test_a_weight_is_off_by_less_than_one_and_by_half_where_the_nearest_is_taken(name, seed, size):
     weight = size * np.random.default_rng(seed).normal(size=(6, 5))
-    point = chip(name).steps
+    point = chip(name).arithmetic
     layer = quantised(floats(weight, threshold=size), name, limits=False)
     low, high = point.weight_range
     found = layer.synapses[0].weight
@@ -151,16 +151,16 @@ def test_without_limits_a_linear_leak_takes_what_is_lost_half_way_to_the_thresho
 def test_an_axon_of_odin_has_one_sign_wherever_it_goes():
     odin = chip("odin")
     signed = quantised(floats([[1.0, 0.5], [-1.0, 0.0]]), "odin")
-    check_axons([signed], odin, odin.steps)
+    check_axons([signed], odin.name, odin.arithmetic)
     mixed = quantised(floats([[1.0, -0.5], [-1.0, 0.0]]), "odin")
     with pytest.raises(
         RuleError, match=r"^rule sign: layer 'if1': 1 of 2 axons from 'input'.*axon 0"
     ):
-        check_axons([mixed], odin, odin.steps)
+        check_axons([mixed], odin.name, odin.arithmetic)
     # the same neuron excites one layer and inhibits the next
     other = quantised(floats([[-1.0], [-1.0]], name="if2"), "odin")
     with pytest.raises(RuleError, match=r"^rule sign: layer 'if2': 1 of 2 axons"):
-        check_axons([signed, other], odin, odin.steps)
+        check_axons([signed, other], odin.name, odin.arithmetic)
 
 
 def test_axons_of_one_type_give_a_neuron_the_same_weight():
@@ -174,12 +174,12 @@ def test_axons_of_one_type_give_a_neuron_the_same_weight():
 def test_truenorth_has_four_types_of_axons():
     used = chip("truenorth")
     four = quantised(floats([[0.25], [0.5], [0.75], [1.0], [0.5]]), "truenorth")
-    check_axons([four], used, used.steps)
+    check_axons([four], used.name, used.arithmetic)
     five = quantised(floats([[0.2], [0.4], [0.6], [0.8], [1.0]]), "truenorth")
     with pytest.raises(RuleError, match=r"^rule axon-types: layer 'if1': its weights need 5 types"):
-        check_axons([five], used, used.steps)
+        check_axons([five], used.name, used.arithmetic)
     wider = chip("truenorth", axon_types=5)
-    check_axons([five], wider, wider.steps)
+    check_axons([five], wider.name, wider.arithmetic)
 
 
 @pytest.mark.parametrize(

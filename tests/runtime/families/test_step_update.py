@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError
@@ -220,7 +221,7 @@ def test_spiker_at_its_threshold_does_not_spike():
 
 def plainly(program, raster):
     """Membranes and spikes (T, N) of one copy, in integers of Python, neuron by neuron."""
-    point, layer = program.chip.steps, program.layers[0]
+    point, layer = program.chip.arithmetic, program.layers[0]
     subtract = program.convention.reset == "subtract"
     low, high = -(1 << (point.membrane.bits - 1)), (1 << (point.membrane.bits - 1)) - 1
     low = low if point.floor is None else max(low, point.floor)
@@ -278,7 +279,7 @@ def plainly(program, raster):
 )
 def test_the_interpreter_equals_a_plain_loop(name, reset, seed, bits):
     rng = np.random.default_rng(seed)
-    point = chip(name).steps
+    point = chip(name).arithmetic
     options = {} if bits is None else {"membrane": Register(bits, "saturate")}
     low, high = point.weight_range
     top = max(2, min(high, 20))

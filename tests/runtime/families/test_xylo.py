@@ -189,7 +189,7 @@ def test_the_lowest_membrane_that_forgets_at_once_stays_where_it_is(ran):
 
 
 def test_options_of_its_arithmetic_can_be_set():
-    assert chip("xylo-a2", events_max=3).events.events_max == 3
+    assert chip("xylo-a2", events_max=3).arithmetic.events_max == 3
 
 
 def test_lists_stand_for_tables_where_there_is_one_neuron(file):

@@ -9,8 +9,8 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import Quantisation
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import RuleError
 from tests.xylo_networks import network, random_cores, random_networks

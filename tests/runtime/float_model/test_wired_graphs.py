@@ -171,7 +171,7 @@ def test_a_generated_network_on_a_chip_equals_the_interpreter(network, seed, nam
         counted = count(
             program,
             {program.input: raster, **{layer: t.spikes for layer, t in expected.items()}},
-            {layer: t.busy for layer, t in expected.items()},
+            {layer: t.active for layer, t in expected.items()},
             {layer: t.overflows for layer, t in expected.items()},
         )
         np.testing.assert_array_equal(machine.ledger.counts, counted)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.emulator.machine import Machine
@@ -34,7 +35,7 @@ def sanafe_run():
     datasheet = chip("loihi1")
     weight = np.ones((10, 10), np.int16)
     neurons = layer(
-        datasheet.fixed,
+        datasheet.arithmetic,
         "lif",
         weight.T,
         (Synapses("input", weight, delay=1),),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.metrics.memory import (
@@ -23,7 +24,7 @@ def program(**options):
     weight = np.array([[5, 0, 7], [1, 2, 3]], np.int16)
     synapses = (Synapses("input", weight, delay=1),)
     kept = {"decays": (4095, 0), "threshold": 1000 << 6, "start": 0}
-    neurons = layer(used.fixed, "n", weight.T, synapses, **kept)
+    neurons = layer(used.arithmetic, "n", weight.T, synapses, **kept)
     return Program(used, Convention(1e-3), "input", 2, (neurons,), "n", None)
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Program, Synapses
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metrics.traffic import Layout, Traffic, one_core_each, total, traffic
 from tests.programs import layer
@@ -27,7 +28,7 @@ def network():
 def _layer(name, size, wires):
     synapses = tuple(Synapses(source, np.array(w, np.int16), delay=1) for source, w in wires)
     return layer(
-        CHIP.fixed, name, np.zeros((size, 1)), synapses, decays=(4095, 0), threshold=1000 << 6
+        CHIP.arithmetic, name, np.zeros((size, 1)), synapses, decays=(4095, 0), threshold=1000 << 6
     )
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metrics.xylo_clocks import xylo_clocks, xylo_time
 

@@ -11,7 +11,7 @@ from spikedeploy.policies.registry import find
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.quantisation import Quantisation
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from tests import stroll_env
 from tests.networks import popsan
 from tests.runtime.families.test_headroom import crowd

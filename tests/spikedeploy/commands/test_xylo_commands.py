@@ -10,8 +10,8 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.quantisation import Quantisation
 from spikedeploy.runtime.emulator.machine import Machine
 from tests import stroll_env
 from tests.networks import popsan

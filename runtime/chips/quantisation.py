@@ -13,19 +13,19 @@ Headroom = Literal["none", "proven"]
 
 @dataclass(frozen=True)
 class Tuning:
-    """What calibration found for a layer (runtime.calibration).
+    """What calibration found for a layer (runtime.analysis.calibration).
 
-    reach: below 1, the part of the largest scale that is used, which leaves headroom; above 1, how
-        far the largest weight reaches beyond what the chip holds: it is clipped, so that the others
-        keep more of their bits.
+    clip_ratio: below 1, the part of the largest scale that is used, which leaves headroom; above 1,
+        the largest weight over what the chip holds: it is clipped, so that the others keep more of
+        their bits.
     threshold: the thresholds are multiplied by this before they are rounded.
     """
 
-    reach: float = 1.0
+    clip_ratio: float = 1.0
     threshold: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value in (("reach", self.reach), ("threshold", self.threshold)):
+        for name, value in (("clip_ratio", self.clip_ratio), ("threshold", self.threshold)):
             if not 0 < value < float("inf"):
                 raise ConfigError(f"tuning: {name} is {value}; it must be above 0 and finite.")
 
@@ -35,7 +35,7 @@ UNTUNED = Tuning()
 
 @dataclass(frozen=True)
 class Quantisation:
-    """The choices of runtime.quantize.
+    """How a chip's arithmetic rounds a float network.
 
     granularity: "layer", one scale for all neurons of a layer (Tang et al. 2020, PopSAN);
         "channel", one for each neuron.
@@ -92,7 +92,7 @@ class Quantisation:
     def describe(self) -> str:
         """The choices in words."""
         tuned = [
-            f"; {name!r}: reach {found.reach:.3g}, thresholds times {found.threshold:.3g}"
+            f"; {name!r}: reach {found.clip_ratio:.3g}, thresholds times {found.threshold:.3g}"
             for name, found in self.tuned.items()
             if found != UNTUNED
         ]

@@ -1,7 +1,4 @@
-"""Traces of Loihi, in the words of lava, brian2_loihi, nengo-loihi and of boards.
-
-A layer of Loihi from the registers that a trace lists, in whose words ever.
-"""
+"""Recorded runs of Loihi, as lava, brian2_loihi, nengo-loihi and boards write them."""
 
 from dataclasses import dataclass, replace
 
@@ -10,8 +7,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.quantise import stored
@@ -58,28 +56,30 @@ class _Weights:
 
 def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer:
     """The layer at a place of a chain, as the fields describe it."""
-    fixed = chip.fixed
-    if fixed is None:
+    arithmetic = chip.arithmetic
+    if not isinstance(arithmetic, CubaFixedPoint):
         raise spec.wrong("chip", f"{chip.name} has no integers", "Name a chip that has.")
-    weights = _weights(spec, fixed, fan_in)
-    fixed = _with_options(spec, fixed, weights)
+    weights = _weights(spec, arithmetic, fan_in)
+    arithmetic = _with_options(spec, arithmetic, weights)
     delay = spec.whole("delay", default=chip.delay, least=0, most=chip.delay_max)
     source, size = f"layer{place - 1}" if place else "input", len(weights.mantissa)
     layer = Layer(
         name=f"layer{place}",
-        synapses=tuple(Synapses(source, w, delay, shift) for w, shift in _lists(weights, fixed)),
+        synapses=tuple(
+            Synapses(source, w, delay, shift) for w, shift in _lists(weights, arithmetic)
+        ),
         bias=np.zeros(size, np.int64),
         voltage_bias=_bias(spec, size),
-        threshold=_threshold(spec, fixed, size),
-        current_decay=_keep(spec, "u", fixed, size),
-        membrane_decay=_keep(spec, "v", fixed, size),
+        threshold=_threshold(spec, arithmetic, size),
+        current_decay=_decay_factor(spec, "u", arithmetic, size),
+        membrane_decay=_decay_factor(spec, "v", arithmetic, size),
         scale=1.0,
         start=0,
     )
-    return LoihiLayer(layer, replace(chip, arithmetic=fixed))
+    return LoihiLayer(layer, replace(chip, arithmetic=arithmetic))
 
 
-def _weights(spec: Fields, fixed: CubaFixedPoint, fan_in: int) -> _Weights:
+def _weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
     exponent = spec.whole(*EXPONENTS, default=0, least=-8, most=7)
     lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
     if lists:
@@ -94,7 +94,7 @@ def _weights(spec: Fields, fixed: CubaFixedPoint, fan_in: int) -> _Weights:
     mantissa = _matrix(spec, name, fan_in)
     mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False or _said_mixed(spec)
     # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
-    one_sign = fixed.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
+    one_sign = arithmetic.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
     return _Weights(mantissa, mixed and not one_sign, exponent)
 
 
@@ -116,21 +116,21 @@ def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
     return found
 
 
-def _with_options(spec: Fields, fixed: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
-    silent = spec.whole(*REFRACTORY, default=fixed.refractory, least=1, most=64)
+def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
+    refractory = spec.whole(*REFRACTORY, default=arithmetic.refractory, least=1, most=64)
     return replace(
-        fixed,
+        arithmetic,
         sign_mode="mixed" if weights.mixed else "split",
-        weight_bits=spec.whole("num_weight_bits", default=fixed.weight_bits, least=0, most=8),
-        refractory=silent,
-        mantissa_shift=_mantissa_shift(spec, fixed, weights.exponent),
-        membrane=_membrane(spec, fixed.membrane),
+        weight_bits=spec.whole("num_weight_bits", default=arithmetic.weight_bits, least=0, most=8),
+        refractory=refractory,
+        mantissa_shift=_mantissa_shift(spec, arithmetic, weights.exponent),
+        membrane=_membrane(spec, arithmetic.membrane),
     )
 
 
-def _mantissa_shift(spec: Fields, fixed: CubaFixedPoint, exponent: int) -> int:
+def _mantissa_shift(spec: Fields, arithmetic: CubaFixedPoint, exponent: int) -> int:
     """Where nothing is rounded, a negative exponent moves the weights by fewer bits."""
-    shift = SHIFT + min(exponent, 0) * (fixed.exponents == "exact")
+    shift = SHIFT + min(exponent, 0) * (arithmetic.exponents == "exact")
     if shift < 0:
         raise spec.wrong("weight_exp", f"is {exponent}", f"This reading goes down to {-SHIFT}.")
     return shift
@@ -144,22 +144,22 @@ def _membrane(spec: Fields, register: Register) -> Register:
     return replace(register, between=(least, most))
 
 
-def _lists(weights: _Weights, fixed: CubaFixedPoint) -> list[tuple[NDArray[np.int16], int]]:
-    """The lists of weights (M, N) that the chip keeps, and the bits that each one's sum loses."""
+def _lists(weights: _Weights, arithmetic: CubaFixedPoint) -> list[tuple[NDArray[np.int16], int]]:
+    """The lists of weights (M, N) that the chip stores, and the bits that each one's sum loses."""
     axons, exponent = weights.mantissa.T, weights.exponent
-    if exponent >= 0 or fixed.exponents == "weight":
-        return [(stored(axons, fixed, exponent), 0)]
-    if fixed.exponents == "exact":
-        return [(stored(axons, fixed), 0)]
+    if exponent >= 0 or arithmetic.exponents == "weight":
+        return [(stored(axons, arithmetic, exponent), 0)]
+    if arithmetic.exponents == "exact":
+        return [(stored(axons, arithmetic), 0)]
     signs = [axons] if weights.mixed else [axons.clip(min=0), axons.clip(max=0)]
-    return [(stored(sign, fixed), -exponent) for sign in signs]
+    return [(stored(sign, arithmetic), -exponent) for sign in signs]
 
 
-def _threshold(spec: Fields, fixed: CubaFixedPoint, size: int) -> Integers:
+def _threshold(spec: Fields, arithmetic: CubaFixedPoint, size: int) -> Integers:
     """(N,) [state units]."""
     if spec.name(*THRESHOLDS) is None and spec.name(*THRESHOLDS_EFFECTIVE):
         return spec.row(*THRESHOLDS_EFFECTIVE, size=size, least=0, most=STATE)
-    return spec.row(*THRESHOLDS, size=size, least=0, most=fixed.threshold_max) << SHIFT
+    return spec.row(*THRESHOLDS, size=size, least=0, most=arithmetic.threshold_max) << SHIFT
 
 
 def _bias(spec: Fields, size: int) -> Integers:
@@ -175,16 +175,18 @@ def _bias(spec: Fields, size: int) -> Integers:
     return bias
 
 
-def _keep(spec: Fields, state: str, fixed: CubaFixedPoint, size: int) -> Integers:
+def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: int) -> Integers:
     """(N,) what a timestep leaves, from the register or from what the register does."""
-    offset = fixed.current_decay_offset if state == "u" else fixed.membrane_decay_offset
-    registers, effective = (f"d{state}", f"decay_{state}"), f"effective_decay_{state}"
-    if spec.name(*registers) is None and spec.name(effective):
-        return fixed.decay_one - spec.row(effective, size=size, least=0, most=fixed.decay_one)
+    offset = arithmetic.current_decay_offset if state == "u" else arithmetic.membrane_decay_offset
+    names, effective = (f"d{state}", f"decay_{state}"), f"effective_decay_{state}"
+    if spec.name(*names) is None and spec.name(effective):
+        return arithmetic.decay_one - spec.row(
+            effective, size=size, least=0, most=arithmetic.decay_one
+        )
     # a neuron of which no current is known forgets it at once
-    default = fixed.decay_one - offset if state == "u" else None
-    found = spec.row(*registers, size=size, default=default, least=0, most=fixed.decay_max)
-    return fixed.decay_one - offset - found
+    default = arithmetic.decay_one - offset if state == "u" else None
+    found = spec.row(*names, size=size, default=default, least=0, most=arithmetic.decay_max)
+    return arithmetic.decay_one - offset - found
 
 
 INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
@@ -265,7 +267,7 @@ def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
 def _check_alike(fields: Fields, parts: list[LoihiLayer]) -> None:
     """What belongs to the chip and not to a layer must be the same for all layers."""
     for option in ("refractory", "membrane", "mantissa_shift"):
-        if len({getattr(part.chip.fixed, option) for part in parts}) > 1:
+        if len({getattr(part.chip.arithmetic, option) for part in parts}) > 1:
             raise fields.wrong(option, "differs from layer to layer", "Split the trace in two.")
 
 

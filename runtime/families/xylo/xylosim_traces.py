@@ -1,4 +1,4 @@
-"""Traces of Xylo, as xylosim's layers are built and recorded."""
+"""Recorded runs of Xylo, as xylosim's layers are built and recorded."""
 
 from dataclasses import replace
 
@@ -6,9 +6,11 @@ import numpy as np
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.compiler.program import Layer, Program, Synapses
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
+from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
 
@@ -32,10 +34,11 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields: hidden neurons with recurrent synapses, and output neurons."""
     spec = fields.under(fields.group("params"))
     used = datasheet(chip)
-    if used.events is None:
+    registers = used.arithmetic
+    if not isinstance(registers, XyloArithmetic):
         raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
     counts = table_of(spec, INPUT, 0, 255, index="input_spikes_index")
-    hidden, output = _hidden(spec, used.events, counts.shape[1]), _output(spec, used.events)
+    hidden, output = _hidden(spec, registers, counts.shape[1]), _output(spec, registers)
     if (found := output.synapses[0].weight.shape[0]) != hidden.size:
         remedy = f"Write a row for each of the {hidden.size} hidden neurons."
         raise spec.wrong("weights_out", f"has {found} rows", remedy)
@@ -70,8 +73,8 @@ def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
     return rows
 
 
-def _hidden(spec: Fields, point: XyloArithmetic, width: int) -> Layer:
-    weights = _weights(spec, "weights_in", 0, point)
+def _hidden(spec: Fields, registers: XyloRegisters, width: int) -> Layer:
+    weights = _weights(spec, "weights_in", 0, registers)
     if weights.shape[0] != width:
         raise spec.wrong(
             "weights_in", f"has {weights.shape[0]} rows", f"Write one for each of {width} inputs."
@@ -79,24 +82,24 @@ def _hidden(spec: Fields, point: XyloArithmetic, width: int) -> Layer:
     size = weights.shape[1]
     synapses = [Synapses("input", weights[:, :, k], 0, current=k) for k in range(weights.shape[2])]
     if spec.filled("weights_rec"):
-        recurrent = _weights(spec, "weights_rec", 1, point)
+        recurrent = _weights(spec, "weights_rec", 1, registers)
         if recurrent.shape[:2] != (size, size):
             remedy = f"Write {size} rows of {size} neurons."
             raise spec.wrong("weights_rec", f"has shape {recurrent.shape}", remedy)
         each = range(recurrent.shape[2])
         synapses += [Synapses(HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
-    dashes = [_dash(spec, name, point, size) for name in ("dash_syn", "dash_syn_2")]
-    layer = _layer(spec, HIDDEN, tuple(synapses), dashes, point)
+    dashes = [_dash(spec, name, registers, size) for name in ("dash_syn", "dash_syn_2")]
+    layer = _layer(spec, HIDDEN, tuple(synapses), dashes, registers)
     return replace(layer, aliases=_aliases(spec, size))
 
 
-def _output(spec: Fields, point: XyloArithmetic) -> Layer:
-    weights = _weights(spec, "weights_out", 2, point)
+def _output(spec: Fields, registers: XyloRegisters) -> Layer:
+    weights = _weights(spec, "weights_out", 2, registers)
     if weights.shape[2] > 1:
         raise spec.wrong("weights_out", f"has shape {weights.shape}", "Outputs have one synapse.")
     synapses = Synapses(HIDDEN, weights[:, :, 0], 1)
-    dash = _dash(spec, "dash_syn_out", point, weights.shape[1])
-    return _layer(spec, OUTPUT, (synapses,), [dash], point)
+    dash = _dash(spec, "dash_syn_out", registers, weights.shape[1])
+    return _layer(spec, OUTPUT, (synapses,), [dash], registers)
 
 
 def _layer(
@@ -104,10 +107,10 @@ def _layer(
     name: str,
     synapses: tuple[Synapses, ...],
     dashes: list[Integers],
-    point: XyloArithmetic,
+    registers: XyloRegisters,
 ) -> Layer:
     end, size = "_out" if name == OUTPUT else "", synapses[0].weight.shape[1]
-    limit = point.state.limit
+    limit = registers.state.limit
     bias = spec.row(f"bias{end}", size=size, default=0, least=-limit - 1, most=limit)
     return Layer(
         name=name,
@@ -116,32 +119,32 @@ def _layer(
         voltage_bias=bias,
         threshold=spec.row(f"threshold{end}", size=size, least=-limit - 1, most=limit),
         current_decay=np.stack(dashes),
-        membrane_decay=_dash(spec, f"dash_mem{end}", point, size),
+        membrane_decay=_dash(spec, f"dash_mem{end}", registers, size),
         scale=1.0,
         start=0,
     )
 
 
-def _weights(spec: Fields, name: str, place: int, point: XyloArithmetic) -> Integers:
+def _weights(spec: Fields, name: str, place: int, registers: XyloRegisters) -> Integers:
     """(M, N, K) weights as they are added, after the shift of their matrix."""
-    edge = 1 << (point.weight_bits - 1)
+    edge = 1 << (registers.weight_bits - 1)
     found = spec.array(name, axes=3, least=-edge, most=edge - 1)
     if found.ndim == 1:  # a single neuron, one weight for each that it hears
         found = found[:, None]
     if found.ndim < 2:
         raise spec.wrong(name, "is a single number", "Write [pre][post][synapse].")
     found = found.reshape(*found.shape[:2], -1)
-    if found.shape[2] > point.currents:
-        remedy = f"A neuron has {point.currents} synapses at most."
+    if found.shape[2] > registers.currents:
+        remedy = f"A neuron has {registers.currents} synapses at most."
         raise spec.wrong(name, f"has shape {found.shape}", remedy)
-    shifts = spec.row("weight_shift", size=3, default=0, least=0, most=point.shift_max)
-    own = spec.row(SHIFTS[place], size=1, default=shifts[place], least=0, most=point.shift_max)
+    shifts = spec.row("weight_shift", size=3, default=0, least=0, most=registers.shift_max)
+    own = spec.row(SHIFTS[place], size=1, default=shifts[place], least=0, most=registers.shift_max)
     return np.asarray(found << own)
 
 
-def _dash(spec: Fields, name: str, point: XyloArithmetic, size: int) -> Integers:
+def _dash(spec: Fields, name: str, registers: XyloRegisters, size: int) -> Integers:
     default = 0 if name == "dash_syn_2" else None
-    return spec.row(name, size=size, default=default, least=0, most=point.dash_max)
+    return spec.row(name, size=size, default=default, least=0, most=registers.dash_max)
 
 
 def _recorded(spec: Fields, layer: Layer, steps: int) -> dict[str, Integers]:

@@ -1,0 +1,202 @@
+"""The arithmetic of a chip: everything in which the numbers of one chip differ from another's.
+
+The compiler, the emulator, the design rules and the analysis ask these questions and no others, so
+a new family of chips is a class that answers them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import Field
+from typing import Any, ClassVar, NamedTuple, NoReturn, Protocol
+
+import numpy as np
+
+from spikedeploy.runtime.chips.layer import (
+    Layer,
+    LayerState,
+    Network,
+    Numbers,
+    StepResult,
+    starting,
+)
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ConfigError, RuleError
+
+
+class Description(NamedTuple):
+    """An arithmetic in a few words each, for tables of datasheets."""
+
+    neurons: str
+    weights: str
+    membrane: str
+
+
+class ArithmeticDefaults(Protocol):
+    """What an arithmetic answers unless its family says otherwise; families inherit from it."""
+
+    @property
+    def backends(self) -> Mapping[str, str]:
+        """Name -> "module:class" of each backend, besides the interpreter, that has kernels."""
+        return {}
+
+    @property
+    def rounds(self) -> bool:
+        """Whether its numbers are others than those of the network in float."""
+        return True
+
+    @property
+    def input_spikes_max(self) -> int:
+        """Spikes of an input channel in a timestep."""
+        return 1
+
+    # what can be compiled
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Fields of Quantisation that can be chosen."""
+        return ("rounding",)
+
+    def check_convention(self, convention: Convention, chip_name: str) -> None:
+        """Refuse conventions by which the neurons cannot spike."""
+        if convention.spikes != "above" or convention.floor != "none":
+            refuse_convention(convention, chip_name)
+
+    def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
+        """Refuse choices that the arithmetic does not have."""
+        if quantisation.weight_shift:
+            raise ConfigError(
+                f"weight_shift is {quantisation.weight_shift}: {chip_name} has no shift. Leave it "
+                "out, or choose a Xylo."
+            )
+        quantisation.only(chip_name, *self.choices)
+
+    def prepare(
+        self,
+        layers: Sequence[Layer],
+        network_input: str,
+        convention: Convention,
+        delay: int,
+        stagger: bool | None,
+    ) -> tuple[list[Layer], list[str]]:
+        """The float layers with starts and delays, and remarks on what is not as in the file.
+
+        layers: with the lags of the graph for delays, all starting at once.
+        delay: [timesteps] from a spike to its arrival on the chip.
+        stagger: as in compile_program.
+        """
+        if stagger is None:
+            stagger = convention.delay == 0
+        return starting(layers, network_input, delay, stagger), []
+
+    def check_output(self, network: Network, chip_name: str) -> None:
+        """Refuse an output layer whose spikes cannot leave the chip."""
+        return
+
+    # what the design rules ask
+
+    @property
+    def spikes_and_floor(self) -> tuple[str, str] | None:
+        """What a convention must say of spikes and floor; None where no source says."""
+        return None
+
+    @property
+    def weight_lists(self) -> int:
+        """Lists that hold the weights of an axon: 2 where each sign has its own."""
+        return 1
+
+    def with_one_list(self) -> "Arithmetic | None":
+        """The same with weights of both signs in one list; None where that is no choice."""
+        return None
+
+    # what the analysis and the measures ask
+
+    @property
+    def decay_one(self) -> int:
+        """The decay factor that keeps everything, as a layer stores it."""
+        return 1
+
+    @property
+    def ablation_steps(self) -> tuple[str, ...]:
+        """Kinds of rounding, one after another, that take the network to the chip; or none."""
+        return ()
+
+    def partly_rounded(self, before: Layer, after: Layer, step: str) -> Layer:
+        """The layer in float64 and state units, rounded up to one of the ablation steps.
+
+        before, after: in float, and as quantised.
+        """
+        raise ConfigError(f"rounding step {step!r}: this arithmetic has no such step.")
+
+    def before_reset(
+        self,
+        layer: Layer,
+        convention: Convention,
+        current: Numbers,
+        membrane: Numbers,
+        spikes: Numbers,
+    ) -> Numbers:
+        """Membranes (B, T, N) before a spike reset them [state units]; NaN where none can tell.
+
+        current, membrane: (B, T, N) after each timestep [state units].
+        spikes: (B, T, N).
+        """
+        if convention.reset == "subtract":
+            return np.asarray(membrane + layer.threshold * spikes)
+        return np.where(spikes > 0, np.nan, membrane)
+
+    @property
+    def time_model(self) -> str | None:
+        """Name of the published model of the time that it takes, other than a table of times."""
+        return None
+
+
+class Arithmetic(ArithmeticDefaults, Protocol):
+    """Everything that an arithmetic answers, what every family must say for itself included.
+
+    It is a frozen dataclass, whose fields are options of the chip.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def weight_bits(self) -> int:
+        """Width of a weight [bits]; the sign is none of them where a list says it."""
+
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]."""
+
+    @property
+    def spikes_max(self) -> int:
+        """Spikes of a neuron in a timestep."""
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The float layers of the network in the numbers of the chip.
+
+        timesteps: T of an inference; None where it is not known, or states are kept.
+        limits: False leaves out the rules that are about capacity and not about the arithmetic.
+        """
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+
+
+def refuse_convention(convention: Convention, chip_name: str) -> NoReturn:
+    """Refuse what neurons cannot do that send one spike above their threshold, without a floor."""
+    raise RuleError(
+        f"rule convention: spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron "
+        f"on {chip_name} sends one spike where its membrane is above the threshold, and its "
+        "membrane has no floor. Run in float."
+    )

@@ -1,0 +1,181 @@
+"""Layers of neurons: what a chip stores of them, what they remember, and when they start."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
+
+Numbers = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Synapses:
+    """All connections from one source to one layer.
+
+    source: name of a layer, or of the network's input.
+    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
+    delay: [timesteps] from a spike of the source to its arrival.
+    shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
+        weight exponent as lava reads it. Only the interpreter computes it.
+    current: which current of the neurons they feed, where neurons have several.
+    """
+
+    source: str
+    weight: Numbers
+    delay: int
+    shift: int = 0
+    current: int = 0
+
+    @cached_property
+    def fan_out(self) -> NDArray[np.int64]:
+        """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
+        return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One population of neurons; on integer chips everything but `scale` holds integers.
+
+    name: of the NIR node.
+    synapses: its presynaptic connections.
+    bias: (N,) weights of an axon that spikes in every timestep.
+    voltage_bias: (N,) added to the membrane in every timestep [state units].
+    threshold: (N,) membrane above which a neuron spikes [state units].
+    current_decay: (N,) decay factor of the current [1 / 2**decay_bits, or 1].
+    membrane_decay: (N,) likewise of the membrane. Where decays are shifts, both hold the shift,
+        that of K currents as (K, N); where the leak is linear, this is what it takes [state units].
+    scale: float units of current and membrane per state unit; (N,) where neurons differ.
+    start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
+    aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
+    """
+
+    name: str
+    synapses: tuple[Synapses, ...]
+    bias: Numbers
+    voltage_bias: Numbers
+    threshold: Numbers
+    current_decay: Numbers
+    membrane_decay: Numbers
+    scale: float | NDArray[np.float64]
+    start: int
+    aliases: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Neurons: N."""
+        return int(self.threshold.size)
+
+    @cached_property
+    def bias_fan_out(self) -> int:
+        """Non-zero biases: what the always-on axon costs in SOPs per timestep."""
+        return int(np.count_nonzero(self.bias))
+
+
+class Network(Protocol):
+    """What an arithmetic may ask of the network that its layers belong to, as Program has it."""
+
+    @property
+    def convention(self) -> Convention:
+        """Of the artifact."""
+
+    @property
+    def input(self) -> str:
+        """Name of the input."""
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """In an order in which each comes after its sources without a delay."""
+
+    @property
+    def output(self) -> str:
+        """Name of the layer with the spikes that leave the chip."""
+
+    @property
+    def output_apart(self) -> bool:
+        """Whether the output layer has hidden layers for sources and no targets, as on Xylo."""
+
+
+@dataclass(eq=False)
+class LayerState:
+    """What a layer remembers between timesteps.
+
+    current: (B, N) [state units]; (B, K, N) where neurons have K currents.
+    membrane: (B, N) [state units].
+    refractory: (B, N) timesteps left of the refractory period.
+    """
+
+    current: Numbers
+    membrane: Numbers
+    refractory: NDArray[np.int64]
+
+    @classmethod
+    def zero(cls, layer: Layer, batch: int) -> "LayerState":
+        """The state of a layer that was just reset."""
+        shape = (batch, layer.size)
+        dtype = layer.threshold.dtype if layer.threshold.dtype.kind == "f" else np.dtype(np.int64)
+        currents = np.zeros((batch, *layer.current_decay.shape), dtype)
+        return cls(currents, np.zeros(shape, dtype), np.zeros(shape, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class StepResult:
+    """What a layer did in one timestep.
+
+    spikes: (B, N); counts where neurons spike several times in a timestep.
+    active: (B, N) where there was a membrane, a current or a bias to add up.
+    overflows: (B, N) how many numbers did not fit their register.
+    """
+
+    spikes: NDArray[Any]
+    active: NDArray[np.bool_]
+    overflows: NDArray[np.int64]
+
+
+def starting(layers: Sequence[Layer], network_input: str, delay: int, stagger: bool) -> list[Layer]:
+    """The layers with their starts, and delays of at least that of the chip.
+
+    layers: with the lags of the graph for delays, all starting at once.
+    delay: [timesteps] from a spike to its arrival on the chip.
+    stagger: start each layer when the first spikes can reach it.
+    """
+    starts = _starts(layers, network_input, delay if stagger else 0)
+    return [
+        replace(
+            layer,
+            synapses=tuple(
+                replace(s, delay=_delay(s, layer.name, starts, delay)) for s in layer.synapses
+            ),
+            start=starts[layer.name],
+        )
+        for layer in layers
+    ]
+
+
+def _starts(layers: Sequence[Layer], network_input: str, delay: int) -> dict[str, int]:
+    """Timestep at which the input can first reach each layer; slower paths decide."""
+    starts = {network_input: 0}
+    for layer in layers:
+        # sources that come later, or the layer itself, are feedback
+        ahead = [s for s in layer.synapses if s.source in starts]
+        starts[layer.name] = max(
+            (starts[s.source] + max(0, delay - s.delay) for s in ahead), default=0
+        )
+    return starts
+
+
+def _delay(synapses: Synapses, target: str, starts: dict[str, int], delay: int) -> int:
+    """Delay of a connection: skips wait for the layers they skip, feedback takes its lag more."""
+    due = starts[target] - starts[synapses.source] + synapses.delay
+    if due < delay and any(starts.values()):
+        raise RuleError(
+            f"rule delay: layers {synapses.source!r} -> {target!r}: the feedback would have to "
+            f"arrive {delay - due} timesteps before it can. Compile with stagger=False, which "
+            "lengthens every loop by the delays of its layers."
+        )
+    return max(due, delay)

@@ -1,0 +1,228 @@
+"""CuBa-LIF neurons in floats: in float64 without any rounding, and in float32 with whole weights.
+
+`ideal` is no chip at all: the compiled path in float64, to tell compiling from rounding.
+
+SpiNNaker2 (22 nm, 152 cores): neurons are programs, so their arithmetic is a float's. Approximate:
+states are float32 and weights 8 bits as its NIR importer makes them; in which order the firmware
+multiplies and adds, and rounds, is not published.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits, SynapticMemory
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.registers import Rounding, rounded
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.families.cuba.neurons import arriving, float_update
+
+LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class CubaFloat64(ArithmeticDefaults):
+    """CuBa-LIF neurons in float64: the network as it was trained, on the way of a chip.
+
+    Measures count its weights and states as float32, which is what hardware would hold.
+    """
+
+    backends: ClassVar[Mapping[str, str]] = {
+        "numpy": "spikedeploy.runtime.families.cuba_numpy.pipeline:NumpyPipeline",
+        # refuses, and says why
+        "numba": "spikedeploy.runtime.families.cuba_numba.pipeline:NumbaPipeline",
+    }
+    rounds: ClassVar[bool] = False
+    spikes_max: ClassVar[int] = 1
+    weight_bits: ClassVar[int] = 32
+    state_bits: ClassVar[tuple[int, ...]] = (32, 32)
+
+    def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
+        """Take any choice, since nothing is rounded."""
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The layers as they are."""
+        return network.layers
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        return float_update(network.convention, layer, arriving(layer, presynaptic), state)
+
+    def before_reset(
+        self,
+        layer: Layer,
+        convention: Convention,
+        current: Numbers,
+        membrane: Numbers,
+        spikes: Numbers,
+    ) -> Numbers:
+        """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
+        # V = b V + I + bias
+        before = np.concatenate([np.zeros_like(membrane[:, :1]), membrane[:, :-1]], axis=1)
+        return np.asarray(layer.membrane_decay * before + current + layer.voltage_bias)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        return Description("CuBa-LIF", "float64", "float64")
+
+
+@dataclass(frozen=True)
+class CubaFloat32(ArithmeticDefaults):
+    """CuBa-LIF neurons in float32, whose synapses hold small integers.
+
+    weight_bits: of a weight, with the sign; the lowest number is not used.
+    """
+
+    weight_bits: int
+    spikes_max: ClassVar[int] = 1
+    state_bits: ClassVar[tuple[int, ...]] = (32, 32)
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.weight_bits <= 16:
+            raise ChipError(f"weight_bits is {self.weight_bits}; choose 2 to 16.")
+
+    @property
+    def weight_max(self) -> int:
+        """Largest weight of either sign."""
+        return (1 << (self.weight_bits - 1)) - 1
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The float layers with whole weights, and everything else in float32."""
+        rounding = quantisation.rounding or "nearest"
+        return [_quantised(layer, self.weight_max, rounding) for layer in network.layers]
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        return float_update(network.convention, layer, arriving(layer, presynaptic), state)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        return Description("CuBa-LIF", f"{self.weight_bits} bits with the sign", "float32")
+
+
+def _quantised(layer: Layer, weight_max: int, rounding: Rounding) -> Layer:
+    """The layer with whole weights; its states and thresholds grow as the weights do."""
+    scale = _scale(layer, weight_max)
+    return replace(
+        layer,
+        synapses=tuple(
+            replace(s, weight=rounded(s.weight * scale, rounding).astype(np.int16))
+            for s in layer.synapses
+        ),
+        bias=_single(layer, "bias", scale),
+        voltage_bias=_single(layer, "voltage_bias", scale),
+        threshold=_single(layer, "threshold", scale),
+        current_decay=layer.current_decay.astype(np.float32),
+        membrane_decay=layer.membrane_decay.astype(np.float32),
+        scale=layer.scale / scale,
+    )
+
+
+def _scale(layer: Layer, weight_max: int) -> float:
+    """w_scale = weight_max / max|w| over all synapses into the population."""
+    largest = max(float(np.abs(s.weight).max(initial=0.0)) for s in layer.synapses)
+    scale = weight_max / largest if largest > 0 else 1.0
+    if not np.isfinite(scale):
+        raise RuleError(
+            f"rule weight-bits: layer {layer.name!r}: the largest weight is {largest:g}; nothing "
+            f"that small can be scaled to {weight_max}. Scale the weights up, or leave the "
+            "layer out."
+        )
+    return scale
+
+
+def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
+    """(N,) the layer's numbers of that name, scaled, in float32."""
+    values = np.asarray(getattr(layer, name), np.float64)
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest * scale > LARGEST:
+        rule = "threshold-range" if name == "threshold" else "bias"
+        raise RuleError(
+            f"rule {rule}: layer {layer.name!r}: {name} {largest:g} is {largest * scale:g} beside "
+            f"weights that are whole; float32 holds {LARGEST:.3g}. Rescale the layer."
+        )
+    return (values * scale).astype(np.float32)
+
+
+IDEAL = Chip(
+    name="ideal",
+    summary="float64 through the compiled path: no rounding, no limits",
+    arithmetic=CubaFloat64(),
+    resets=("zero", "subtract"),
+    delay=0,
+    delay_max=4096,
+    energy_tables=(),
+    sources={
+        "arithmetic": "by definition",
+        "resets": "by definition: both that a convention can name",
+        "delay": "by definition: the convention decides",
+        "delay_max": "by choice: so many timesteps of spikes fit any memory",
+    },
+    evidence="equal to the float graph in every spike",
+)
+
+
+S2_NIR = "py-spinnaker2, s2_nir (source read)"
+PY = "py-spinnaker2's reading of NIR (source read)"
+SURVEY = "secondary: surveys of the chip"
+
+LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Conv2d", "Flatten", "SumPool2d", "Scale", "IF", "LIF", "CubaLIF"),
+    cores=152,
+    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=8),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{PY}: models lif, lif_curr_exp and lif_conv2d; IF is a lif "
+        "without a leak (derived)",
+        "cores": SURVEY,
+        "memory": f"{SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
+        "cores is the least that it can be (derived)",
+        "recurrence": f"{PY}: a population can hear itself",
+        "alone": f"{SURVEY}: chips are joined on boards",
+    },
+)
+
+SPINNAKER2 = Chip(
+    name="spinnaker2",
+    summary="SpiNNaker2: 8-bit weights, float32 states; approximate",
+    arithmetic=CubaFloat32(weight_bits=8),
+    resets=("subtract", "zero"),
+    delay=1,
+    delay_max=1,
+    energy_tables=("spinnaker2",),  # two secondary sources that disagree: an interval
+    limits=LIMITS,
+    sources={
+        "weight_bits": f"{S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
+        "resets": f"{S2_NIR}: subtraction is its default",
+        "delay": f"{S2_NIR}: conn_delay, 1 unless given; models without delay exist",
+        "delay_max": f"{S2_NIR}: longer ones were not found there",
+    },
+    evidence="approximate: the firmware's order of operations is not published; compared with "
+    "nothing",
+)
