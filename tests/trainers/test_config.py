@@ -2,7 +2,7 @@ import pytest
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, RECIPES
-from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve
+from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve, validated
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.train import algorithm
 
@@ -100,3 +100,11 @@ def test_what_was_set_beside_a_recipe_makes_the_same_configuration_again():
     assert sorted(found) == sorted([*chosen[:2], 'env.name="elsewhere"', chosen[3]])
     assert resolve(SacConfig, "smoke", overrides=found, seed=3) == config
     assert differences(resolve(SacConfig, "smoke")) == []
+
+
+def test_settings_of_version_0_1_are_accepted_under_their_old_names():
+    config = resolve(SacConfig, "smoke", overrides=["hoist.finish=7"])
+    assert config.support_force.finish == 7
+    written = config.model_dump(mode="json")
+    written["hoist"] = written.pop("support_force")
+    assert validated(SacConfig, written, "an old run folder") == config

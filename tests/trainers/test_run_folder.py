@@ -8,6 +8,7 @@ from safetensors.torch import load_file
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.journal import Journal, ProgressBar
 from spikedeploy.trainers.metrics import Metrics, read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
@@ -162,3 +163,20 @@ def test_metrics_after_the_checkpoint_are_forgotten(tmp_path):
         metrics.add({"step": step} | ({"loss": 0.5} if step == 2 else {}))
     metrics.rewind(2)
     assert read(metrics.path) == [{"step": 1.0}, {"step": 2.0, "loss": 0.5}]
+
+
+def test_metrics_of_version_0_1_are_continued_under_the_present_names(tmp_path):
+    path = tmp_path / "metrics.csv"
+    path.write_text("env_steps,hoist\n40,0.5\n80,0.25\n")
+    metrics = Metrics(path, ("env_steps", "support_force"))
+    metrics.rewind(40)
+    metrics.add({"env_steps": 60, "support_force": 0.4})
+    assert path.read_text().split() == ["env_steps,support_force", "40,0.5", "60,0.4"]
+
+
+def test_a_journal_drops_values_without_a_column(tmp_path):
+    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
+    journal = Journal(run, ("env_steps", "loss"), ProgressBar("", quiet=True))
+    journal.add({"env_steps": 1, "loss": 0.5, "eval_finish": 1.0})
+    journal.close()
+    assert read(run.metrics) == [{"env_steps": 1.0, "loss": 0.5}]
