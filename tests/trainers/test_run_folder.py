@@ -44,7 +44,7 @@ def last(run):
     return json.loads((run / "checkpoints" / "last.json").read_text())
 
 
-def test_a_run_leaves_what_it_promises(tmp_path, world):
+def test_a_run_leaves_all_its_files(tmp_path, world):
     run = train("smoke", overrides=TINY, runs=tmp_path, seed=7, quiet=True)
     assert run.name.startswith("smoke-s7-")
     found = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
@@ -74,7 +74,7 @@ def test_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path, world):
     assert steps[-1] == 400
 
 
-def test_a_resumed_run_goes_on_from_the_weights_and_moments_it_had(tmp_path, world):
+def test_a_resumed_run_continues_from_its_weights_and_moments(tmp_path, world):
     world.interrupt_at = 170
     run = RunFolder(train("smoke", overrides=TINY, runs=tmp_path, quiet=True))
     before = run.load("last")[1]
@@ -134,7 +134,7 @@ def test_load_policy_takes_best_and_else_last(tmp_path):
     assert torch.equal(load_policy(run.path, "last")(observation), last_policy(observation))
 
 
-def test_what_is_no_run_is_named(tmp_path):
+def test_a_path_that_is_no_run_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"no config\.json"):
         RunFolder.find("nothing", tmp_path)
     with pytest.raises(ConfigError, match="no run of recipe smoke"):
@@ -152,12 +152,12 @@ def test_a_broken_checkpoint_is_named(tmp_path):
         run.load("last")
 
 
-def test_two_runs_of_the_same_second_do_not_meet(tmp_path):
+def test_two_runs_of_the_same_second_have_different_folders(tmp_path):
     config = resolve(SacConfig, "smoke")
     assert len({RunFolder.create(tmp_path, config).path for _ in range(3)}) == 3
 
 
-def test_metrics_after_the_checkpoint_are_forgotten(tmp_path):
+def test_metrics_after_the_checkpoint_are_dropped(tmp_path):
     metrics = Metrics(tmp_path / "metrics.csv", ("step", "loss"))
     for step in (1, 2, 3):
         metrics.add({"step": step} | ({"loss": 0.5} if step == 2 else {}))
