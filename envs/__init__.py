@@ -1,4 +1,4 @@
-"""Environments: gymnasium worlds that policies are trained and compared in.
+"""Environments: gymnasium environments that policies are trained and compared in.
 
 A hexapod on MuJoCo and karts on pymunk, and what records their episodes. ENVS is the table of
 environments; `make` builds one by its short name or gymnasium id.

@@ -49,17 +49,17 @@ class GapDriver:
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> GapDriver:
         """The driver for the kart of an environment."""
-        world: Any = env.unwrapped
-        columns = getattr(world, "OBSERVATION", {})
-        if not {"lidar", "velocity"} <= set(columns) or not hasattr(world, "ACTIONS"):
+        kart: Any = env.unwrapped
+        columns = getattr(kart, "OBSERVATION", {})
+        if not {"lidar", "velocity"} <= set(columns) or not hasattr(kart, "ACTIONS"):
             raise EnvError(
                 "the gap driver needs a kart that observes lidar and velocity; here is "
                 f"{', '.join(columns) or 'nothing'}"
             )
-        actions = {name: place for place, name in enumerate(world.ACTIONS)}
+        actions = {name: place for place, name in enumerate(kart.ACTIONS)}
         if isinstance(env.action_space, gymnasium.spaces.Box):
-            actions = world.EFFECTS
-        return cls(world.lidar.angles, world.lidar.range, columns, actions)
+            actions = kart.EFFECTS
+        return cls(kart.lidar.angles, kart.lidar.range, columns, actions)
 
     def act(self, observation: FloatArray) -> NDArray[Any]:
         """The action: () int for a discrete action space, else (act,)."""

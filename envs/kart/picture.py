@@ -32,21 +32,21 @@ class Place(Protocol):
         """[screen px / px]."""
 
     def at(self, points: ArrayLike) -> Floats:
-        """Screen points (…, 2) of points (…, 2) [px] of the world."""
+        """Screen points (…, 2) of points (…, 2) [px] of the track."""
 
 
-def picture(world: Any, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
+def picture(env: Any, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
     """Image (H, W, 3) of the current state of a kart environment."""
-    return pixels(drawn(world, size))
+    return pixels(drawn(env, size))
 
 
-def drawn(world: Any, size: tuple[int, int] = SIZE) -> pygame.Surface:  # noqa: ANN401
+def drawn(env: Any, size: tuple[int, int] = SIZE) -> pygame.Surface:  # noqa: ANN401
     """A surface with the track, its gates, the LIDAR's rays and the kart."""
-    place = scene(world.track, size)
+    place = scene(env.track, size)
     surface = place.ground.copy()
-    draw_gates(surface, place, world.next_gate)
-    draw_scan(surface, place, world.pose, ray_angles(world), world.scan, world.lidar.range)
-    draw_kart(surface, place, facing(world), KART)
+    draw_gates(surface, place, env.next_gate)
+    draw_scan(surface, place, env.pose, ray_angles(env), env.scan, env.lidar.range)
+    draw_kart(surface, place, facing(env), KART)
     return surface
 
 
@@ -57,18 +57,18 @@ def pixels(surface: pygame.Surface) -> NDArray[np.uint8]:
     return found
 
 
-def facing(world: Any) -> tuple[float, float, float]:  # noqa: ANN401
+def facing(env: Any) -> tuple[float, float, float]:  # noqa: ANN401
     """Position and drawn heading; a kart without a heading points along its velocity."""
-    x, y, heading = world.pose
-    if not world.TURNS and np.hypot(*world.velocity) > 1.0:
-        heading = np.arctan2(world.velocity[1], world.velocity[0])
+    x, y, heading = env.pose
+    if not env.TURNS and np.hypot(*env.velocity) > 1.0:
+        heading = np.arctan2(env.velocity[1], env.velocity[0])
     return x, y, heading
 
 
-def ray_angles(world: Any) -> Floats:  # noqa: ANN401
+def ray_angles(env: Any) -> Floats:  # noqa: ANN401
     """Current directions of the LIDAR's rays (R,) [rad]."""
-    angles: Floats = np.asarray(world.lidar.angles, np.float64)
-    return angles + world.pose[2] if world.TURNS else angles
+    angles: Floats = np.asarray(env.lidar.angles, np.float64)
+    return angles + env.pose[2] if env.TURNS else angles
 
 
 def draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
@@ -135,7 +135,7 @@ def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
 
 @lru_cache(maxsize=64)
 def _large(colour: Colour) -> pygame.Surface:
-    """A kart facing right, at FINE times its size in the world."""
+    """A kart facing right, at FINE times its true size."""
     side = round(2 * RADIUS * FINE)
     surface = pygame.Surface((side, side), pygame.SRCALPHA)
     pygame.draw.aacircle(surface, (*colour, 56), (side / 2, side / 2), side / 2 - 1)

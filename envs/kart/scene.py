@@ -47,7 +47,7 @@ class Scene:
         self.ground = self._ground()
 
     def at(self, points: ArrayLike) -> Floats:
-        """Screen points (…, 2) of points (…, 2) [px] of the world."""
+        """Screen points (…, 2) of points (…, 2) [px] of the track."""
         found: Floats = np.asarray(points, np.float64) * self.scale + self._offset
         return found
 

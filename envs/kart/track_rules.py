@@ -46,7 +46,7 @@ def _check_size(track: Track, where: str) -> None:
     widest = float(np.ptp(points, axis=0).max())
     if widest > LARGEST_TRACK:
         raise EnvError(
-            f"{where}: the track measures {widest:g} px; at most {LARGEST_TRACK:g}. Scale it down"
+            f"{where}: the track is {widest:g} px wide; at most {LARGEST_TRACK:g}. Scale it down"
         )
 
 

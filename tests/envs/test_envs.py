@@ -14,7 +14,6 @@ from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from tests.paths import ROOT
 
-ROOT = ROOT
 WALKERS = ("hexapod", "hexapod-command")
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
 everyone = pytest.mark.parametrize("name", envs.ENVS)
@@ -29,12 +28,12 @@ def action_of(name, value=0.0):
     return 1 if name in KARTS else np.full(18, value)
 
 
-def test_every_environment_walks_or_drives():
+def test_the_table_holds_two_walkers_and_three_karts():
     assert set(envs.ENVS) == {*WALKERS, *KARTS}
 
 
 @everyone
-def test_gymnasiums_checker_is_content(name):
+def test_gymnasiums_checker_passes(name):
     check_env(envs.make(name).unwrapped, skip_render_check=True)
 
 

@@ -62,7 +62,7 @@ def test_saving_what_was_loaded_changes_nothing_any_more(ghosts, tmp_path):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_a_step_takes_less_than_a_fifth_of_the_seed_projects_43_bytes(tmp_path):
+def test_a_step_takes_less_than_a_fifth_of_kart_simulators_43_bytes(tmp_path):
     rng = np.random.default_rng(1)
     drives = [drive(rng, 500) for _ in range(5)]
     Ghosts("spikedeploy/KartGrid-v0", drives).save(tmp_path / "a.npz")
@@ -127,7 +127,7 @@ def test_a_later_layout_is_refused(ghosts, tmp_path):
         Ghosts.load(path)
 
 
-def test_the_recorder_keeps_copies_apart_and_episodes_in_the_order_of_their_ends():
+def test_the_recorder_separates_copies_and_orders_episodes_by_their_ends():
     recorder = GhostRecorder("spikedeploy/KartGrid-v0", {"track": "big_S"}, copies=2)
     recorder.begin(0, info(0.0), seed=5)
     recorder.begin(1, info(100.0))
@@ -148,7 +148,7 @@ def test_the_recorder_keeps_copies_apart_and_episodes_in_the_order_of_their_ends
     assert list(recorder.take().drives) == []
 
 
-def test_the_recorder_wants_poses():
+def test_the_recorder_requires_poses():
     recorder = GhostRecorder("spikedeploy/Hexapod-v0", {})
     with pytest.raises(EnvError, match="'heading' is missing"):
         recorder.begin(0, {"x": 1.0, "y": 2.0})

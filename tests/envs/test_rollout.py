@@ -60,7 +60,7 @@ def test_named_reward_terms_sum_to_the_reward(walk):
     assert walk.total == pytest.approx(walk.info["episode_return"][-1])
 
 
-def test_success_is_what_the_environment_says_at_the_end(walk):
+def test_success_is_that_of_the_last_info(walk):
     assert walk.success is False
     won = Rollout(**{**vars(walk), "info": {"success": np.array([0.0, 1.0])}})
     assert won.success is True
@@ -101,7 +101,7 @@ def test_a_truncated_file_is_refused(walk, tmp_path):
         Rollout.load(path)
 
 
-def test_a_stranger_and_a_missing_file_are_refused(tmp_path):
+def test_other_and_missing_files_are_refused(tmp_path):
     path = tmp_path / "other.npz"
     np.savez(path, weights=np.zeros(3))
     with pytest.raises(EnvError, match="not a rollout file"):
@@ -137,7 +137,7 @@ class Quadrant(Constant):
         return np.int64(observation[0] > 0) + 2 * np.int64(observation[1] > 0)
 
 
-def test_a_choice_is_kept_as_the_index_that_was_played(tmp_path):
+def test_a_discrete_action_is_recorded_as_its_index(tmp_path):
     played = rollout(Choosing(), Quadrant(0), 3)
     assert played.total == 10.0  # the best action at every step
     assert played.action.shape == (10,)
@@ -149,23 +149,23 @@ def test_a_choice_is_kept_as_the_index_that_was_played(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", [4, -1, 0.5])
-def test_a_choice_that_the_environment_does_not_have_is_refused(wrong):
+def test_a_discrete_action_out_of_range_is_refused(wrong):
     with pytest.raises(EnvError, match=f"action of step 0: {wrong} is none of 0 to 3"):
         rollout(Choosing(), Constant(wrong), 0)
 
 
-def test_numbers_where_a_choice_is_due_are_refused():
+def test_continuous_actions_in_a_discrete_space_are_refused():
     with pytest.raises(EnvError, match=r"action of step 0: shape \(4,\) instead of \(\)"):
         rollout(Choosing(), Constant(np.zeros(4)), 0)
 
 
-def test_a_rollout_says_which_options_its_world_was_made_with(env, walk, tmp_path):
+def test_a_rollout_holds_the_options_of_its_environment(env, walk, tmp_path):
     assert walk.options == {"max_steps": 30}
     walk.save(tmp_path / "walk.npz")
     assert Rollout.load(tmp_path / "walk.npz").options == {"max_steps": 30}
 
 
-def test_an_episode_that_is_broken_off_counts_as_truncated(env):
+def test_an_unfinished_episode_counts_as_truncated(env):
     take = EpisodeRecorder(env, 5)
     for _ in range(3):
         take.step(np.zeros(18))

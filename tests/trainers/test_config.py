@@ -2,12 +2,12 @@ import pytest
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, RECIPES
-from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve
+from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve, validated
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.train import algorithm
 
 
-def test_the_defaults_are_the_table_of_the_seed():
+def test_the_defaults_are_the_seed_projects_table():
     config = resolve(SacConfig, "hexapod-sac")
     assert (config.learning_rate, config.gamma, config.tau) == (3e-4, 0.99, 0.005)
     assert (config.batch, config.buffer, config.warm_up) == (128, 1_000_000, 10_000)
@@ -16,7 +16,7 @@ def test_the_defaults_are_the_table_of_the_seed():
     assert config.support_force.at(150_000) == 0.0
 
 
-def test_popsan_defaults_are_the_table_of_the_seed():
+def test_popsan_defaults_are_the_seed_projects_table():
     policy = resolve(SacConfig, "hexapod-popsan").policy
     assert (policy.populations, policy.timesteps) == (10, 5)
     assert (policy.alpha, policy.beta, policy.threshold) == (0.9, 0.8, 0.5)
@@ -93,10 +93,18 @@ def test_a_ramp_is_flat_outside_and_linear_inside():
     assert [ramp.at(step) for step in (0, 100, 150, 200, 900)] == [1.0, 1.0, 0.5, 0.0, 0.0]
 
 
-def test_what_was_set_beside_a_recipe_makes_the_same_configuration_again():
+def test_differences_from_a_recipe_rebuild_the_configuration():
     chosen = ["policy.hidden=[8]", "steps=300", "env.name=elsewhere", "support_force.finish=7"]
     config = resolve(SacConfig, "smoke", overrides=chosen, seed=3)
     found = differences(config)
     assert sorted(found) == sorted([*chosen[:2], 'env.name="elsewhere"', chosen[3]])
     assert resolve(SacConfig, "smoke", overrides=found, seed=3) == config
     assert differences(resolve(SacConfig, "smoke")) == []
+
+
+def test_settings_of_version_0_1_are_accepted_under_their_old_names():
+    config = resolve(SacConfig, "smoke", overrides=["hoist.finish=7"])
+    assert config.support_force.finish == 7
+    written = config.model_dump(mode="json")
+    written["hoist"] = written.pop("support_force")
+    assert validated(SacConfig, written, "an old run folder") == config

@@ -8,6 +8,7 @@ from safetensors.torch import load_file
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.journal import Journal, ProgressBar
 from spikedeploy.trainers.metrics import Metrics, read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
@@ -43,7 +44,7 @@ def last(run):
     return json.loads((run / "checkpoints" / "last.json").read_text())
 
 
-def test_a_run_leaves_what_it_promises(tmp_path, world):
+def test_a_run_leaves_all_its_files(tmp_path, world):
     run = train("smoke", overrides=TINY, runs=tmp_path, seed=7, quiet=True)
     assert run.name.startswith("smoke-s7-")
     found = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
@@ -73,7 +74,7 @@ def test_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path, world):
     assert steps[-1] == 400
 
 
-def test_a_resumed_run_goes_on_from_the_weights_and_moments_it_had(tmp_path, world):
+def test_a_resumed_run_continues_from_its_weights_and_moments(tmp_path, world):
     world.interrupt_at = 170
     run = RunFolder(train("smoke", overrides=TINY, runs=tmp_path, quiet=True))
     before = run.load("last")[1]
@@ -133,7 +134,7 @@ def test_load_policy_takes_best_and_else_last(tmp_path):
     assert torch.equal(load_policy(run.path, "last")(observation), last_policy(observation))
 
 
-def test_what_is_no_run_is_named(tmp_path):
+def test_a_path_that_is_no_run_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"no config\.json"):
         RunFolder.find("nothing", tmp_path)
     with pytest.raises(ConfigError, match="no run of recipe smoke"):
@@ -151,14 +152,31 @@ def test_a_broken_checkpoint_is_named(tmp_path):
         run.load("last")
 
 
-def test_two_runs_of_the_same_second_do_not_meet(tmp_path):
+def test_two_runs_of_the_same_second_have_different_folders(tmp_path):
     config = resolve(SacConfig, "smoke")
     assert len({RunFolder.create(tmp_path, config).path for _ in range(3)}) == 3
 
 
-def test_metrics_after_the_checkpoint_are_forgotten(tmp_path):
+def test_metrics_after_the_checkpoint_are_dropped(tmp_path):
     metrics = Metrics(tmp_path / "metrics.csv", ("step", "loss"))
     for step in (1, 2, 3):
         metrics.add({"step": step} | ({"loss": 0.5} if step == 2 else {}))
     metrics.rewind(2)
     assert read(metrics.path) == [{"step": 1.0}, {"step": 2.0, "loss": 0.5}]
+
+
+def test_metrics_of_version_0_1_are_continued_under_the_present_names(tmp_path):
+    path = tmp_path / "metrics.csv"
+    path.write_text("env_steps,hoist\n40,0.5\n80,0.25\n")
+    metrics = Metrics(path, ("env_steps", "support_force"))
+    metrics.rewind(40)
+    metrics.add({"env_steps": 60, "support_force": 0.4})
+    assert path.read_text().split() == ["env_steps,support_force", "40,0.5", "60,0.4"]
+
+
+def test_a_journal_drops_values_without_a_column(tmp_path):
+    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
+    journal = Journal(run, ("env_steps", "loss"), ProgressBar("", quiet=True))
+    journal.add({"env_steps": 1, "loss": 0.5, "eval_finish": 1.0})
+    journal.close()
+    assert read(run.metrics) == [{"env_steps": 1.0, "loss": 0.5}]

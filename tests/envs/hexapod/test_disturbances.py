@@ -27,7 +27,7 @@ def test_pushes_come_at_the_stated_intervals_and_strengths():
     assert max(speeds) <= 0.2
 
 
-def test_scale_zero_leaves_the_schedule_and_takes_the_force():
+def test_scale_zero_keeps_the_schedule_and_removes_the_force():
     full, none = schedule(1.0), schedule(0.0)
     assert [step for step, _ in full] == [step for step, _ in none]
     assert all(push.kick == (0.0, 0.0) and push.spin == 0.0 for _, push in none)

@@ -44,7 +44,7 @@ def test_standing_feet_carry_the_weight_and_the_torso_is_level(robot):
     assert motion.slip < 0.01
 
 
-def test_the_full_hoist_carries_six_tenths_of_the_weight(robot):
+def test_the_full_support_force_carries_six_tenths_of_the_weight(robot):
     robot.support_force = 1.0
     assert settle(robot).load.sum() == pytest.approx(0.4 * robot.mass * GRAVITY, rel=0.01)
 

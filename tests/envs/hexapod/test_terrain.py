@@ -25,7 +25,7 @@ def test_the_ground_is_flat_where_the_robot_starts(terrain):
     assert terrain.ground(1.5, -1.0) != pytest.approx(0.04)
 
 
-def test_the_same_seed_lays_the_same_ground(terrain):
+def test_the_same_seed_gives_the_same_ground(terrain):
     terrain.roughen(0.05, np.random.default_rng(4))
     first = terrain.height.copy()
     terrain.roughen(0.05, np.random.default_rng(5))
@@ -55,7 +55,7 @@ def test_the_local_mean_is_that_of_seven_by_seven_samples(terrain):
     assert terrain.ground(x, y) == pytest.approx(patch.mean())
 
 
-def test_beyond_the_edge_the_ground_goes_on(terrain):
+def test_the_ground_is_constant_beyond_the_edge(terrain):
     terrain.roughen(0.08, np.random.default_rng(2))
     assert terrain.ground(1e6, 1e6) == pytest.approx(terrain.mean[-1, -1], abs=1e-4)
     assert terrain.ground(-1e6, -1e6) == pytest.approx(terrain.mean[0, 0], abs=1e-4)

@@ -1,4 +1,4 @@
-"""Random corridors: every one can be driven, and all shapes of the seed's turn up."""
+"""Random corridors: every one can be driven, and all shapes of kart-simulator's occur."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_every_corridor_keeps_the_rules_of_tracks(count):
 
 
 @pytest.mark.parametrize("count", [2, 3, 8, 64])
-def test_a_corridor_of_n_cells_has_n_gates_and_two_walls_a_cell_and_one_behind_the_start(count):
+def test_a_corridor_of_n_cells_has_n_gates_two_walls_a_cell_and_one_behind_the_start(count):
     for found in drawn(count, range(5)):
         assert len(found.gates) == count
         assert len(found.walls) == 2 * count + 1
@@ -78,7 +78,7 @@ def test_every_episode_has_its_own_corridor_and_the_seed_decides_which():
     np.testing.assert_array_equal(env.track.walls, first)
 
 
-def test_what_the_kart_feels_and_sees_is_the_corridor_of_the_day():
+def test_physics_and_lidar_use_the_corridor_of_the_episode():
     env = envs.make("kart-gazebo", track="corridor-12").unwrapped
     driver = GapDriver.of(env)
     passed = []

@@ -26,7 +26,7 @@ def test_it_finishes_nine_of_ten_unseen_starts(name):
 
 
 @pytest.mark.parametrize("options", [{}, {"actions": "continuous"}])
-def test_what_it_did_is_what_it_says_when_asked_again(options):
+def test_replaying_the_observations_gives_the_same_actions(options):
     world = envs.make("kart-steer", max_steps=100, **options)
     player = open_policy(find("gap"), None, world)
     played = rollout(world, player, 10_000)
@@ -34,13 +34,13 @@ def test_what_it_did_is_what_it_says_when_asked_again(options):
     assert played.action.shape[1:] == world.action_space.shape
 
 
-def test_a_direction_is_free_up_to_what_stands_in_its_way():
+def test_a_direction_is_free_up_to_the_wall_in_it():
     free = driver("stop", "forward", "left", "right").free(np.array([100.0, 20.0, 100.0, 60.0]))
     # of each ray the other three are beside or behind, farther away than WIDTH or not in the way
     assert free.tolist() == [100, 20, 100, 60]
 
 
-def test_what_is_nearer_to_the_way_than_half_a_kart_blocks_it():
+def test_walls_closer_to_the_lane_than_half_a_kart_block_it():
     angles = np.array([0.0, 0.2])
     columns = {"lidar": slice(0, 2), "velocity": slice(2, 4)}
     robot = GapDriver(angles, 300.0, columns, {"stop": 0, "forward": 1})
@@ -58,14 +58,14 @@ def test_it_turns_towards_the_gap_and_then_drives():
     assert robot.act(np.array([*seen, -1.0, 0.0])) == 1
 
 
-def test_it_brakes_where_it_is_too_fast_for_what_it_sees():
+def test_it_brakes_where_it_is_too_fast_for_the_free_length():
     kart = driver("none", "accelerate", "brake", "left", "right")
     seen = [1 - 2 * d / 100 for d in (100, 50, 50, 50)]
     assert kart.act(np.array([*seen, -1.0, 0.0])) == 1
     assert kart.act(np.array([*seen, 1.0, 0.0])) == 2  # 100 px are not enough at top speed
 
 
-def test_a_kart_without_heading_is_pushed_the_way_it_lacks():
+def test_a_kart_without_heading_is_pushed_along_the_missing_velocity():
     kart = driver("none", "up", "down", "left", "right")
     seen = [1 - 2 * d / 100 for d in (100, 50, 50, 50)]
     assert kart.act(np.array([*seen, 0.0, 0.0])) == 4

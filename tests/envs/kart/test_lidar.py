@@ -106,7 +106,7 @@ def test_a_partial_field_is_centred_ahead():
     np.testing.assert_allclose(lidar.angles, np.radians([-90, -45, 0, 45, 90]), atol=1e-12)
 
 
-def test_one_ray_looks_straight_ahead():
+def test_a_single_ray_points_straight_ahead():
     assert among(SQUARE, count=1, field=1.0).angles.tolist() == [0.0]
 
 
@@ -125,7 +125,7 @@ def test_noise_keeps_within_zero_and_the_range():
     assert scan.max() == lidar.range
 
 
-def test_a_ray_that_drops_out_sees_nothing():
+def test_a_dropout_returns_the_range():
     lidar, rng = among(SQUARE, dropout=0.25), np.random.default_rng(0)
     scans = np.array([lidar.measure(0.0, 0.0, 0.0, rng) for _ in range(400)])
     lost = scans == lidar.range
@@ -134,7 +134,7 @@ def test_a_ray_that_drops_out_sees_nothing():
     np.testing.assert_array_equal(scans[~lost], exact[~lost])
 
 
-def test_a_quiet_lidar_leaves_the_dice_alone():
+def test_a_lidar_without_noise_draws_no_random_numbers():
     rng = np.random.default_rng(1)
     among(SQUARE).measure(0.0, 0.0, 0.0, rng)
     assert rng.random() == np.random.default_rng(1).random()
@@ -153,7 +153,7 @@ def test_a_quiet_lidar_leaves_the_dice_alone():
         ({"dropout": True}, "lidar.dropout: True"),
     ],
 )
-def test_options_that_no_lidar_has_are_refused(options, message):
+def test_invalid_lidar_options_are_refused(options, message):
     with pytest.raises(EnvError, match=message):
         LidarOptions(**options)
 

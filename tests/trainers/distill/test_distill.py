@@ -143,7 +143,7 @@ def test_states_are_all_kept_and_drawn_at_random():
     np.testing.assert_array_equal(action[:, 0], 10 * observation[:, 0])
 
 
-def test_a_run_leaves_what_every_run_leaves_and_measures_itself_by_its_teacher(onnx, tmp_path):
+def test_a_run_leaves_its_files_and_reports_its_share_of_the_teachers_return(onnx, tmp_path):
     run = train("smoke-distill", overrides=[f"teacher={onnx}"], runs=tmp_path, quiet=True)
     rows = read(run / "metrics.csv")
     assert (rows[-1]["updates"], rows[-1]["env_steps"], rows[-1]["iteration"]) == (40, 120, 1)
@@ -158,7 +158,7 @@ def test_a_run_leaves_what_every_run_leaves_and_measures_itself_by_its_teacher(o
     assert not torch.equal(policy.normalizer.mean, torch.zeros(77))
 
 
-def test_an_interrupted_run_goes_on_to_the_same_bits(onnx, tmp_path):
+def test_an_interrupted_run_resumes_to_the_same_bits(onnx, tmp_path):
     whole = train("smoke-distill", overrides=[f"teacher={onnx}"], runs=tmp_path, quiet=True)
 
     class Quiet:
@@ -211,7 +211,7 @@ def test_the_teachers_score_is_its_return_on_the_validation_seeds():
     assert score(still, EnvConfig(), validation) == pytest.approx(np.mean(totals))
 
 
-def test_a_missing_or_unfit_teacher_is_refused_before_anything_is_trained(onnx, tmp_path):
+def test_a_missing_or_unsuitable_teacher_is_refused_before_training(onnx, tmp_path):
     run = RunFolder.create(tmp_path, config())
     with pytest.raises(ConfigError, match="--set teacher=PATH"):
         Distill(config(), run)

@@ -82,7 +82,7 @@ def test_encoder_starts_as_in_the_paper(popsan):
     torch.testing.assert_close(popsan.encoder.std.square(), torch.full((6, 4), 0.15).double())
 
 
-def test_spiking_layers_are_alive_and_sparse_at_the_start():
+def test_untrained_spiking_layers_spike_sparsely():
     torch.manual_seed(0)
     policy = PopsanPolicy(77, 18).requires_grad_(False)
     rates = policy.latent(torch.randn(64, 77)).rates
@@ -114,7 +114,7 @@ def test_a_policy_without_hidden_layers_is_linear_before_tanh():
     torch.testing.assert_close(middle, (policy.latent(a).mean + policy.latent(b).mean) / 2)
 
 
-def test_phase_features_see_nothing_else():
+def test_phase_features_ignore_all_other_observations():
     policy = from_config(MlpConfig(hidden=(8,), features="phase"), 6, 3, columns=COLUMNS)
     observation = torch.randn(4, 6)
     other = observation.clone()
@@ -160,7 +160,7 @@ def test_running_moments_equal_those_of_all_data():
     np.testing.assert_allclose(moments.std, data.std(0))
 
 
-def test_a_constant_observation_is_not_blown_up():
+def test_a_constant_observation_is_not_amplified():
     moments = Moments.empty(1)
     moments.add(np.full((10, 1), 5.0))
     normalizer = TorchNormaliser(1)

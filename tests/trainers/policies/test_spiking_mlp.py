@@ -46,7 +46,7 @@ def test_spikes_and_gradients_equal_those_of_snntorchs_leaky():
     torch.testing.assert_close(ours.grad, theirs.grad)
 
 
-def test_the_readout_hears_the_mean_of_the_last_layers_spikes():
+def test_the_readout_takes_the_firing_rates_of_the_last_layer():
     network, observation = policy(head="discrete"), torch.rand(5, 6) * 2 - 1
     trace = network.trace(observation)
     rates = trace["lif2"].float().mean(1)
@@ -56,7 +56,7 @@ def test_the_readout_hears_the_mean_of_the_last_layers_spikes():
     assert torch.equal(network(observation), trace["action"])
 
 
-def test_a_raster_takes_the_place_of_the_encoder():
+def test_a_raster_replaces_the_encoder():
     network, observation = policy(coding="bernoulli"), torch.rand(5, 6) * 2 - 1
     first = network.trace(observation)
     again = network.trace(observation, first["input"])
@@ -82,7 +82,7 @@ def test_regular_spikes_are_evenly_spaced_and_begin_half_way():
 
 @pytest.mark.parametrize("coding", ["regular", "bernoulli", "population"])
 @pytest.mark.parametrize("head", ["discrete", "continuous"])
-def test_a_policy_is_rebuilt_from_what_its_checkpoint_says(coding, head):
+def test_a_policy_is_rebuilt_from_its_checkpoint(coding, head):
     network = policy(coding=coding, head=head)
     twin = build(network.spec())
     twin.load_state_dict(network.state_dict())
@@ -92,6 +92,6 @@ def test_a_policy_is_rebuilt_from_what_its_checkpoint_says(coding, head):
     assert torch.equal(one["action"], other["action"])
 
 
-def test_layers_are_awake_at_first():
+def test_untrained_layers_spike():
     rates = policy().latent(torch.rand(200, 6) * 2 - 1).rates
     assert all(0.05 < rate < 0.5 for rate in rates)

@@ -21,7 +21,7 @@ def test_advantages_equal_a_trace_worked_out_by_hand():
     assert found.flatten().tolist() == pytest.approx([2.6415, 1.87, 2.6])
 
 
-def test_a_crash_ends_the_return_and_the_clock_does_not():
+def test_a_terminal_state_ends_the_return_and_truncation_does_not():
     reward, value, following = column(0, 0), column(5, 5), column(7, 7)
     ended = column(True, False, kind=torch.bool)
     for terminated, expected in ((True, 0 - 5), (False, 0.9 * 7 - 5)):
@@ -30,7 +30,7 @@ def test_a_crash_ends_the_return_and_the_clock_does_not():
         assert found[0].item() == pytest.approx(expected)
 
 
-def test_an_episode_learns_nothing_from_the_one_after_it():
+def test_advantages_do_not_depend_on_the_next_episode():
     ended, never = column(True, False, kind=torch.bool), column(False, False, kind=torch.bool)
     kinds = []
     for later in (0.0, 1000.0):

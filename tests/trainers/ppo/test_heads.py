@@ -41,7 +41,7 @@ def test_the_divergence_that_ends_the_epochs_is_that_of_the_two_policies():
     assert estimate == pytest.approx(exact, rel=0.03)
 
 
-def test_a_cold_head_draws_the_best_action_only():
+def test_a_low_temperature_draws_the_best_action_only():
     torch.manual_seed(0)
     head = CategoricalHead()
     head.temperature = 0.01

@@ -41,7 +41,7 @@ def world(request, monkeypatch):
         ("smoke-kart", [*SPIKING, "policy.coding=population"]),
     ],
 )
-def test_it_learns_within_seconds_whatever_the_head_and_the_code(recipe, settings, tmp_path, world):
+def test_it_learns_within_seconds_with_every_head_and_code(recipe, settings, tmp_path, world):
     run = train(recipe, overrides=[*QUICK, *settings], runs=tmp_path, quiet=True)
     first, *_, last = (row["episode_return"] for row in read(run / "metrics.csv"))
     # of 10: random choices earn 2.5, random pointing about -1.3
@@ -55,7 +55,7 @@ def test_it_learns_within_seconds_whatever_the_head_and_the_code(recipe, setting
         assert (policy(seen) - seen).abs().mean() < 0.45
 
 
-def test_a_resumed_run_goes_on_where_it_stopped(tmp_path, world):
+def test_a_resumed_run_continues_where_it_stopped(tmp_path, world):
     settings = [*QUICK, *SPIKING]
     run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
     train("smoke-kart", overrides=["steps=6144"], resume=run, quiet=True)
@@ -78,7 +78,7 @@ def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world)
 
 
 @pytest.mark.parametrize("world", [Choosing], indirect=True)
-def test_training_ends_after_as_many_finishes_as_were_asked_for(tmp_path, world):
+def test_training_ends_at_the_requested_number_of_finishes(tmp_path, world):
     settings = [*QUICK, *SPIKING, "stop_at_finishes=5"]
     run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
     last = read(run / "metrics.csv")[-1]
@@ -104,7 +104,7 @@ def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():
     assert torch.equal(again, log_probability)
 
 
-def test_at_first_all_actions_are_nearly_alike():
+def test_untrained_actions_are_nearly_equally_likely():
     policy = build({"kind": "spiking-mlp", "observations": 3, "actions": 4, "head": "discrete"})
     PpoLearner(resolve(PpoConfig, "smoke-kart"), policy)
     shares = policy.scores(torch.rand(50, 3)).softmax(-1)
@@ -117,7 +117,7 @@ def test_a_policy_that_observes_only_the_phase_is_refused():
 
 
 @pytest.mark.parametrize("world", [Choosing], indirect=True)
-def test_observations_are_normalised_until_that_is_frozen(tmp_path, world):
+def test_the_normaliser_is_updated_until_it_is_frozen(tmp_path, world):
     config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, "normaliser.finish=600"])
     learner = Ppo(config, RunFolder.create(tmp_path, config))
     seen = []
@@ -129,7 +129,7 @@ def test_observations_are_normalised_until_that_is_frozen(tmp_path, world):
     assert not torch.equal(seen[1], seen[0])
 
 
-def test_the_drives_of_training_are_kept_as_ghosts(tmp_path):
+def test_training_episodes_are_saved_as_ghosts(tmp_path):
     run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
     files = sorted((run / "ghosts").glob("*.npz"))
     drives = [drive for file in files for drive in Ghosts.load(file).drives]
@@ -140,7 +140,7 @@ def test_the_drives_of_training_are_kept_as_ghosts(tmp_path):
     assert all(0 <= drive.seed < 5_000 for drive in drives)
 
 
-def test_a_resumed_run_keeps_no_ghosts_of_what_it_drives_again(tmp_path):
+def test_a_resumed_run_deletes_ghosts_after_its_checkpoint(tmp_path):
     run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
     later = run / "ghosts" / "00099.npz"
     later.write_bytes(b"of a drive after the checkpoint")
@@ -149,7 +149,7 @@ def test_a_resumed_run_keeps_no_ghosts_of_what_it_drives_again(tmp_path):
 
 
 @pytest.mark.parametrize("world", [Choosing], indirect=True)
-def test_a_world_without_poses_leaves_no_ghosts(tmp_path, world):
+def test_an_environment_without_poses_leaves_no_ghosts(tmp_path, world):
     run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
     assert not (run / "ghosts").exists()
 
@@ -163,6 +163,6 @@ def test_algorithms_for_continuous_actions_refuse_discrete_ones(recipe, name, tm
         train(recipe, overrides=settings, runs=tmp_path, quiet=True)
 
 
-def test_a_popsan_refuses_to_choose():
+def test_a_popsan_refuses_discrete_actions():
     with pytest.raises(ConfigError, match="a popsan has continuous actions"):
         from_config(PopsanConfig(), 3, 4, head="discrete")

@@ -17,7 +17,7 @@ def held(buffer):
     return sorted(buffer.rows[: buffer.size, 0])
 
 
-def test_a_sample_keeps_what_belongs_together():
+def test_a_sample_keeps_transitions_together():
     buffer = ReplayBuffer(100, 3, 2)
     fill(buffer, range(1, 21))
     batch = buffer.sample(64, np.random.default_rng(0))
@@ -29,7 +29,7 @@ def test_a_sample_keeps_what_belongs_together():
     assert (batch.following == number[:, None] + 0.5).all()
 
 
-def test_the_oldest_are_forgotten_first():
+def test_the_oldest_transitions_are_overwritten_first():
     buffer = ReplayBuffer(4, 3, 2)
     fill(buffer, range(6))
     assert held(buffer) == [2, 3, 4, 5]

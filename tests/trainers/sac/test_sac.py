@@ -87,13 +87,13 @@ def random_batch(size=64, **changes):
     return ReplayBatch(**{**parts, **changes})
 
 
-def test_nothing_is_expected_after_a_termination():
+def test_the_value_after_a_terminal_state_is_zero():
     sac = learner()
     goal = sac._goal(random_batch(terminated=torch.ones(64)), temperature=0.05)
     assert torch.equal(goal, torch.ones(64))
 
 
-def test_critics_come_to_agree_with_a_return_that_is_known():
+def test_critics_converge_to_a_known_return():
     sac = learner("learning_rate=0.01")
     batch = random_batch(terminated=torch.ones(64), reward=torch.full((64,), 3.0))
     for _ in range(200):
@@ -135,7 +135,7 @@ def test_the_log_probability_is_that_of_a_squashed_gaussian():
     torch.testing.assert_close(log_prob, squashed.log_prob(action).sum(-1))
 
 
-def test_the_spread_is_no_part_of_the_policy():
+def test_the_spread_is_not_part_of_the_policy():
     actor = GaussianActor(MlpPolicy(2, 1, (4,)))
     assert not any("log_std" in name for name in actor.policy.state_dict())
 

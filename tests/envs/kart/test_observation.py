@@ -26,7 +26,7 @@ def made(name, **options):
         ("kart-steer", 30, ["lidar", "position", "velocity", "heading"]),
     ],
 )
-def test_the_default_has_24_rays_and_what_an_odometer_tells(name, size, parts):
+def test_the_default_has_24_rays_position_velocity_and_heading(name, size, parts):
     env = made(name)
     assert env.observation_space.shape == (size,)
     assert list(env.OBSERVATION) == parts
@@ -37,7 +37,7 @@ def test_the_default_has_24_rays_and_what_an_odometer_tells(name, size, parts):
 
 @pytest.mark.parametrize(("name", "size"), [("kart-grid", 62), ("kart-gazebo", 64),
                                             ("kart-steer", 64)])  # fmt: skip
-def test_the_classic_has_the_seeds_59_rays_and_sizes(name, size):
+def test_the_classic_preset_has_kart_simulators_59_rays_and_sizes(name, size):
     env = made(name, preset="classic")
     assert env.observation_space.shape == (size,)
     angles = np.degrees(env.lidar.angles)
@@ -49,7 +49,7 @@ def test_the_classic_has_the_seeds_59_rays_and_sizes(name, size):
 
 
 @everyone
-def test_a_wall_at_the_centre_is_seen_as_1_and_none_in_range_as_minus_1(name):
+def test_a_wall_at_the_centre_is_observed_as_1_and_none_in_range_as_minus_1(name):
     env = made(name)
     place = env.OBSERVATION["lidar"]
     for x, y in ((300.0, 83.6), (448.0, 205.0), (890.0, 300.0)):
@@ -62,7 +62,7 @@ def test_a_wall_at_the_centre_is_seen_as_1_and_none_in_range_as_minus_1(name):
 
 @pytest.mark.parametrize(("name", "rim", "reach"), [("kart-steer", 0.89, 350.0),
                                                     ("kart-grid", 0.94, 600.0)])  # fmt: skip
-def test_classic_rays_are_inverted_with_the_seeds_value_for_nothing(name, rim, reach):
+def test_classic_rays_without_a_hit_have_kart_simulators_value(name, rim, reach):
     env = made(name, preset="classic")
     place = env.OBSERVATION["lidar"]
     scan = np.linspace(19.2, reach, 59)
@@ -105,7 +105,7 @@ def test_the_classic_position_is_relative_to_the_box_of_big_s_everywhere():
         ("kart-steer", (602.0, 0.0), -1.9134, (1.0, -0.5)),
     ],
 )
-def test_the_velocity_is_observed_in_the_karts_own_terms(name, velocity, turn, expected):
+def test_the_velocity_is_scaled_by_each_karts_own_limits(name, velocity, turn, expected):
     env = made(name)
     seen = env.observe_at(300.0, 200.0, 0.0, velocity, turn, 0)
     np.testing.assert_allclose(seen[env.OBSERVATION["velocity"]], expected, atol=1e-4)
@@ -121,7 +121,7 @@ def test_the_velocity_is_observed_in_the_karts_own_terms(name, velocity, turn, e
         ("kart-steer", 299.5, 0.0),
     ],
 )
-def test_the_classic_speed_is_the_seeds(name, speed, expected):
+def test_the_classic_speed_is_kart_simulators(name, speed, expected):
     env = made(name, preset="classic")
     seen = env.observe_at(300.0, 200.0, 0.0, (0.0, speed), 0.0, 0)
     np.testing.assert_allclose(seen[env.OBSERVATION["speed"]], expected)
@@ -133,7 +133,7 @@ def test_the_heading_is_its_cosine_and_sine():
     np.testing.assert_allclose(seen[env.OBSERVATION["heading"]], [math.cos(7), math.sin(7)])
 
 
-def test_the_next_gate_is_seen_relative_to_the_heading():
+def test_the_next_gate_is_observed_relative_to_the_heading():
     env = made("kart-steer", observe=["gate"], lidar={"range": 400.0})
     # the middle of gate 1 is at (448, 205)
     seen = env.observe_at(448.0, 105.0, math.pi / 2, (0.0, 0.0), 0.0, 0)
@@ -165,7 +165,7 @@ def test_components_are_selected_in_the_order_given(name):
 
 @everyone
 @pytest.mark.parametrize("preset", ["default", "classic"])
-def test_observing_elsewhere_says_what_is_observed_here_and_disturbs_nothing(name, preset):
+def test_observe_at_equals_the_observation_and_changes_nothing(name, preset):
     env, quiet = made(name, preset=preset), made(name, preset=preset)
     rng = np.random.default_rng(2)
     for action in rng.integers(env.action_space.n, size=60):

@@ -80,7 +80,7 @@ def test_the_gait_alone_neither_falls_nor_follows(walks):
     assert not any(infos[-1]["success"] for infos in walks)
 
 
-def test_the_path_of_a_robot_that_turns_is_longer_than_its_way_made_good(walks):
+def test_the_path_of_a_turning_robot_is_longer_than_its_displacement(walks):
     for infos in walks:
         assert infos[-1]["distance"] > 1.5
         assert 0.5 < infos[-1]["cot"] < 4.0

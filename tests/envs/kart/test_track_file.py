@@ -47,7 +47,7 @@ def test_the_shipped_tracks_are_two_bends_a_circuit_and_three_rooms():
     assert track_file.names() == ("big_S", "circuit", "room_1", "room_2", "room_3", "small_S")
 
 
-def test_big_s_has_the_seeds_walls_gates_and_length():
+def test_big_s_has_kart_simulators_walls_gates_and_length():
     found = track_file.load("big_S")
     assert found.walls.shape == (12, 2, 2)
     assert found.box == (54.0, 81.0, 990.0, 958.0)
@@ -59,7 +59,7 @@ def test_big_s_has_the_seeds_walls_gates_and_length():
     assert found.length == pytest.approx(2396, abs=1)
 
 
-def test_small_s_has_the_seeds_walls_gates_and_length():
+def test_small_s_has_kart_simulators_walls_gates_and_length():
     found = track_file.load("small_S")
     assert found.walls.shape == (12, 2, 2)
     assert found.box == (270.0, 401.0, 562.0, 824.0)
@@ -76,7 +76,7 @@ def test_the_circuit_ends_where_it_begins():
 
 
 @everyone
-def test_the_way_that_remains_is_the_sum_of_the_legs(name):
+def test_the_remaining_path_is_the_sum_of_its_legs(name):
     found = track_file.load(name)
     points = [found.start, *found.midpoints]
     way = sum(math.dist(a, b) for a, b in pairwise(points))
@@ -86,13 +86,13 @@ def test_the_way_that_remains_is_the_sum_of_the_legs(name):
 
 
 @everyone
-def test_a_kart_has_room_wherever_it_starts(name):
+def test_every_start_is_clear_of_the_walls(name):
     found = track_file.load(name)
     corners = found.start + found.spread * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     assert distances(corners, found.walls).min() > 19.2
 
 
-def test_a_track_file_of_ones_own_is_loaded_by_its_path(tmp_path):
+def test_any_track_file_is_loaded_by_its_path(tmp_path):
     path = written(tmp_path, LANE)
     for name in (path, str(path)):
         found = track_file.load(name)
@@ -165,7 +165,7 @@ def test_what_is_not_json_is_refused(tmp_path):
         (begun(heading=1), "start heading: must be numbers of shape (2,)"),
     ],
 )
-def test_a_form_that_no_track_has_is_refused_by_its_place(tmp_path, content, message):
+def test_a_malformed_track_is_refused_with_the_place_of_the_fault(tmp_path, content, message):
     assert message in refusal(tmp_path, content)
 
 
@@ -198,7 +198,7 @@ def test_a_form_that_no_track_has_is_refused_by_its_place(tmp_path, content, mes
         ),
     ],
 )
-def test_a_track_that_nobody_can_drive_is_refused_with_the_reason(tmp_path, content, message):
+def test_a_track_that_cannot_be_driven_is_refused_with_the_reason(tmp_path, content, message):
     assert message in refusal(tmp_path, content)
 
 

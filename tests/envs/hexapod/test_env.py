@@ -114,7 +114,7 @@ def test_actions_beyond_one_count_as_one(env):
 
 
 @pytest.mark.parametrize("wrong", [np.zeros(17), np.zeros((1, 18)), np.full(18, np.nan)])
-def test_an_action_that_cannot_be_carried_out_names_its_step(env, wrong):
+def test_an_invalid_action_is_refused_with_its_step(env, wrong):
     env.reset(seed=0)
     env.step(STILL)
     with pytest.raises(EnvError, match="action of step 1"):
@@ -145,13 +145,13 @@ def test_success_needs_the_return_and_the_feet(env):
     assert not env.step(STILL)[4]["success"]
 
 
-def test_an_episode_is_cut_at_max_steps():
+def test_an_episode_is_truncated_at_max_steps():
     env = HexapodEnv(max_steps=3)
     env.reset(seed=0)
     assert [env.step(STILL)[3] for _ in range(3)] == [False, False, True]
 
 
-def test_hoist_is_off_until_training_raises_it(env):
+def test_the_support_force_is_off_until_training_raises_it(env):
     env.reset(seed=0)
     assert env.support_force == 0.0
     env.support_force = 0.5

@@ -48,7 +48,7 @@ def test_the_reward_is_the_sum_of_its_terms(name):
 
 
 @everyone
-def test_progress_of_a_lap_sums_to_the_way_from_its_start(name):
+def test_progress_of_a_lap_sums_to_the_path_from_its_start(name):
     env = envs.make(name).unwrapped
     driver = GapDriver.of(env)
     first, steps = episode(env, 10_000, lambda seen: int(driver.act(seen)))
@@ -61,7 +61,7 @@ def test_progress_of_a_lap_sums_to_the_way_from_its_start(name):
 
 
 @everyone
-def test_progress_of_a_drive_sums_to_the_way_it_made_good(name):
+def test_progress_of_an_episode_sums_to_the_path_covered(name):
     env = envs.make(name, max_steps=150).unwrapped
     rng = np.random.default_rng(5)
     for seed in range(5):
@@ -96,7 +96,7 @@ def test_driving_forth_and_back_earns_nothing():
     assert sum(earned) == pytest.approx(away / 100)
 
 
-def test_a_crash_and_giving_up_cost_five_once():
+def test_a_crash_and_a_stall_cost_five_once():
     terms = PathReward().terms(REST._replace(failed=True))
     assert terms == {"progress": 0.0, "gate": 0.0, "finish": 0.0, "crash": -5.0, "time": -0.01}
 
@@ -107,7 +107,7 @@ def test_weights_are_changed_by_name_and_the_others_stay():
     assert terms == {"progress": 0.5, "gate": 2.0, "finish": 0.0, "crash": 0.0, "time": 0.0}
 
 
-def test_the_clock_is_not_paid_as_a_crash():
+def test_truncation_is_not_penalised_as_a_crash():
     for preset in ("default", "classic"):
         env = envs.make("kart-grid", preset=preset, max_steps=20).unwrapped
         _, steps = episode(env, 0, lambda _: 4)
@@ -122,7 +122,7 @@ def test_the_clock_is_not_paid_as_a_crash():
     ("kind", "speed", "expected"),
     [(KartGridEnv, 400.0, 0.38), (KartGazeboEnv, 440.0, 0.75), (KartSteerEnv, 599.0, 12.5)],
 )
-def test_classic_progress_at_full_speed_is_the_seeds(kind, speed, expected):
+def test_classic_progress_at_full_speed_is_kart_simulators(kind, speed, expected):
     outcome = REST._replace(approach=speed / 60, speed=speed)
     assert kind.CLASSIC.terms(outcome)["progress"] == pytest.approx(expected, rel=0.01)
 
@@ -146,7 +146,7 @@ def test_a_classic_gate_pays_less_the_longer_it_took(since, expected):
 
 @pytest.mark.parametrize(("kind", "crash"), [(KartGridEnv, -500), (KartGazeboEnv, -1000),
                                              (KartSteerEnv, -500)])  # fmt: skip
-def test_classic_ends_pay_the_seeds_sums_once(kind, crash):
+def test_classic_ends_pay_kart_simulators_sums_once(kind, crash):
     assert kind.CLASSIC.terms(REST._replace(failed=True))["crash"] == crash
     assert kind.CLASSIC.terms(REST._replace(finish=True))["finish"] == 500_000
 
@@ -175,14 +175,14 @@ def test_classic_pays_increments_and_not_the_running_total():
 
 
 @pytest.mark.parametrize(("name", "steps"), [("kart-gazebo", 100), ("kart-steer", 120)])
-def test_classic_karts_may_stand_still_for_the_seeds_time(name, steps):
+def test_classic_karts_may_stand_still_as_long_as_in_kart_simulator(name, steps):
     env = envs.make(name, preset="classic").unwrapped
     _, done = episode(env, 0, lambda _: 0)
     assert len(done) == steps
     assert done[-1][2]["stalled"]
 
 
-def test_a_classic_grid_kart_may_stand_still_for_ever():
+def test_a_classic_grid_kart_may_stand_still_without_limit():
     env = envs.make("kart-grid", preset="classic", max_steps=400).unwrapped
     _, steps = episode(env, 0, lambda _: 0)
     assert len(steps) == 400
@@ -190,7 +190,7 @@ def test_a_classic_grid_kart_may_stand_still_for_ever():
 
 
 @pytest.mark.parametrize(("name", "action"), [("kart-grid", "left"), ("kart-steer", "accelerate")])
-def test_classic_deserters_are_stopped_after_30_steps(name, action):
+def test_classic_karts_that_move_away_from_the_gate_are_stopped_after_30_steps(name, action):
     corners = 2000.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     gate = np.array([[[900.0, -50.0], [900.0, 50.0]]])
     away = (math.pi, math.pi)

@@ -127,7 +127,7 @@ def test_a_full_turn_of_a_gazebo_kart_takes_66_steps():
     assert (env.pose[0], env.pose[1]) == (0.0, 0.0)
 
 
-def test_a_gazebo_kart_drives_where_it_looks():
+def test_a_gazebo_kart_drives_along_its_heading():
     env = kart("kart-gazebo")
     do(env, "right", 10)
     do(env, "forward", 6)
@@ -179,7 +179,7 @@ def test_a_steer_kart_turns_at_standstill():
     assert env.pose[:2] == (0.0, 0.0)
 
 
-def test_a_steer_kart_never_slides():
+def test_a_steer_kart_has_no_lateral_slip():
     env = kart("kart-steer")
     do(env, "accelerate", 40)
     for name in ["right", "accelerate", "left", "left", "brake"] * 6:
@@ -306,7 +306,7 @@ def test_driving_in_circles_is_a_failure_too():
 
 
 @everyone
-def test_a_kart_that_gets_on_is_stopped_by_the_clock_and_that_is_no_failure(name):
+def test_a_kart_that_makes_progress_is_truncated_and_that_is_no_failure(name):
     env = kart(name, max_steps=40)
     forward = {"kart-grid": "right", "kart-gazebo": "forward", "kart-steer": "accelerate"}[name]
     *_, terminated, truncated, info = do(env, forward, 39)
@@ -460,7 +460,7 @@ def test_a_continuous_action_of_another_form_is_refused(action):
         ({"actions": "analog"}, "actions 'analog' is unknown; known: 'discrete', 'continuous'"),
     ],
 )
-def test_an_option_that_cannot_be_obeyed_is_refused_in_one_line(options, message):
+def test_an_invalid_option_is_refused_in_one_line(options, message):
     with pytest.raises(EnvError) as caught:
         KartSteerEnv(**options)
     assert message in str(caught.value)
