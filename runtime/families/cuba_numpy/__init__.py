@@ -6,4 +6,5 @@ neuron_update    the neurons of a layer from timestep to timestep
 pipeline         the backend: every layer's window, one after another
 raster           spikes of one source with their counts; aligned memory
 sums             from spikes to the sum of weights that arrives, in three ways
+wave             small layers one after another, advanced together in one stack
 """

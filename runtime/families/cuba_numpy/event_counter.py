@@ -1,16 +1,54 @@
 """The events of a window: observed while it is in memory, and counted later for many at once."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.backend import SavedState
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts
-from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
 from spikedeploy.runtime.families.cuba_numpy.raster import Raster
+
+
+class LayerWindow(Protocol):
+    """What is left of the window of a layer, as in LayerKernel."""
+
+    @property
+    def layer(self) -> Layer:
+        """Whose window it is."""
+
+    @property
+    def states(self) -> NDArray[Any]:
+        """(T + 1, 2, B, N)."""
+
+    @property
+    def spikes(self) -> NDArray[np.bool_]:
+        """(T, B, N)."""
+
+    @property
+    def ordinary(self) -> bool:
+        """Whether it ran, and not in the interpreter."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the layer had not started."""
+
+    @property
+    def interpreted(self) -> bool:
+        """Whether the interpreter ran it."""
+
+    @property
+    def overflows(self) -> Any:  # noqa: ANN401
+        """(B,) numbers that did not fit, where it was interpreted."""
+
+    def saved(self) -> SavedState:
+        """Copies of the states."""
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there."""
 
 
 class WindowStats(NamedTuple):
@@ -35,7 +73,7 @@ class EventCounter:
     steps: chip timesteps that a window stands for, those in which a layer only waits included.
     """
 
-    def __init__(self, program: Program, kernels: Sequence[LayerKernel], steps: int) -> None:
+    def __init__(self, program: Program, kernels: Sequence[LayerWindow], steps: int) -> None:
         self.steps = steps
         self.timesteps, self.batch, _ = kernels[0].spikes.shape
         self._program, self._kernels = program, kernels
@@ -100,7 +138,7 @@ class EventCounter:
 class ActiveCount:
     """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
 
-    def __init__(self, kernel: LayerKernel) -> None:
+    def __init__(self, kernel: LayerWindow) -> None:
         self._kernel = kernel
         voltage_bias = kernel.layer.voltage_bias
         self._biased = voltage_bias != 0 if voltage_bias.any() else None

@@ -9,7 +9,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.families.cuba.bounds import exact_ticks
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating]
 Bits = NDArray[np.bool_]
 
 # from so many neurons on two calls without a branch are faster than putmask
@@ -39,11 +39,12 @@ class NeuronUpdate:
         self._first = 0 if layer.current_decay.any() else 1
         # (2, 1, N): one multiplication decays currents and membranes
         factors = np.stack([layer.current_decay, layer.membrane_decay])[self._first :, None]
-        self._decay = factors / float(fixed.decay_one if fixed else 1)
+        one = float(fixed.decay_one if fixed else 1)
+        self._decay = (factors / one).astype(states.dtype)
         # arrays of one shape take NumPy's shortest way; a (N,) beside a (1, N) costs half a us more
         shape = spikes[0].shape
-        self._threshold = np.broadcast_to(layer.threshold.astype(np.float64), shape).copy()
-        bias = np.broadcast_to(layer.voltage_bias.astype(np.float64), shape).copy()
+        self._threshold = np.broadcast_to(layer.threshold.astype(states.dtype), shape).copy()
+        bias = np.broadcast_to(layer.voltage_bias.astype(states.dtype), shape).copy()
         self._bias = bias if bias.any() else None
         of = slice(self._first, 2)
         exact = exact_ticks(layer, fixed) if fixed and not kept else -1
@@ -61,7 +62,7 @@ class NeuronUpdate:
         ]
         self._others = np.empty_like(spikes[0])
         self._reset: Callable[[Floats, Bits, Floats], None] = np.putmask
-        self._to = np.zeros(1)
+        self._to = np.zeros(1, states.dtype)
         if subtract:
             self._reset, self._to = _subtract, self._threshold
         elif spikes[0].size >= WIDE and fixed:
@@ -69,11 +70,17 @@ class NeuronUpdate:
 
     def __call__(self) -> None:
         """Fill `states` and `spikes`."""
+        self.run(slice(None))
+        self.finish()
+
+    def run(self, rows: slice) -> None:
+        """The same for some of the timesteps; all of those before must have run."""
         # names of the function are found faster than those of the module
         multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
         decay, threshold, bias = self._decay, self._threshold, self._bias
-        reset, to, has_current, resting = self._reset, self._to, not self._first, not self._kept
-        for before, after, current, membrane, drive, spikes, rounded in self._timesteps:
+        reset, to, has_current = self._reset, self._to, not self._first
+        resting = not self._kept and not rows.start
+        for before, after, current, membrane, drive, spikes, rounded in self._timesteps[rows]:
             if resting:
                 # from zero, both states become what arrives
                 np.copyto(after, drive)
@@ -91,8 +98,10 @@ class NeuronUpdate:
                 add(membrane, bias, membrane)
             greater(membrane, threshold, spikes)
             reset(membrane, spikes, to)
-        if not has_current:
-            # nothing needed the currents on the way
+
+    def finish(self) -> None:
+        """Write the currents, where nothing needed them on the way."""
+        if self._first:
             np.copyto(self._currents, self._drive)
 
     def _silence(self, membrane: Floats, spikes: Bits, _: Floats) -> None:

@@ -1,5 +1,6 @@
-"""The NumPy backend: every layer's window, one after another."""
+"""The NumPy backend: every layer's window, one after another, or small layers in one stack."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,14 @@ from spikedeploy.runtime.emulator.backend import (
 )
 from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.cuba_numpy.event_counter import EventCounter, WindowStats
+from spikedeploy.runtime.families.cuba_numpy.event_counter import (
+    EventCounter,
+    LayerWindow,
+    WindowStats,
+)
 from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
 from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch
+from spikedeploy.runtime.families.cuba_numpy.wave import Wave, suits
 
 IDLE = EVENTS.index("neuron_idle")
 
@@ -78,15 +84,17 @@ class NumpyPipeline:
         self._fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
         # rows that a kernel runs at once
         self._rows = schedule.timesteps if schedule.mode == "window" else 1
-        self._kernels = self._prepared()
+        self._wave = self._as_wave()
+        self._kernels = [] if self._wave else self._prepared()
+        self._windows: Sequence[LayerWindow] = self._wave.windows if self._wave else self._kernels
         steps = schedule.steps if schedule.mode == "window" else 1
-        self._counter = EventCounter(program, self._kernels, steps)
+        self._counter = EventCounter(program, self._windows, steps)
         self._output_spikes: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
         # a layer's kernel, and the sources of its synapses with the rows that they are late
         self._route = [
             (kernel.layer, kernel, list(zip(_sources(kernel.layer), delays, strict=True)))
-            for kernel, delays in zip(self._kernels, schedule.delays, strict=True)
+            for kernel, delays in zip(self._kernels, schedule.delays, strict=False)
         ]
         longest = max(self._lag, *(max(delays) for delays in schedule.delays))
         self._buffer = DelayBuffer(program.sizes, longest, batch)
@@ -137,23 +145,31 @@ class NumpyPipeline:
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer."""
         dtype = np.int64 if self._fixed else np.float64
-        states = [(k.layer.name, k.states[-1].astype(dtype)) for k in self._kernels]
+        states = [(each.layer.name, each.states[-1].astype(dtype)) for each in self._windows]
         return {name: (both[0], both[1]) for name, both in states}
 
     def saved(self) -> SavedState:
         """Copies of all states, and of the spikes that have not arrived yet."""
         saved = {f"spikes of {name}": rows for name, rows in self._buffer.saved().items()}
-        for kernel in self._kernels:
-            for name, values in kernel.saved().items():
-                saved[f"{name} of {kernel.layer.name}"] = values
+        for window in self._windows:
+            for name, values in window.saved().items():
+                saved[f"{name} of {window.layer.name}"] = values
         return saved
 
     def restore(self, saved: SavedState) -> None:
         """Go on from there."""
         self._buffer.restore({name: saved[f"spikes of {name}"] for name in self._program.sizes})
-        for kernel in self._kernels:
-            of = f" of {kernel.layer.name}"
-            kernel.restore({name: saved[name + of] for name in ("states", "refractory")})
+        for window in self._windows:
+            of = f" of {window.layer.name}"
+            window.restore({name: saved[name + of] for name in window.saved()})
+
+    def _as_wave(self) -> Wave | None:
+        """All layers in one stack, where that is exact and faster."""
+        fixed, schedule = self._fixed, self.schedule
+        if fixed is None or schedule.kept:
+            return None
+        suitable = suits(self._program, fixed, schedule.timesteps, self._batch)
+        return Wave(self._program, fixed, schedule.timesteps) if suitable else None
 
     def _prepared(self) -> list[LayerKernel]:
         """A kernel for each layer; they share the memory that is needed only for a moment."""
@@ -168,6 +184,11 @@ class NumpyPipeline:
     def _window(self, rows: NDArray[Any], step: int | None) -> NDArray[Any]:
         """Run each layer once, for all rows."""
         output_spikes = {self._program.input: Raster(rows)}
+        if self._wave is not None:
+            self._wave.run(rows)
+            output_spikes |= {each.layer.name: Raster(each.spikes) for each in self._windows}
+            self._output_spikes = output_spikes
+            return self._windows[-1].spikes
         delayed, timesteps = self._buffer.delayed, self._rows
         for layer, kernel, synapses in self._route:
             if step is not None and step < layer.start:
@@ -200,11 +221,11 @@ class NumpyPipeline:
         """What each layer did when it last ran."""
         dtype = np.int64 if self._fixed else np.float64
         recordings = {}
-        for kernel in self._kernels:
+        for window in self._windows:
             # (T + 1, 2, B, N) to (2, B, T, N)
-            current, membrane = kernel.states[1:].transpose(1, 2, 0, 3).astype(dtype)
-            spikes = kernel.spikes.swapaxes(0, 1).astype(np.uint8)
-            recordings[kernel.layer.name] = Recording(current, membrane, spikes)
+            current, membrane = window.states[1:].transpose(1, 2, 0, 3).astype(dtype)
+            spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
+            recordings[window.layer.name] = Recording(current, membrane, spikes)
         return recordings
 
 
