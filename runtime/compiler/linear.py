@@ -82,6 +82,8 @@ class Linear:
         size = self._size(source)
         self._check_size(region.target, size)
         self._check_work(region, source)
+        if direct := self._direct(region, source):
+            return direct
         found: dict[int, Floats] = {}
         for first, impulses in self._impulses(region, source):
             for lag, rows in self._respond(region, {source: {0: impulses}}).items():
@@ -177,6 +179,19 @@ class Linear:
         if isinstance(node, CONVOLUTIONS):
             bias = bias.reshape(-1, *(1 for _ in shape[1:]))
         return np.broadcast_to(bias, shape)[None]
+
+    def _direct(self, region: LinearBlock, source: str) -> dict[int, Floats]:
+        """The weights themselves of a lone Affine or Linear; nothing where there is more."""
+        name, *others = region.names or ("",)
+        node = self._graph.nodes.get(name)
+        alone = [sources(self._graph, at) for at in (name, region.target)] == [[source], [name]]
+        if others or not alone or not isinstance(node, DENSE) or node.weight.ndim != 2:
+            return {}
+        edges = [(source, name), (name, region.target)]
+        self._bytes += 8 * node.weight.size
+        # + 0.0: as a sum has it, no zero is negative
+        weight = np.ascontiguousarray(node.weight.T, np.float64) + 0.0
+        return {sum(edge in self._timing.late for edge in edges): weight}
 
     def _shape(self, name: str) -> tuple[int, ...]:
         return tuple(int(n) for n in self._graph.nodes[name].output_type["output"])
