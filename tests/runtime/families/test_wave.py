@@ -31,7 +31,7 @@ def test_a_wave_equals_the_interpreter_in_everything_that_is_left(program, times
             np.testing.assert_array_equal(found.spikes, traces[name].spikes)
         np.testing.assert_array_equal(output, traces[program.output].spikes)
         spikes = {name: found.spikes for name, found in traces.items()}
-        busy = {name: found.busy for name, found in traces.items()}
+        busy = {name: found.active for name, found in traces.items()}
         counts = count(program, {program.input: raster, **spikes}, busy)
         np.testing.assert_array_equal(machine.ledger.counts[-1:], counts)
     assert machine._backend._wave is not None
