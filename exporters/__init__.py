@@ -8,9 +8,7 @@ from_nir     such a file as a torch policy again
 to_onnx      a float policy as `.onnx`
 onnx_graph   builds an ONNX graph node by node
 raster       input spikes of a policy in torch, drawn with the generator of the chip
-parity       a written file against its policy; the table of checks by format
-nir_parity   torch = NumPy float = compiled for `ideal`, spike by spike
-onnx_parity  torch = ONNX Runtime
+parity       a written file against its policy: NIR spike by spike, ONNX action by action
 check        one line of a parity report, and its counters
 """
 

@@ -1,16 +1,212 @@
-"""Parity: a written file is read back and compared with the policy on the same observations."""
+"""Parity: a written file is read back and compared with the policy on the same observations.
 
-from collections.abc import Callable
+A NIR file must spike equally, in float64:
+
+    torch policy  =  NumPy float of the file  =  its program on the chip `ideal`
+
+In float32, which training uses, a few membranes fall on the other side of a threshold; their number
+is reported, not checked. A random encoder uses the same generator on both sides. An ONNX file is
+compared in ONNX Runtime with the policy in torch.
+"""
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 
-from spikedeploy.exporters.check import ParityCheck
-from spikedeploy.exporters.nir_parity import nir_checks
-from spikedeploy.exporters.onnx_parity import onnx_checks
-from spikedeploy.runtime.errors import ConfigError, ObservationError
-from spikedeploy.trainers.policies import Policy
+from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
+from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS
+from spikedeploy.exporters.raster import raster as presynaptic
+from spikedeploy.exporters.to_nir import SpikingPolicy
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.policies import Policy, PopsanPolicy
+
+FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
+
+Spikes = dict[str, NDArray[np.uint8]]
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """Spikes and actions of one implementation on a batch.
+
+    spikes: (B, T, N) of the input and of each layer
+    actions: (B, act); scores where one of several is chosen
+    choices: (B,) indices of what is chosen, if so
+    """
+
+    spikes: Spikes
+    actions: NDArray[np.float64]
+    choices: NDArray[np.int64] | None
+
+
+@dataclass
+class _Rung:
+    """Two implementations compared: every spike, and the actions."""
+
+    spikes: MismatchCounter = field(default_factory=MismatchCounter)
+    actions: LargestDifference = field(default_factory=LargestDifference)
+    choices: MismatchCounter = field(default_factory=MismatchCounter)
+
+    def add(self, one: _Outcome, other: _Outcome) -> None:
+        self.spikes.add(one.spikes, other.spikes)
+        self.actions.add(one.actions, other.actions)
+        if one.choices is not None and other.choices is not None:
+            self.choices.add({"choice": one.choices}, {"choice": other.choices})
+
+    def checks(self, name: str) -> list[ParityCheck]:
+        gap = f"largest difference {self.actions.largest:.1e}, limit {FLOAT64_TOLERANCE:.0e}"
+        spikes = ParityCheck(f"spikes: {name}", not self.spikes.differing, str(self.spikes))
+        within = self.actions.within(FLOAT64_TOLERANCE)
+        if not self.choices.compared:
+            return [spikes, ParityCheck(f"actions: {name}", within, gap)]
+        chosen = ParityCheck(f"choices: {name}", not self.choices.differing, str(self.choices))
+        return [spikes, ParityCheck(f"scores: {name}", within, gap), chosen]
+
+
+def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
+    """Return the checks of the file on observations (n, obs)."""
+    if not isinstance(policy, SpikingPolicy):
+        raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
+    artifact = load(path)
+    codec = _codec(artifact, path)
+    graph, program = FloatGraph(artifact), compiled(artifact, chip("ideal"))
+    double, single = deepcopy(policy).double(), deepcopy(policy).float()
+    to_numpy, to_ideal, to_single = _Rung(), _Rung(), _Rung()
+    for batch in batches(observations):
+        raster = codec.encode(batch)
+        by_numpy = _by_numpy(graph, codec, raster)
+        to_numpy.add(_by_torch(double, torch.from_numpy(batch)), by_numpy)
+        to_ideal.add(by_numpy, _by_machine(program, codec, raster))
+        to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_numpy)
+    return [
+        *to_numpy.checks("torch = NumPy, float64"),
+        *to_ideal.checks("NumPy = compiled for `ideal`, float64"),
+        _report(to_single),
+    ]
+
+
+def _report(rung: _Rung) -> ParityCheck:
+    """Report the difference of float32, for information only."""
+    detail = f"{rung.spikes}; largest difference of an action {rung.actions.largest:.1e}"
+    if rung.choices.compared:
+        detail += f"; choices: {rung.choices}"
+    return ParityCheck("for information: torch float32 against NumPy float64", True, detail)
+
+
+def _codec(artifact: Artifact, path: Path) -> Codec:
+    if artifact.codec is None:
+        raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
+    return artifact.codec
+
+
+@torch.no_grad()
+def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
+    if isinstance(policy, PopsanPolicy):
+        spikes = policy.trace(observation)
+        action = spikes.pop("action")
+        return _Outcome(_arrays(spikes), _numbers(action), None)
+    input_spikes = presynaptic(policy, observation, Xorshift(0, policy.observations).draw)
+    spikes = policy.trace(observation, input_spikes.transpose(0, 1))
+    action = spikes.pop("action")
+    if policy.head == "continuous":
+        return _Outcome(_arrays(spikes), _numbers(action), None)
+    return _Outcome(
+        _arrays(spikes), _numbers(policy.forward_spikes(input_spikes).mean), action.numpy()
+    )
+
+
+def _arrays(tensors: Mapping[str, torch.Tensor]) -> Spikes:
+    return {name: tensor.numpy() for name, tensor in tensors.items()}
+
+
+def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
+    return tensor.double().numpy()
+
+
+def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> _Outcome:
+    graph.reset()
+    values = graph.run(raster)
+    spikes = {name: values[name].astype(np.uint8) for name in graph.spiking}
+    return _decoded(codec, {"input": raster, **spikes}, values["output"])
+
+
+def _by_machine(program: Program, codec: Codec, raster: NDArray[np.uint8]) -> _Outcome:
+    machine = Machine(program, len(raster), ledger="none", trace=True)
+    output = machine.infer(raster)
+    spikes = {name: recording.spikes for name, recording in machine.recordings.items()}
+    return _decoded(codec, {"input": raster, **spikes}, output)
+
+
+def _decoded(codec: Codec, spikes: Spikes, output: NDArray[np.generic]) -> _Outcome:
+    numbers = output.astype(np.float64)
+    if not codec.chooses:
+        return _Outcome(spikes, codec.decode(numbers), None)
+    return _Outcome(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))
+
+
+# of an action in [-1, 1], or of the largest logit: float32 sums in different order
+ONNX_TOLERANCE = 1e-5
+ALONE = 100  # observations that are also passed one by one, as in a control loop
+
+Single = NDArray[np.float32]
+
+
+def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
+    """Return the checks of the file on observations (n, obs)."""
+    single = deepcopy(policy).float()
+    network = session(path)
+    together, alone = LargestDifference(), LargestDifference()
+    for batch in batches(observations):
+        _compare(together, network, single, batch)
+    for row in observations[:ALONE, None]:
+        _compare(alone, network, single, row)
+    name = "logits" if policy.head == "discrete" else "actions"
+    return [
+        _check(f"{name}: torch = ONNX Runtime", together, len(observations)),
+        _check(f"{name}, one at a time", alone, min(ALONE, len(observations))),
+    ]
+
+
+def _check(name: str, difference: LargestDifference, count: int) -> ParityCheck:
+    largest = f"largest difference {difference.largest:.1e}, limit {ONNX_TOLERANCE:.0e}"
+    detail = f"{count:,} observations, {largest}"
+    return ParityCheck(name, difference.within(ONNX_TOLERANCE), detail)
+
+
+def _compare(
+    difference: LargestDifference,
+    network: Any,  # noqa: ANN401
+    policy: Policy,
+    observation: NDArray[np.float64],
+) -> None:
+    seen = observation.astype(np.float32)
+    found: Single = network.run([OUTPUTS[policy.head]], {OBSERVATION: seen})[0]
+    expected = _output(policy, torch.from_numpy(seen))
+    unit = np.maximum(1, np.abs(expected).max())
+    difference.add(found / unit, expected / unit)
+
+
+@torch.no_grad()
+def _output(policy: Policy, observation: torch.Tensor) -> Single:
+    forward = policy.scores if policy.head == "discrete" else policy
+    output: Single = forward(observation).numpy()
+    return output
+
 
 __all__ = ["CHECKS", "ParityCheck", "check"]
 

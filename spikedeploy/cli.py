@@ -1,4 +1,4 @@
-"""The command line: a table of commands, each a file of that name in `spikedeploy/commands`."""
+"""The command line: a table of commands and the files in `spikedeploy/commands` that hold them."""
 
 import os
 import sys
@@ -8,20 +8,35 @@ import typer
 
 from spikedeploy.user_errors import one_line
 
+# panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
-    "Deploy": ("demo", "compare", "run", "emulate", "check", "drift", "verify"),
-    "Make": ("train", "export", "publish", "experiment", "draw"),
-    "Look": (
-        "play",
-        "replay",
-        "visualize",
-        "policies",
-        "chips",
-        "energy",
-        "envs",
-        "recipes",
-        "doctor",
-    ),
+    "Deploy": {
+        "demo": "closed_loop",
+        "compare": "closed_loop",
+        "run": "closed_loop",
+        "emulate": "open_loop",
+        "check": "checks",
+        "drift": "open_loop",
+        "verify": "checks",
+    },
+    "Make": {
+        "train": "training",
+        "export": "training",
+        "publish": "training",
+        "experiment": "training",
+        "draw": "windows",
+    },
+    "Look": {
+        "play": "windows",
+        "replay": "windows",
+        "visualize": "training",
+        "policies": "listings",
+        "chips": "listings",
+        "energy": "listings",
+        "envs": "listings",
+        "recipes": "listings",
+        "doctor": "checks",
+    },
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -36,8 +51,8 @@ app = typer.Typer(
 )
 
 for _panel, _verbs in COMMANDS.items():
-    for _verb in _verbs:
-        _command = getattr(import_module(f"spikedeploy.commands.{_verb}"), _verb)
+    for _verb, _module in _verbs.items():
+        _command = getattr(import_module(f"spikedeploy.commands.{_module}"), _verb)
         app.command(_verb, rich_help_panel=_panel)(_command)
 
 

@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from spikedeploy.experiments.lock import exclusive
+from spikedeploy.experiments.trial import exclusive
 from spikedeploy.runtime.errors import ConfigError
 
 

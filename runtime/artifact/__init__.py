@@ -5,6 +5,5 @@ or as another tool reads them.
 
 artifact         the artifact, loading, saving, and its digest
 hdf5             the HDF5 container, checked before a graph is read from it
-infer_dt         the timestep that the gains of a file imply
 presets/         how other tools read the same file
 """

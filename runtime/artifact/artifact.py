@@ -11,13 +11,12 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.artifact.hdf5 import read_graph
-from spikedeploy.runtime.artifact.infer_dt import infer_convention, infer_timestep
 from spikedeploy.runtime.artifact.presets.preset import read_like
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.nesting import flattened
-from spikedeploy.runtime.graph.neurons import NEURONS, discretise
+from spikedeploy.runtime.graph.neurons import NEURONS, discretise, infer_convention, infer_timestep
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree

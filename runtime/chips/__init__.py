@@ -21,9 +21,9 @@ CHIPS: dict[str, str] = {
     "xylo-a3": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A3",
     "xylo-imu": "spikedeploy.runtime.families.xylo.datasheets:XYLO_IMU",
     "spinnaker2": "spikedeploy.runtime.families.cuba.floating_point:SPINNAKER2",
-    "speck2f": "spikedeploy.runtime.families.integrate_and_fire.speck2f:SPECK2F",
-    "truenorth": "spikedeploy.runtime.families.integrate_and_fire.truenorth:TRUENORTH",
-    "odin": "spikedeploy.runtime.families.integrate_and_fire.odin:ODIN",
-    "spiker": "spikedeploy.runtime.families.integrate_and_fire.spiker:SPIKER",
+    "speck2f": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPECK2F",
+    "truenorth": "spikedeploy.runtime.families.integrate_and_fire.crossbars:TRUENORTH",
+    "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbars:ODIN",
+    "spiker": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPIKER",
     "int": "spikedeploy.runtime.families.cuba.free_width:INT",
 }

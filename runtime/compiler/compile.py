@@ -1,7 +1,7 @@
-"""The compiler: an artifact becomes the program of a chip."""
+"""The compiler: an artifact becomes the program of a chip; and the check of all design rules."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.design_rules.rule import design
-from spikedeploy.runtime.design_rules.table import ARITHMETIC, CAPACITY, refuse
-from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.design_rules.mapping import CoreMapping
+from spikedeploy.runtime.design_rules.rule import RuleResult, design
+from spikedeploy.runtime.design_rules.table import ARITHMETIC, CAPACITY, judged, refuse
+from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from spikedeploy.runtime.graph.neurons import DiscreteNeuron, discretise
 
 # [timesteps] beyond any network's longest path
@@ -156,3 +158,47 @@ def _ways_out(
             "while states are kept. Remove the delay before it, or choose state 'reset'."
         )
     return first.layer, None, graph.outlets
+
+
+COMPILE = "compile"
+NONE = Limits(primitives=(), sources={})
+
+
+@dataclass(frozen=True, eq=False)
+class DesignCheck:
+    """A network on one chip.
+
+    chip: its datasheet.
+    rulings: of every rule on every node, then on the network, and the compiler's last.
+    mapping: onto its cores.
+    """
+
+    chip: Chip
+    rulings: tuple[RuleResult, ...]
+    mapping: CoreMapping
+
+    @property
+    def passed(self) -> bool:
+        """Whether no rule is broken; what is unknown breaks none."""
+        return not any(ruling.failed for ruling in self.rulings)
+
+    def of(self, rule: str) -> list[RuleResult]:
+        """The rulings of one rule."""
+        return [ruling for ruling in self.rulings if ruling.rule == rule]
+
+
+def check(artifact: Artifact, on: Chip) -> DesignCheck:
+    """Judge the artifact by every rule of the chip."""
+    plan = design(artifact, on, on.limits or NONE)
+    rulings = judged(plan) if on.limits is not None else []
+    broken = any(ruling.failed for ruling in rulings)
+    return DesignCheck(on, (*rulings, _compiled(artifact, on, not broken)), plan.mapping)
+
+
+def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
+    """What the compiler says; without limits where rules have said already what breaks them."""
+    try:
+        compile_program(artifact, on, limits=limits)
+    except SpikedeployError as error:
+        return RuleResult(COMPILE, None, "fail", str(error))
+    return RuleResult(COMPILE, None, "pass", "a program")

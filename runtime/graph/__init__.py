@@ -3,7 +3,7 @@
 The float model and the compiler both start from here, so that they agree on every neuron's
 coefficients and every edge's delay.
 
-neurons          the difference equation of a NIR neuron under a convention
+neurons          the difference equation of a NIR neuron, and the timestep that its gains imply
 windows          geometry of convolutions and pools
 shapes           the shapes of every node, and the work of a timestep
 order            execution order, late edges and delays in timesteps

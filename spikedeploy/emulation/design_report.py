@@ -8,8 +8,8 @@ from typing import Any
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, chip
-from spikedeploy.runtime.compiler.check import COMPILE, DesignCheck
-from spikedeploy.runtime.compiler.check import check as check_on
+from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
+from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
 from spikedeploy.runtime.design_rules.rule import RuleResult, Status
 from spikedeploy.runtime.design_rules.table import RULES

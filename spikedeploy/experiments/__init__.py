@@ -7,15 +7,12 @@ evaluation    greedy episodes of a policy on evaluation seeds
 finishes      environment steps at which training episodes finished
 workers       jobs in processes of their own, some at a time
 worker        the program that such a process runs
-lock          one process at a time in a block
-progress      progress bars of a running experiment
-kart          the kart experiment: which parts are missing, done in order
-kart_design   its trainings and controls
+kart          the kart experiment: which parts are missing, done in order, with progress
+kart_design   its trainings and controls, and kart-simulator's own figures
 kart_records  its results as records and CSV
 kart_tables   its results as Markdown tables
 kart_plot     finishes against environment steps
 kart_page     results/kart.md
-kart_peers    kart-simulator's own figures
 """
 
 EXPERIMENTS = {"kart": "spikedeploy.experiments.kart:experiment"}

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, WORLDS, ExperimentDesign
-from spikedeploy.experiments.kart_peers import PEERS
+from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, PEERS, WORLDS, ExperimentDesign
 from spikedeploy.experiments.kart_plot import draw
 from spikedeploy.experiments.kart_records import COUNT, NTH, Record, driving, learning, write_csv
 from spikedeploy.experiments.kart_tables import (

@@ -2,25 +2,42 @@
 
 All results of a trial are in its run folder, <folder>/<recipe>-s<seed>-<date>-<time>: the files of
 the training, policy.onnx or policy.nir, and evaluation.json. A trial can be stopped at any time;
-the next attempt does what is missing.
+the next attempt does what is missing. A file lock keeps other processes out; the system releases it
+when the process ends.
 """
 
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.evaluation import evaluate
 from spikedeploy.experiments.finishes import Steps, finishes
-from spikedeploy.experiments.lock import exclusive
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.trainers.config import amended, differences, resolve
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
+
+try:
+    import fcntl
+except ImportError:  # Windows: two experiments in one folder must be avoided by hand
+    fcntl = None  # type: ignore[assignment]
+
+
+@contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Wait until no other process is inside a block with the same path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
 
 STAMP = r"\d{8}-\d{6}(-\d+)?"
 

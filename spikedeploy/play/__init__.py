@@ -9,7 +9,6 @@ env_picture        the picture of an environment
 drive_app          `spikedeploy play`
 session            one driver in one environment, episode after episode, recorded
 drivers            a person at the keys, a policy, or a policy that a person commands
-keys               which keys stand for which actions
 drive_panel        speed, gates, LIDAR and rewards beside a drive
 
 replay_app         `spikedeploy replay`
@@ -20,7 +19,6 @@ ghost_group        many ghosts: where each is at a step
 ghost_picture      such a group, drawn
 playback           pause, speed, seek, next batch
 spike_recorder     spikes of a policy on recorded observations
-ghost_observations observations along the path of a ghost
 spike_panel        these spikes, drawn
 replay_film        a replay as MP4 or GIF
 

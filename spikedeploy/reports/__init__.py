@@ -6,7 +6,6 @@ columns       the tables of a comparison, column by column
 report        a comparison as report.json, report.html and report.md
 plots         returns, energies and learning curves as PNG
 curves        the learning curve in a run's metrics
-card          the page of a shipped policy
 terminal      what commands print of comparisons, emulations, drifts, files and traces
 check_tables  a network against the design rules: by chip, by layer, by rule
 drift_tables  drift by layer and by rounding

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from spikedeploy.console import console, print_table
 from spikedeploy.emulation.design_report import DesignReport, statuses, worst
 from spikedeploy.runtime.chips.limits import Limits
-from spikedeploy.runtime.compiler.check import DesignCheck
+from spikedeploy.runtime.compiler.compile import DesignCheck
 from spikedeploy.runtime.design_rules.mapping import Placement, of_mapping, of_placement
 from spikedeploy.runtime.design_rules.rule import RuleResult, text
 

@@ -1,5 +1,6 @@
-"""Publishing: a run becomes a shipped policy, with a card on its training and evaluation."""
+"""Publishing: a run becomes a shipped policy, with a Markdown card on training and evaluation."""
 
+import shlex
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,18 +11,66 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, replacing, write_text
+from spikedeploy.make_env import EVALUATION
 from spikedeploy.policies import run_record
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
 from spikedeploy.policies.registry import find
-from spikedeploy.reports.card import markdown
+from spikedeploy.reports.columns import markdown as tables_of
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import SpikedeployError
-from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
 from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import algorithm
+
+KINDS = {
+    "ann": "float network (ONNX)",
+    "snn": "spiking network (NIR)",
+    "control": "control: a float policy that is kept simple, to see what a network is worth (ONNX)",
+}
+
+
+def markdown(name: str, record: Mapping[str, Any]) -> str:
+    """The page: provenance, evaluation, parity, learning curve."""
+    rows = record["evaluation"]
+    facts = {
+        "what": KINDS[record["kind"]],
+        "environment": record["env"],
+        "made by": f"`{command(record)}`",
+        "environment steps": f"{record['steps']:,}",
+        "commit": record["commit"] or "unknown",
+        "exported": record["created"],
+        "evaluated on": f"{rows[0]['episodes']} episodes, seeds from 10000 up",
+    } | ({"note": record["note"]} if record["note"] else {})
+    checks = [
+        f"- {'✓' if c['passed'] else '✗'} {c['name']}: {c['detail']}" for c in record["parity"]
+    ]
+    return "\n".join(
+        [
+            f"# {name}",
+            "",
+            *(f"- {key}: {value}" for key, value in facts.items()),
+            "",
+            "## Evaluation",
+            "",
+            *tables_of(rows),
+            "## Parity of the file with the trained policy",
+            "",
+            *checks,
+            "",
+            "## Learning curve",
+            "",
+            f"![learning curve]({name}.png)",
+            "",
+        ]
+    )
+
+
+def command(record: Mapping[str, Any]) -> str:
+    """The command that trained the policy."""
+    options = [f"--set {shlex.quote(change)}" for change in record["overrides"]]
+    return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])
 
 
 def publish_run(

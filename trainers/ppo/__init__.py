@@ -2,8 +2,7 @@
 
 config.py    its settings
 ppo.py       the algorithm
-learner.py   policy, critic and their gradient updates
+learner.py   policy, action distributions, critic and their gradient updates
 batch.py     batches and advantages
-heads.py     distributions from which actions are drawn
 episodes.py  logs of training episodes: CSV file and ghosts
 """

@@ -25,13 +25,13 @@ Edges: TypeAlias = set[tuple[str, str]]
 Values = NDArray[np.float64]
 
 PRESETS: dict[str, str] = {
-    "lava": "spikedeploy.runtime.artifact.presets.lava:LAVA",
-    "nengo": "spikedeploy.runtime.artifact.presets.nengo:NENGO",
-    "norse": "spikedeploy.runtime.artifact.presets.norse:NORSE",
-    "rockpool": "spikedeploy.runtime.artifact.presets.rockpool:ROCKPOOL",
-    "sinabs": "spikedeploy.runtime.artifact.presets.sinabs:SINABS",
-    "snntorch": "spikedeploy.runtime.artifact.presets.snntorch:SNNTORCH",
-    "spikingjelly": "spikedeploy.runtime.artifact.presets.spikingjelly:SPIKINGJELLY",
+    "lava": "spikedeploy.runtime.artifact.presets.nir_paper:LAVA",
+    "nengo": "spikedeploy.runtime.artifact.presets.nir_paper:NENGO",
+    "norse": "spikedeploy.runtime.artifact.presets.torch_tools:NORSE",
+    "rockpool": "spikedeploy.runtime.artifact.presets.synsense:ROCKPOOL",
+    "sinabs": "spikedeploy.runtime.artifact.presets.synsense:SINABS",
+    "snntorch": "spikedeploy.runtime.artifact.presets.torch_tools:SNNTORCH",
+    "spikingjelly": "spikedeploy.runtime.artifact.presets.torch_tools:SPIKINGJELLY",
 }
 
 

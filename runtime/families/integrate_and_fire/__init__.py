@@ -5,8 +5,7 @@
 neurons          the rules, and one timestep
 arithmetic       the arithmetic of these chips
 quantise         a layer in floats becomes integers; what weights and neurons must keep to
-truenorth        TrueNorth (IBM, 28 nm, 2014)
-speck2f          Speck 2f (SynSense)
-odin             ODIN (Frenkel et al. 2019, 28 nm)
-spiker           Spiker+ (Politecnico di Torino), on FPGAs
+crossbars        TrueNorth (IBM, 2014), ODIN (Frenkel et al. 2019)
+layer_accelerators
+                 Speck 2f (SynSense), Spiker+ (Politecnico di Torino)
 """

@@ -16,8 +16,7 @@ from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.chips.limits import Limits
-from spikedeploy.runtime.compiler.check import check
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.design_rules.table import COMPILER_RULES, NODE_RULES, RULES, judged

@@ -9,8 +9,7 @@ from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.compiler.check import check
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, RuleError

@@ -11,8 +11,13 @@ from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window
 from spikedeploy.play.drive_app import DriveApp, open_session
-from spikedeploy.play.drivers import CommandedPolicyDriver, KeyboardDriver, PolicyDriver
-from spikedeploy.play.keys import CommandKeys, Keys
+from spikedeploy.play.drivers import (
+    CommandedPolicyDriver,
+    CommandKeys,
+    KeyboardDriver,
+    Keys,
+    PolicyDriver,
+)
 from spikedeploy.runtime.errors import ConfigError
 from tests import stroll_env
 

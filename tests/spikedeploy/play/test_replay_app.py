@@ -16,12 +16,12 @@ from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.play import window
 from spikedeploy.play.ghost_group import GhostGroup
-from spikedeploy.play.ghost_observations import gates_passed, ghost_observations
 from spikedeploy.play.overlay_view import COLOURS, distinct_names
 from spikedeploy.play.playback import Playback
 from spikedeploy.play.replay_app import open_replay
 from spikedeploy.play.replay_film import save_film
 from spikedeploy.play.replay_source import open_source
+from spikedeploy.play.replay_views import gates_passed, ghost_observations
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError

@@ -9,8 +9,8 @@ from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.learner import GaussianActor, SacLearner
 from spikedeploy.trainers.sac.replay import ReplayBatch
+from spikedeploy.trainers.sac.sac import GaussianActor, SacLearner
 from spikedeploy.trainers.train import train
 from spikedeploy.trainers.validation import Validator
 from tests.pointing import Pointing

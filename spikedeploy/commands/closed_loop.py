@@ -1,17 +1,18 @@
-"""`spikedeploy compare`: policies on the same seeds, with intervals and costs."""
+"""`run`, `compare` and `demo`: policies that act in their environments."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from spikedeploy import seeds
+from spikedeploy import make_env as seeds
 from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
     Headroom,
     Json,
     LimitsOption,
+    PolicyChip,
     Quantise,
     Rounding,
     Seed,
@@ -20,6 +21,66 @@ from spikedeploy.commands.options import (
     Workers,
     quantisation,
 )
+
+
+def run(
+    policy: Annotated[
+        str, typer.Argument(metavar="FILE", help="A .onnx or .nir file, run folder, shipped name.")
+    ],
+    env: Annotated[
+        str | None, typer.Option(help="Environment.", show_default="the one it was made for")
+    ] = None,
+    chip: PolicyChip = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
+    seed: Seed = seeds.EVALUATION,
+    sampled: Annotated[
+        bool,
+        typer.Option("--sampled", help="Draw actions by their probability, not the likeliest."),
+    ] = False,
+    set_: EnvOptions = None,
+    video: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
+    ] = None,
+    limits: LimitsOption = "on",
+    energy: Energy = None,
+    quantise: Quantise = "layer",
+    rounding: Rounding = None,
+    headroom: Headroom = "none",
+    thresholds: Thresholds = None,
+    weight_shift: WeightShift = 0,
+    json: Json = False,
+) -> None:
+    """Run one policy in its environment: returns, successes and costs."""
+    from dataclasses import replace
+
+    from spikedeploy.comparison.closed_loop import run_policy
+    from spikedeploy.console import print_json
+    from spikedeploy.make_env import parse_options
+    from spikedeploy.reports import report
+    from spikedeploy.reports.terminal import print_comparison
+    from spikedeploy.runtime.metrics.energy import checked_table_names
+
+    tables = checked_table_names(energy or ())
+    numbers = range(seed, seed + episodes)
+    rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
+    comparison = run_policy(
+        policy,
+        env,
+        chip,
+        numbers,
+        video,
+        sampled,
+        parse_options(set_ or ()),
+        limits == "on",
+        rounded,
+    )
+    document = report.document(replace(comparison, tables=tables))
+    if json:
+        print_json(document)
+    else:
+        print_comparison(document)
+        if video:
+            typer.echo(f"wrote {video}")
 
 
 def compare(
@@ -78,3 +139,13 @@ def compare(
         print_comparison(document)
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
+
+
+def demo(json: Json = False) -> None:
+    """Watch the shipped policies walk: float ANN, float SNN, and the SNN on an emulated Loihi."""
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.demo_reports import FOLDER, write_demo
+
+    documents = write_demo(quiet=json)
+    if json:
+        print_json({"folder": str(FOLDER), "reports": documents})

@@ -1,14 +1,89 @@
-"""`spikedeploy doctor`: what works on this machine, and what to do where something does not."""
+"""`check`, `verify` and `doctor`: a network, recorded traces, and this machine."""
 
 import os
 import platform
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json
+from spikedeploy.commands.options import (
+    Delay,
+    Dt,
+    Floor,
+    Integrator,
+    Json,
+    Like,
+    Reset,
+    Spikes,
+    State,
+)
+
+
+def check(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A .nir file, or the name of a shipped policy.")
+    ],
+    chip: Annotated[
+        list[str] | None,
+        typer.Option(help="Chip; give it several times, or 'all'.", show_default="all"),
+    ] = None,
+    dt: Dt = None,
+    reset: Reset = None,
+    integrator: Integrator = None,
+    delay: Delay = None,
+    spikes: Spikes = None,
+    floor: Floor = None,
+    state: State = None,
+    like: Like = None,
+    json: Json = False,
+) -> None:
+    """Check whether a network fits on chips, rule by rule and node by node.
+
+    Exit code 0: every chip that was named passes; of 'all', at least one that has limits.
+    """
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.design_report import ALL, design_report
+    from spikedeploy.reports.check_tables import print_report
+
+    report = design_report(
+        file,
+        chip or [ALL],
+        dt=dt,
+        reset=reset,
+        integrator=integrator,
+        delay=delay,
+        spikes=spikes,
+        floor=floor,
+        state=state,
+        like=like,
+    )
+    if json:
+        print_json(report.as_json())
+    else:
+        print_report(report)
+    raise typer.Exit(0 if report.passed else 1)
+
+
+def verify(
+    traces: Annotated[list[Path], typer.Argument(metavar="TRACE.json…", help="Trace files.")],
+    json: Json = False,
+) -> None:
+    """Replay traces; say equal or the first difference, and exit 1 if any is not equal."""
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.trace_replay import replay_trace
+    from spikedeploy.reports.terminal import print_replays
+
+    replays = [replay_trace(path) for path in traces]
+    if json:
+        print_json([each.as_json() for each in replays])
+    else:
+        print_replays(replays)
+    raise typer.Exit(0 if all(each.equal for each in replays) else 1)
+
 
 RUN = ("numpy", "nir", "h5py", "gymnasium", "mujoco", "onnxruntime", "matplotlib", "av")
 TRAIN = ("torch", "snntorch", "pydantic", "safetensors", "onnx")

@@ -1,0 +1,178 @@
+"""TrueNorth and ODIN: crossbars of synapses between axons and neurons.
+
+TrueNorth (IBM, 28 nm, 2014) has binary crossbars, four types of axons and timesteps of 1 ms. The
+order within a timestep and the modes are published; of the widths no source was read, so they are
+assumptions that can be set. Stochastic modes and resets of negative thresholds are not emulated.
+
+ODIN (Frenkel et al. 2019, 28 nm) has 256 neurons with 8-bit membranes, updated event after event.
+Its neurons are emulated as the LIF block of its Verilog computes. The sender of the time reference
+decides what a timestep is: here one begins with it, and then events come in the order of axons.
+"""
+
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+
+CASSIDY = "Cassidy et al. 2013, IJCNN"
+CORE = "the order of a tick as published: synapses, leak, threshold, reset"
+SANAFE = "SANA-FE, models.cpp (source read)"
+REVIEW = "IEEE Circuits and Systems Magazine 22(2), 2022, Table II, secondary"
+ASSUMED = "assumed, not confirmed by any source that was read; an option"
+MEROLLA = "Merolla et al. 2014 (secondary)"
+
+TRUENORTH_LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
+    fan_in=256,
+    cores=4096,
+    neurons_per_core=256,
+    axons_in=256,
+    weight_values=4,
+    membrane_loss=(0.0, 0.0),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{CASSIDY}: its leak is a constant, so no LIF, and no synaptic current",
+        "fan_in": f"{MEROLLA}: a neuron hears the axons of its core alone",
+        "cores": MEROLLA,
+        "neurons_per_core": MEROLLA,
+        "axons_in": MEROLLA,
+        "weight_values": f"{CASSIDY}: four types of axons, a weight of each neuron for each",
+        "membrane_loss": f"{CASSIDY}: its leak is a constant",
+        "recurrence": f"{MEROLLA}: a spike can go to any axon",
+        "alone": f"{MEROLLA}: chips tile",
+    },
+)
+
+TRUENORTH = Chip(
+    name="truenorth",
+    summary="TrueNorth: four weights a neuron, one for each type of axon; linear leak",
+    arithmetic=IntegrateAndFire(
+        weight_bits=9,
+        signs="weight",
+        axon_types=4,
+        bias_bits=9,
+        leak="crossing",
+        leak_bits=8,
+        leak_order="last",
+        membrane=Register(20, "saturate"),
+        floor=None,
+        floors=("none", "zero", "threshold"),
+        adds="step",
+        checks="step",
+        fires="reached",
+        threshold_bits=18,
+        spikes_max=1,
+        scaling="full",
+        rounding="nearest",
+    ),
+    resets=("zero", "subtract"),
+    delay=1,
+    delay_max=15,
+    energy_tables=("truenorth",),  # all-in: energy of the whole chip per synaptic event
+    limits=TRUENORTH_LIMITS,
+    sources={
+        "weight_bits": f"{ASSUMED}; a review says 8 ({REVIEW})",
+        "signs": f"{CASSIDY}, secondary: a signed weight for each type",
+        "axon_types": f"{CASSIDY}, secondary: types 0 to 3",
+        "bias_bits": f"{ASSUMED}: the leak, used as a constant that is added",
+        "leak": f"{CASSIDY}, abstract: four leak modes; toward 0, and over it: {SANAFE}",
+        "leak_bits": ASSUMED,
+        "leak_order": f"{CORE}; {SANAFE} has the leak first",
+        "membrane": f"{ASSUMED}, and so is that it saturates",
+        "floor": "the negative threshold; none unless given",
+        "floors": f"{CASSIDY}, secondary: a negative threshold at which membranes may stop",
+        "adds": f"{CORE}; saturation within a tick is assumed to wait for its end",
+        "checks": CORE,
+        "fires": f"{SANAFE}: at or above the threshold",
+        "threshold_bits": ASSUMED,
+        "spikes_max": CORE,
+        "scaling": "by definition: TrueNorth's tools train with its weights and scale nothing",
+        "rounding": "by definition",
+        "resets": f"{SANAFE}: hard, linear (subtract), none; none is not emulated",
+        "delay": "2.2.9 of SANA-FE (run): a spike is delivered in the next tick",
+        "delay_max": ASSUMED,
+    },
+    evidence="equal to neurons of SANA-FE 2.2.9, but for the order of the leak; widths assumed",
+)
+
+
+VERILOG = "ODIN's Verilog, commit 17819318 (source read)"
+ORDER = "by definition: the chip takes events in the order in which they are sent"
+ODIN_LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
+    inputs=256,
+    neurons=256,
+    fan_in=256,
+    fan_out=256,
+    axon_signs=True,
+    weight_max=7,
+    threshold_max=255,
+    membrane_loss=(0.0, 0.0),
+    recurrence=True,
+    sources={
+        "primitives": f"{VERILOG}: its leak is a constant, so no LIF, and no synaptic current",
+        "inputs": f"{VERILOG}: events name one of 256 rows of the crossbar",
+        "neurons": VERILOG,
+        "fan_in": f"{VERILOG}: 256 x 256 synapses",
+        "fan_out": f"{VERILOG}: 256 x 256 synapses",
+        "axon_signs": f"{VERILOG}: one sign for each neuron that sends",
+        "weight_max": f"{VERILOG}: 3 bits",
+        "threshold_max": f"{VERILOG}: 8 bits unsigned",
+        "membrane_loss": f"{VERILOG}: its leak is a constant",
+        "recurrence": f"{VERILOG}: spikes go back into the crossbar",
+        "alone": "no way to join two is published",
+    },
+)
+
+ODIN = Chip(
+    name="odin",
+    summary="ODIN: 3-bit weights, signs of axons, 8-bit membranes that look at every event",
+    arithmetic=IntegrateAndFire(
+        weight_bits=3,
+        signs="axon",
+        axon_types=0,
+        bias_bits=0,
+        leak="linear",
+        leak_bits=7,
+        leak_order="first",
+        membrane=Register(9, "saturate"),
+        floor=0,
+        floors=("none", "zero"),
+        adds="event",
+        checks="event",
+        fires="reached",
+        threshold_bits=8,
+        spikes_max=255,
+        scaling="full",
+        rounding="nearest",
+    ),
+    resets=("zero",),
+    delay=0,
+    delay_max=1,
+    energy_tables=("odin",),  # one number for everything, at one voltage
+    limits=ODIN_LIMITS,
+    sources={
+        "weight_bits": f"{VERILOG}: magnitude",
+        "signs": f"{VERILOG}: one sign for each neuron that sends",
+        "axon_types": f"{VERILOG}: every synapse has a weight",
+        "bias_bits": f"{VERILOG}: none; an axon that is sent an event in every timestep",
+        "leak": f"{VERILOG}: at the time reference, not below 0",
+        "leak_bits": VERILOG,
+        "leak_order": "by definition: a timestep begins with the time reference",
+        "membrane": f"{VERILOG}: 8 bits unsigned, which are 9 with a floor of 0; saturates",
+        "floor": f"{VERILOG}: unsigned",
+        "floors": f"{VERILOG}: always 0",
+        "adds": f"{VERILOG}; {ORDER}",
+        "checks": f"{VERILOG}: after every synaptic event, and after the time reference",
+        "fires": f"{VERILOG}: at or above the threshold",
+        "threshold_bits": VERILOG,
+        "spikes_max": "by definition: a count of the emulator",
+        "scaling": "by definition: ODIN's tools scale nothing",
+        "rounding": "by definition",
+        "resets": f"{VERILOG}: to 0",
+        "delay": "by definition: a layer's spikes are taken in before the next time reference",
+        "delay_max": "by definition: recurrent connections take one timestep",
+    },
+    evidence="a trace worked out by hand from the Verilog's rule; not run against the Verilog",
+)

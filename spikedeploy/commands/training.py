@@ -1,0 +1,204 @@
+"""`train`, `experiment`, `visualize`, `export` and `publish`: from a recipe to a shipped policy."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy import make_env as seeds
+from spikedeploy.commands.options import Json, States, Workers
+
+
+def train(
+    recipe: Annotated[
+        str, typer.Argument(metavar="RECIPE", help="Name of a recipe; `recipes` lists them.")
+    ],
+    config: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="TOML file with settings.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set env.count=8."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=seeds.TRAINING.start,
+            max=seeds.TRAINING.stop - 1,
+            help="Seed of the training.",
+            show_default="0",
+        ),
+    ] = None,
+    resume: Annotated[
+        str | None, typer.Option(metavar="RUN|last", help="Go on with a run, or with the newest.")
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Folder in which the run folder is made.")] = Path(
+        "runs"
+    ),
+    json: Json = False,
+) -> None:
+    """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
+    if resume is not None and seed is not None:
+        raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
+    from spikedeploy.console import print_json
+    from spikedeploy.trainers.train import train as learn
+
+    run = learn(
+        recipe,
+        config_file=config,
+        overrides=set_ or (),
+        seed=seed or 0,
+        resume=resume,
+        runs=runs,
+        quiet=json,
+    )
+    if json:
+        print_json({"run": str(run)})
+    else:
+        typer.echo(f"trained: {run}\nnext: spikedeploy visualize {run}")
+
+
+def export(
+    run: Annotated[
+        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
+    ],
+    to: Annotated[str, typer.Option(help="Format: nir for spiking policies, onnx for float ones.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="File to write.", show_default="in the run folder"),
+    ] = None,
+    observations: Annotated[
+        int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
+    ] = 1000,
+    state: Annotated[
+        States,
+        typer.Option(help="Membranes at an inference: reset as trained, or kept; nir only."),
+    ] = "reset",
+    json: Json = False,
+) -> None:
+    """Write a trained policy as .nir or .onnx, and check the file against it."""
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.terminal import print_checks
+    from spikedeploy.shipping.export_run import export_run
+
+    written = export_run(run, to, output, observations, state=state)
+    if json:
+        checks = [vars(check) for check in written.checks]
+        print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
+    else:
+        print_checks(written.checks)
+        typer.echo(f"wrote {written.path}")
+    raise typer.Exit(0 if written.passed else 1)
+
+
+def publish(
+    run: Annotated[
+        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
+    ],
+    name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
+    note: Annotated[str, typer.Option(help="Note for the card.")] = "",
+    control: Annotated[
+        bool, typer.Option("--control", help="Comparisons show it as a control.")
+    ] = False,
+    workers: Workers = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder of the zoo.", show_default="the package's own"),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
+    from spikedeploy import zoo
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.publish_run import publish_run
+
+    files = publish_run(run, name, episodes, output or zoo.FOLDER, workers, note, control)
+    if json:
+        print_json({"files": [str(file) for file in files]})
+    else:
+        typer.echo("wrote " + ", ".join(str(file) for file in files))
+
+
+def experiment(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which: kart.")],
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each network.")] = 5,
+    controls: Annotated[int, typer.Option(min=0, help="Trainings of each control.")] = 3,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Parts by prefix of their names: kart-grid, kart-grid-snn-s0.",
+            show_default="all",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes side by side.", show_default="all cores")
+    ] = None,
+    finishes: Annotated[
+        int, typer.Option(min=0, help="Finishes that end a training; 0 spends the whole budget.")
+    ] = 0,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One setting of every training."),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each evaluation.")] = 100,
+    chip: Annotated[str, typer.Option(help="Chip of the spiking policies.")] = "loihi1",
+    folder: Annotated[Path, typer.Option(help="Where the run folders are.")] = Path(
+        "runs/experiment-kart"
+    ),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Where kart.md and kart/ are written.")
+    ] = Path("results"),
+    train: Annotated[
+        bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
+    ] = True,
+    json: Json = False,
+) -> None:
+    """Train, export and evaluate all parts of an experiment; resume where it stopped."""
+    from importlib import import_module
+
+    from spikedeploy.console import print_json
+    from spikedeploy.experiments import EXPERIMENTS
+    from spikedeploy.parallel import cores
+    from spikedeploy.runtime.errors import ConfigError
+
+    if name not in EXPERIMENTS:
+        raise ConfigError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
+    module, _, function = EXPERIMENTS[name].partition(":")
+    design = import_module("spikedeploy.experiments.kart_design").ExperimentDesign(
+        seeds, controls, str(folder), tuple(set_ or ()), finishes, episodes, chip
+    )
+    run = getattr(import_module(module), function)
+    outcome = run(design, only or (), jobs or cores(), output, train)
+    if json:
+        files = [str(path) for path in outcome.files]
+        print_json({**vars(outcome), "files": files})
+    else:
+        typer.echo(f"{outcome.done} of {outcome.of} parts are complete: {outcome.files[0]}")
+        for part, line in outcome.failed.items():
+            typer.echo(f"failed: {part}: {line}", err=True)
+    raise typer.Exit(130 if outcome.interrupted else 1 if outcome.failed else 0)
+
+
+def visualize(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(exists=True, file_okay=False, help="Run folders.", metavar="RUN…"),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path(
+        "reports/curves.png"
+    ),
+    json: Json = False,
+) -> None:
+    """Draw the learning curves of training runs into one PNG."""
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.curves import curve
+    from spikedeploy.reports.plots import draw_curves
+
+    curves = [curve(run / "metrics.csv", run.resolve().name) for run in runs]
+    picture = draw_curves(curves, output)
+    if json:
+        print_json({"path": str(picture), "curves": [vars(each) for each in curves]})
+    else:
+        typer.echo(f"wrote {picture}")
