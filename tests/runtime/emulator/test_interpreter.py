@@ -16,7 +16,7 @@ def one_neuron(weights, **options):
     """Axons with these weights onto one neuron that keeps 3/4 of its current and 1/2 membrane."""
     weight = np.array(weights, np.int16)[:, None]
     neuron = layer(
-        CHIP.fixed,
+        CHIP.arithmetic,
         "neuron",
         weight.T,
         (Synapses("input", weight, delay=1),),

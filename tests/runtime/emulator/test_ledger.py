@@ -23,7 +23,7 @@ def program(weights, start=1, datasheet=CHIP, **options):
     """Axons onto neurons that forget their current and keep their membrane."""
     weight = np.array(weights, np.int16)
     neurons = layer(
-        datasheet.fixed,
+        datasheet.arithmetic,
         "neurons",
         weight.T,
         (Synapses("input", weight, delay=1),),
