@@ -149,7 +149,7 @@ class LedgerBuilder:
 
     @property
     def keeps(self) -> bool:
-        """Whether it wants to know anything."""
+        """Whether anything is to be counted."""
         return self.rows != "none"
 
     def observe(self, counter: Counter, observation: Any) -> None:  # noqa: ANN401

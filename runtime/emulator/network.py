@@ -99,7 +99,7 @@ class MachinePool:
 
         spikes: or a raster (B, T, *shape) of each Input node, by name.
         """
-        raster = self._joined(spikes) if isinstance(spikes, Mapping) else spikes
+        raster = spikes if isinstance(spikes, np.ndarray) else self._joined(spikes)
         batch = len(raster)
         with self._calls.lock:
             if batch <= CHUNK or self.program.convention.state == "kept":

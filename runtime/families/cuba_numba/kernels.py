@@ -91,7 +91,7 @@ def run(
     steps: chip timesteps that the window stands for.
     step: chip timestep of a single row, in which layers may only wait; -1 runs all of them.
     rowwise: all layers in one timestep after another, which closes loops; else layer by layer.
-    counting: whether somebody will look at the counts.
+    counting: whether the counts are wanted.
     fresh: whether to begin from zero.
     """
     constants = Constants(

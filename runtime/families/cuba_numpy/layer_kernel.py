@@ -2,9 +2,9 @@
 
 States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
 needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Where decays
-are short, float32 does the same for smaller states and is tried first: a fifth faster in a batch
-(docs/performance.md). Nothing is checked for overflow on the way: either the bounds prove that no
-number can be too large, or that so few spikes cannot make one, or the states are looked at
+are short, float32 does the same for smaller states, and is tried first: a sixth faster in a large
+batch (docs/performance.md). Nothing is checked for overflow on the way: either the bounds prove
+that no number can be too large, or that so few spikes cannot make one, or the states are looked at
 afterwards. A window that did overflow, which is rare, is computed once more, in float64 or by the
 interpreter.
 """
