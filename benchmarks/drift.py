@@ -36,7 +36,7 @@ from benchmarks.drift_page import (
 )
 from spikedeploy.emulation.drift_inputs import observed_inputs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import EVALUATION, VALIDATION, make_env
+from spikedeploy.make_env import make_env
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.analysis.activity import chip_activity
@@ -48,6 +48,7 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import RuleError
+from spikedeploy.seeds import EVALUATION, VALIDATION
 
 POLICIES = "hexapod/popsan,kart-grid/snn,kart-gazebo/snn,kart-steer/snn"
 PLAYED = 4  # episodes from which observations come

@@ -1,4 +1,4 @@
-"""Environments with options, as the command line asks for them; and which seeds are for what."""
+"""Environments with options, as the command line asks for them."""
 
 import json
 import re
@@ -51,8 +51,3 @@ def _value(text: str) -> Any:  # noqa: ANN401
         return json.loads(text)
     except ValueError:
         return text
-
-
-TRAINING = range(5_000)
-VALIDATION = range(5_000, 10_000)  # choose checkpoints, record observations for parity
-EVALUATION = 10_000  # and everything above

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from spikedeploy import make_env as seeds
+from spikedeploy import seeds
 from spikedeploy.commands.options import EnvOptions, Json, PolicyChip, Seed
 
 

@@ -13,11 +13,12 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import Episode, EpisodeJob, play
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
-from spikedeploy.make_env import EVALUATION, make_env
+from spikedeploy.make_env import make_env
 from spikedeploy.parallel import workers
 from spikedeploy.policies.interface import FLOAT, check_fit
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import EVALUATION
 
 
 def compare_policies(

@@ -9,9 +9,9 @@ from typing import Any
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, write_text
-from spikedeploy.make_env import EVALUATION
 from spikedeploy.policies.interface import FLOAT
 from spikedeploy.policies.registry import find
+from spikedeploy.seeds import EVALUATION
 
 Rows = list[dict[str, Any]]
 

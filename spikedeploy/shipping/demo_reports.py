@@ -11,11 +11,11 @@ from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import progress, say
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.make_env import EVALUATION
 from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.policies.registry import open_policy
 from spikedeploy.reports import report
 from spikedeploy.reports.terminal import print_comparison
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.video import Frame, Pace, captioned, mp4, side_by_side
 
 FOLDER = Path("reports/demo")

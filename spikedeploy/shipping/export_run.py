@@ -12,10 +12,10 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters import exporter
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.exporters.parity import check
-from spikedeploy.make_env import VALIDATION
 from spikedeploy.policies import run_record
 from spikedeploy.policies.run import TorchController
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import VALIDATION
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, replacing, write_text
-from spikedeploy.make_env import EVALUATION
 from spikedeploy.policies import run_record
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
 from spikedeploy.policies.registry import find
@@ -19,6 +18,7 @@ from spikedeploy.reports.columns import markdown as tables_of
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
 from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder

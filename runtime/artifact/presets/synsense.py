@@ -29,8 +29,8 @@ def _convention_rockpool(nodes: Nodes, _: float | None) -> Convention:
     layers = {n: node for n, node in sorted(nodes.items()) if isinstance(node, nir.CubaLIF)}
     if not layers:
         raise ConventionError(
-            f"{ROCKPOOL_TOOL} takes its timestep from r of CubaLIF nodes, and there are none. Read the "
-            "file without the preset."
+            f"{ROCKPOOL_TOOL} takes its timestep from r of CubaLIF nodes, and there are none. "
+            "Read the file without the preset."
         )
     for name, node in layers.items():
         require(

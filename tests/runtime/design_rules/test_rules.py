@@ -393,7 +393,7 @@ COMPILER = [
     "compiler.compile", "compiler.linear", "compiler.program", "compiler.wiring",
     "families.cuba.bounds", "families.cuba.floating_point", "families.cuba.quantise",
     "families.integrate_and_fire.arithmetic", "families.integrate_and_fire.quantise",
-    "families.xylo.layers",
+    "families.xylo.arithmetic", "families.xylo.layers",
 ]  # fmt: skip
 
 

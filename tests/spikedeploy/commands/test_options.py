@@ -6,8 +6,7 @@ import pytest
 
 from spikedeploy.commands import options
 from spikedeploy.runtime import convention
-from spikedeploy.runtime.chips import registers
-from spikedeploy.runtime.compiler import quantisation
+from spikedeploy.runtime.chips import quantisation, registers
 
 
 @pytest.mark.parametrize(
