@@ -28,9 +28,9 @@ from spikedeploy.envs import archive
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
 
-VERSION = 1  # of the file layout
-UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # file units of x, y, heading and speed
-EACH = {  # arrays with one entry per episode
+_VERSION = 1  # of the file layout
+_UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # file units of x, y, heading and speed
+_EACH = {  # arrays with one entry per episode
     "steps": np.int32,
     "finish": np.bool_,
     "crash": np.bool_,
@@ -38,7 +38,7 @@ EACH = {  # arrays with one entry per episode
     "env_step": np.int64,
     "seed": np.int64,
 }
-PARTS = ("start", "moves", "action", "reward", *EACH)
+_PARTS = ("start", "moves", "action", "reward", *_EACH)
 
 Floats = NDArray[np.float32]
 
@@ -137,11 +137,11 @@ class Ghosts:
         return cls(header["env_id"], drives, header["options"])
 
     def _arrays(self) -> dict[str, Any]:
-        header = {"version": VERSION, "env_id": self.env_id, "options": dict(self.options)}
+        header = {"version": _VERSION, "env_id": self.env_id, "options": dict(self.options)}
         paths = [_units(ghost) for ghost in self.drives]
         each: dict[str, Any] = {
             name: np.array([getattr(ghost, name) for ghost in self.drives], kind)
-            for name, kind in EACH.items()
+            for name, kind in _EACH.items()
         }
         return {
             "header": np.array(json.dumps(header, default=str)),
@@ -156,7 +156,7 @@ class Ghosts:
 def _units(ghost: Ghost) -> NDArray[np.int64]:
     """x, y, heading and speed (4, S + 1) in file units."""
     path = np.column_stack((ghost.pose, ghost.speed)).astype(np.float64)
-    whole: NDArray[np.int64] = np.rint(path * UNITS).astype(np.int64).T
+    whole: NDArray[np.int64] = np.rint(path * _UNITS).astype(np.int64).T
     return whole
 
 
@@ -181,15 +181,15 @@ def _rounded(values: Floats) -> Floats:
 
 
 def _header(arrays: dict[str, Any], path: str | os.PathLike[str]) -> dict[str, Any]:
-    missing = {"header", *PARTS} - arrays.keys()
+    missing = {"header", *_PARTS} - arrays.keys()
     if missing:
         raise EnvError(f"{path}: not a ghost file, {', '.join(sorted(missing))} missing")
     try:
         header: dict[str, Any] = json.loads(str(arrays["header"]))
     except ValueError as error:
         raise EnvError(f"{path}: its header is not JSON ({error})") from error
-    if header["version"] != VERSION:
-        raise EnvError(f"{path}: layout version {header['version']}, this program reads {VERSION}")
+    if header["version"] != _VERSION:
+        raise EnvError(f"{path}: layout version {header['version']}, this program reads {_VERSION}")
     return header
 
 
@@ -207,7 +207,7 @@ def _drives(arrays: dict[str, Any]) -> list[Ghost]:
 
 def _drive(arrays: dict[str, Any], k: int, span: slice) -> Ghost:
     start, moves = arrays["start"][:, k : k + 1], arrays["moves"][:, span]
-    path = (np.cumsum(np.concatenate((start, moves), axis=1), axis=1).T / UNITS).astype(np.float32)
+    path = (np.cumsum(np.concatenate((start, moves), axis=1), axis=1).T / _UNITS).astype(np.float32)
     return Ghost(
         pose=path[:, :3],
         speed=path[:, 3],

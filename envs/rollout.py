@@ -17,10 +17,10 @@ from spikedeploy.envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 Frame = NDArray[np.uint8]
-VERSION = 1  # of the file layout
+_VERSION = 1  # of the file layout
 
 
-class Controller(Protocol):
+class _Controller(Protocol):
     """Maps observations to actions."""
 
     def reset(self, seed: int) -> None:
@@ -78,7 +78,7 @@ class Rollout:
             self.action,
             self.reward,
         )
-        arrays["header"] = np.array([self.seed, self.terminated, self.truncated, VERSION])
+        arrays["header"] = np.array([self.seed, self.terminated, self.truncated, _VERSION])
         arrays["env_id"] = np.array(self.env_id)
         arrays["options"] = np.array(json.dumps(dict(self.options)))
         archive.write(path, arrays)
@@ -94,8 +94,8 @@ class Rollout:
         if missing:
             raise EnvError(f"{path}: not a rollout file, {', '.join(sorted(missing))} missing")
         seed, terminated, truncated, version = arrays["header"].tolist()
-        if version != VERSION:
-            raise EnvError(f"{path}: layout version {version}, this program reads {VERSION}")
+        if version != _VERSION:
+            raise EnvError(f"{path}: layout version {version}, this program reads {_VERSION}")
         infos = {name: values for name, values in arrays.items() if name.startswith("info/")}
         return cls(
             env_id=str(arrays["env_id"]),
@@ -167,13 +167,13 @@ class EpisodeRecorder:
                 name: np.array([numbers[name] for numbers in self._infos])
                 for name in self._infos[-1]
             },
-            options=options_of(self._env),
+            options=_options_of(self._env),
         )
 
 
 def rollout(
     env: gymnasium.Env[Any, Any],
-    controller: Controller,
+    controller: _Controller,
     seed: int,
     on_frame: Callable[[Frame], None] | None = None,
     frame_every: int = 1,
@@ -189,7 +189,7 @@ def rollout(
     return recorder.rollout()
 
 
-def options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+def _options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     """Options of an environment as JSON holds them, without render_mode."""
     given = env.spec.kwargs if env.spec else {}
     shown = {name: value for name, value in given.items() if name != "render_mode"}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
+_BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
 
 
 @dataclass(frozen=True)
@@ -61,5 +61,5 @@ class LargestDifference:
 
 def batches(observations: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
     """Yield the observations in batches of BATCH."""
-    for start in range(0, len(observations), BATCH):
-        yield observations[start : start + BATCH]
+    for start in range(0, len(observations), _BATCH):
+        yield observations[start : start + _BATCH]

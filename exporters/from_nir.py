@@ -17,7 +17,7 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import SPIKING, discretise
 from spikedeploy.trainers.policies import PopsanPolicy, SpikingMlpPolicy
 
-DIGITS = 12  # of a decay; dt / tau loses precision beyond them
+_DIGITS = 12  # of a decay; dt / tau loses precision beyond them
 
 Arrays = dict[str, NDArray[np.floating[Any]]]
 
@@ -25,7 +25,7 @@ Arrays = dict[str, NDArray[np.floating[Any]]]
 def from_nir(path: str | Path) -> SpikingPolicy:
     """Return the policy that `to_nir` wrote, in float32 as it was trained."""
     try:
-        return policy(load(path))
+        return _policy(load(path))
     except (KeyError, AttributeError) as error:
         raise ArtifactError(
             f"{path} is not laid out as fc1, lif1, ..., readout with a codec ({error}); "
@@ -33,7 +33,7 @@ def from_nir(path: str | Path) -> SpikingPolicy:
         ) from error
 
 
-def policy(artifact: Artifact) -> SpikingPolicy:
+def _policy(artifact: Artifact) -> SpikingPolicy:
     """Return the artifact as a torch policy."""
     if artifact.codec is None:
         raise AttributeError("no codec")
@@ -97,11 +97,11 @@ def _neurons(artifact: Artifact) -> dict[str, Any]:
     if neuron.threshold is None:
         raise AttributeError("lif1 has no threshold")
     shared = {
-        "beta": round(float(neuron.membrane_decay[0]), DIGITS),
+        "beta": round(float(neuron.membrane_decay[0]), _DIGITS),
         "threshold": float(neuron.threshold[0]),
     }
     if neuron.current_decay is not None:
-        shared["alpha"] = round(float(neuron.current_decay[0]), DIGITS)
+        shared["alpha"] = round(float(neuron.current_decay[0]), _DIGITS)
     return shared
 
 

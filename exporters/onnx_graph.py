@@ -9,8 +9,8 @@ import onnx
 from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
-OPSET = 17
-IR_VERSION = 8  # ONNX Runtime 1.17 and newer read both
+_OPSET = 17
+_IR_VERSION = 8  # ONNX Runtime 1.17 and newer read both
 OBSERVATION = "observation"
 OUTPUTS = {"continuous": "action", "discrete": "logits"}  # by a policy's head
 
@@ -68,9 +68,9 @@ class OnnxGraph:
             ],
             self._constants,
         )
-        opsets = [helper.make_opsetid("", OPSET)]
+        opsets = [helper.make_opsetid("", _OPSET)]
         model = helper.make_model(
-            graph, opset_imports=opsets, ir_version=IR_VERSION, producer_name="spikedeploy"
+            graph, opset_imports=opsets, ir_version=_IR_VERSION, producer_name="spikedeploy"
         )
         helper.set_model_props(model, properties)
         onnx.checker.check_model(model, full_check=True)

@@ -35,7 +35,7 @@ from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.policies import Policy, PopsanPolicy
 
-FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
+_FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
 
 Spikes = dict[str, NDArray[np.uint8]]
 
@@ -69,16 +69,16 @@ class _Rung:
             self.choices.add({"choice": one.choices}, {"choice": other.choices})
 
     def checks(self, name: str) -> list[ParityCheck]:
-        gap = f"largest difference {self.actions.largest:.1e}, limit {FLOAT64_TOLERANCE:.0e}"
+        gap = f"largest difference {self.actions.largest:.1e}, limit {_FLOAT64_TOLERANCE:.0e}"
         spikes = ParityCheck(f"spikes: {name}", not self.spikes.differing, str(self.spikes))
-        within = self.actions.within(FLOAT64_TOLERANCE)
+        within = self.actions.within(_FLOAT64_TOLERANCE)
         if not self.choices.compared:
             return [spikes, ParityCheck(f"actions: {name}", within, gap)]
         chosen = ParityCheck(f"choices: {name}", not self.choices.differing, str(self.choices))
         return [spikes, ParityCheck(f"scores: {name}", within, gap), chosen]
 
 
-def nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
+def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
     if not isinstance(policy, SpikingPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
@@ -160,32 +160,34 @@ def _decoded(codec: Codec, spikes: Spikes, output: NDArray[np.generic]) -> _Outc
 
 
 # of an action in [-1, 1], or of the largest logit: float32 sums in different order
-ONNX_TOLERANCE = 1e-5
-ALONE = 100  # observations that are also passed one by one, as in a control loop
+_ONNX_TOLERANCE = 1e-5
+_ALONE = 100  # observations that are also passed one by one, as in a control loop
 
 Single = NDArray[np.float32]
 
 
-def onnx_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
+def _onnx_checks(
+    policy: Policy, path: Path, observations: NDArray[np.float64]
+) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
     single = deepcopy(policy).float()
     network = session(path)
     together, alone = LargestDifference(), LargestDifference()
     for batch in batches(observations):
         _compare(together, network, single, batch)
-    for row in observations[:ALONE, None]:
+    for row in observations[:_ALONE, None]:
         _compare(alone, network, single, row)
     name = "logits" if policy.head == "discrete" else "actions"
     return [
         _check(f"{name}: torch = ONNX Runtime", together, len(observations)),
-        _check(f"{name}, one at a time", alone, min(ALONE, len(observations))),
+        _check(f"{name}, one at a time", alone, min(_ALONE, len(observations))),
     ]
 
 
 def _check(name: str, difference: LargestDifference, count: int) -> ParityCheck:
-    largest = f"largest difference {difference.largest:.1e}, limit {ONNX_TOLERANCE:.0e}"
+    largest = f"largest difference {difference.largest:.1e}, limit {_ONNX_TOLERANCE:.0e}"
     detail = f"{count:,} observations, {largest}"
-    return ParityCheck(name, difference.within(ONNX_TOLERANCE), detail)
+    return ParityCheck(name, difference.within(_ONNX_TOLERANCE), detail)
 
 
 def _compare(
@@ -212,7 +214,7 @@ __all__ = ["CHECKS", "ParityCheck", "check"]
 
 Checks = Callable[[Policy, Path, NDArray[np.float64]], list[ParityCheck]]
 
-CHECKS: dict[str, Checks] = {".nir": nir_checks, ".onnx": onnx_checks}
+CHECKS: dict[str, Checks] = {".nir": _nir_checks, ".onnx": _onnx_checks}
 
 
 def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[ParityCheck]:

@@ -33,7 +33,7 @@ from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TrainedRa
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 
-DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
+_DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def to_nir(
     policy: Policy,
     origin: Provenance,
     path: str | Path,
-    dt: float = DT,
+    dt: float = _DT,
     state: State = "reset",
 ) -> Path:
     """Write the policy to `path` and return it.
@@ -55,18 +55,18 @@ def to_nir(
 
 
 def artifact(
-    policy: Policy, origin: Provenance, dt: float = DT, state: State = "reset"
+    policy: Policy, origin: Provenance, dt: float = _DT, state: State = "reset"
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
     # the file holds the float32 weights exactly; arithmetic on them is float64 from here on
-    precise = deepcopy(spiking(policy)).double()
+    precise = deepcopy(_spiking(policy)).double()
     convention = Convention(dt=dt, source="as trained")
     if state != convention.state:
         convention = convention.with_options({"state": state})
     return Artifact(_graph(precise, dt), _codec(precise), convention, origin)
 
 
-def spiking(policy: Policy) -> SpikingPolicy:
+def _spiking(policy: Policy) -> SpikingPolicy:
     """Return the policy if it spikes."""
     if not isinstance(policy, SpikingPolicy):
         raise ConfigError(

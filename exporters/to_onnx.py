@@ -22,7 +22,7 @@ from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.policies import MlpPolicy, Policy
 from spikedeploy.trainers.policies.features import Features
 
-KINDS = ("ann", "control")
+_KINDS = ("ann", "control")
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
@@ -32,8 +32,8 @@ def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "a
             f"a policy of kind {policy.kind!r} spikes, which ONNX cannot describe: "
             "export it with --to nir"
         )
-    if kind not in KINDS:
-        raise ConfigError(f"kind {kind!r} is unknown; it is one of {', '.join(KINDS)}")
+    if kind not in _KINDS:
+        raise ConfigError(f"kind {kind!r} is unknown; it is one of {', '.join(_KINDS)}")
     path = Path(path)
     model = _model(policy, origin, path.stem, kind)
     with replacing(path) as temporary:
@@ -41,7 +41,7 @@ def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "a
     return path
 
 
-def macs(policy: MlpPolicy) -> int:
+def _macs(policy: MlpPolicy) -> int:
     """Multiply-accumulates of one inference: one for each weight."""
     return sum(layer.get_parameter("weight").numel() for layer in policy.layers)
 
@@ -57,7 +57,7 @@ def _model(policy: MlpPolicy, origin: Provenance, name: str, kind: str) -> onnx.
         "kind": kind,
         "head": policy.head,
         "name": name,
-        "macs": str(macs(policy)),
+        "macs": str(_macs(policy)),
         "created": origin.created,
         "version": origin.version,
         "sha256": graph.sha256(),

@@ -9,7 +9,7 @@ from spikedeploy.files import as_text
 if TYPE_CHECKING:
     from rich.console import Console
 
-PIPE_WIDTH = 120
+_PIPE_WIDTH = 120
 
 
 def print_json(data: object) -> None:
@@ -50,7 +50,7 @@ def console(stderr: bool = False) -> "Console":
 
     made = Console(stderr=stderr, highlight=False)
     if not made.is_terminal:
-        made.width = PIPE_WIDTH
+        made.width = _PIPE_WIDTH
     return made
 
 

@@ -23,7 +23,7 @@ WORKER_ENVIRONMENT = {
 }
 
 
-class Jobs:
+class _Jobs:
     """Runs jobs, in a pool if there is one, whose processes take a second each to start."""
 
     def __init__(self, pool: ProcessPoolExecutor | None) -> None:
@@ -49,11 +49,11 @@ class Jobs:
 
 
 @contextmanager
-def workers(count: int | None) -> Iterator[Jobs]:
+def workers(count: int | None) -> Iterator[_Jobs]:
     """A runner with `count` processes, one for each core by default; with 1 in this process."""
     count = count or cores()
     if count == 1:
-        yield Jobs(None)
+        yield _Jobs(None)
         return
     context = get_context("spawn")
     with (
@@ -61,7 +61,7 @@ def workers(count: int | None) -> Iterator[Jobs]:
         ProcessPoolExecutor(count, context, initializer=_ignore_interrupts) as pool,
     ):
         try:
-            yield Jobs(pool)
+            yield _Jobs(pool)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

@@ -19,7 +19,7 @@ EXTRAS = {
     "neurobench": "neurobench",
     "sanafe": "sanafe",
 }
-EXPECTED = (
+_EXPECTED = (
     ("spikedeploy.runtime.errors", "SpikedeployError"),
     ("spikedeploy.envs.errors", "EnvError"),
     ("gymnasium.error", "Error"),
@@ -44,5 +44,5 @@ def _missing(module: str) -> str | None:
 
 def _expected(error: Exception) -> bool:
     """Whether it is one of EXPECTED; a class whose module is not loaded cannot have been raised."""
-    modules = ((sys.modules.get(module), name) for module, name in EXPECTED)
+    modules = ((sys.modules.get(module), name) for module, name in _EXPECTED)
     return any(module and isinstance(error, getattr(module, name)) for module, name in modules)

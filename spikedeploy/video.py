@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 Frame = NDArray[np.uint8]
-FPS = 25  # nearest possible; rendering takes most of the time
+_FPS = 25  # nearest possible; rendering takes most of the time
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Pace:
     @classmethod
     def of(cls, control_dt: float) -> "Pace":
         """The pace nearest to FPS for a control step of so many seconds."""
-        every = max(1, round(1 / (FPS * control_dt)))
+        every = max(1, round(1 / (_FPS * control_dt)))
         return cls(every, 1 / (every * control_dt))
 
 

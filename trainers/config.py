@@ -20,7 +20,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
-RENAMED = {"hoist": "support_force"}  # settings of version 0.1, accepted under their old names
+_RENAMED = {"hoist": "support_force"}  # settings of version 0.1, accepted under their old names
 
 Positive = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
@@ -28,13 +28,13 @@ Rate = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class Section(BaseModel):
+class _Section(BaseModel):
     """A group of settings: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Ramp(Section):
+class Ramp(_Section):
     """A value that changes linearly from `start` to `end` between two environment steps."""
 
     start: float
@@ -49,7 +49,7 @@ class Ramp(Section):
         return self.start + (self.end - self.start) * share
 
 
-class EnvConfig(Section):
+class EnvConfig(_Section):
     """The environment: short name or id, options, and number of copies stepped as one batch."""
 
     name: str = "hexapod"
@@ -57,7 +57,7 @@ class EnvConfig(Section):
     count: Positive = 4
 
 
-class MlpConfig(Section):
+class MlpConfig(_Section):
     """A float network; no hidden layers make it a linear policy."""
 
     kind: Literal["mlp"] = "mlp"
@@ -70,7 +70,7 @@ class MlpConfig(Section):
         return 0
 
 
-class PopsanConfig(Section):
+class PopsanConfig(_Section):
     """A population-coded spiking actor (Tang et al. 2020), with the hexapod's decay factors."""
 
     kind: Literal["popsan"] = "popsan"
@@ -89,7 +89,7 @@ class PopsanConfig(Section):
         return len(self.hidden) + 1
 
 
-class SpikingMlpConfig(Section):
+class SpikingMlpConfig(_Section):
     """Layers of LIF neurons and a linear readout of their firing rates, as in kart-simulator.
 
     coding: "regular" and "bernoulli" are rate codes for values in [-1, 1], with evenly spaced or
@@ -115,14 +115,14 @@ class SpikingMlpConfig(Section):
 PolicyConfig = Annotated[MlpConfig | PopsanConfig | SpikingMlpConfig, Field(discriminator="kind")]
 
 
-class NormaliserConfig(Section):
+class NormaliserConfig(_Section):
     """Observation statistics: updated up to `finish` environment steps, then frozen."""
 
     finish: Count = 60_000
     clip: Rate = 4.0
 
 
-class ValidationConfig(Section):
+class ValidationConfig(_Section):
     """Deterministic episodes without support force, which choose the best checkpoint.
 
     every: environment steps between two validations
@@ -136,7 +136,7 @@ class ValidationConfig(Section):
     limit: Positive | None = None
 
 
-class RunConfig(Section):
+class RunConfig(_Section):
     """Settings that every algorithm has."""
 
     algorithm: str
@@ -172,7 +172,7 @@ def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str]
     """Return a configuration changed by the file and then by the overrides."""
     settings = base.model_dump(mode="json")
     if file is not None:
-        settings = _overlaid(settings, _renamed(read_toml(file)), str(file))
+        settings = _overlaid(settings, _renamed(_read_toml(file)), str(file))
     for text in overrides:
         settings = _overlaid(settings, _renamed(parse_override(text)), f"--set {text}")
     return validated(type(base), settings, f"recipe {base.recipe}")
@@ -206,7 +206,7 @@ def known(name: str, names: Iterable[str], kind: str) -> str:
     raise ConfigError(f"unknown {kind} '{name}': {hint}")
 
 
-def read_toml(file: str | Path) -> dict[str, Any]:
+def _read_toml(file: str | Path) -> dict[str, Any]:
     """Return the tables of a TOML file."""
     try:
         tables: dict[str, Any] = tomllib.loads(Path(file).read_text(encoding="utf-8"))
@@ -260,7 +260,7 @@ def validated(model: type[C], settings: Mapping[str, Any], source: str) -> C:
 
 def _renamed(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings under their present names."""
-    return {RENAMED.get(key, key): value for key, value in settings.items()}
+    return {_RENAMED.get(key, key): value for key, value in settings.items()}
 
 
 def _fault(loc: tuple[int | str, ...], msg: str, input: object, **_: object) -> str:

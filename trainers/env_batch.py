@@ -13,7 +13,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies import Head
 
-SEEDS = 5_000  # training seeds are below, those of validation and evaluation above
+_SEEDS = 5_000  # training seeds are below, those of validation and evaluation above
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class EpisodeStart:
+class _EpisodeStart:
     """Seed of an episode, and info of its reset."""
 
     seed: int
@@ -57,7 +57,7 @@ class EnvBatch:
         self._envs: list[Any] = [
             envs.make(config.name, **config.options) for _ in range(config.count)
         ]
-        self.starts = [EpisodeStart(0, {}) for _ in self._envs]
+        self.starts = [_EpisodeStart(0, {}) for _ in self._envs]
         self.observation = np.stack([self._reset(k) for k in range(len(self._envs))])
         self._totals = np.zeros(config.count)
         self.returns: list[float] = []
@@ -131,8 +131,8 @@ class EnvBatch:
         self.observation[k] = self._reset(k)
 
     def _reset(self, k: int) -> NDArray[np.float64]:
-        seed = int(self._rng.integers(SEEDS))
+        seed = int(self._rng.integers(_SEEDS))
         observation: NDArray[np.float64]
         observation, info = self._envs[k].reset(seed=seed)
-        self.starts[k] = EpisodeStart(seed, info)
+        self.starts[k] = _EpisodeStart(seed, info)
         return observation

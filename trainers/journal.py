@@ -17,7 +17,7 @@ from rich.progress import (
 from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.run_folder import RunFolder
 
-SHOWN = {  # metrics beside the progress bar, and their formats
+_SHOWN = {  # metrics beside the progress bar, and their formats
     "episode_return": "return {:.0f}",
     "eval_return": "validation {:.0f}",
     "steps_per_s": "{:.0f} steps/s",
@@ -29,7 +29,7 @@ class Journal:
 
     def __init__(self, run: RunFolder, columns: tuple[str, ...], bar: "ProgressBar") -> None:
         self.metrics = Metrics(run.metrics, columns)
-        self.board = TensorBoardLog(run.path)
+        self.board = _TensorBoardLog(run.path)
         self.bar = bar
 
     def at(self, step: int, total: int) -> None:
@@ -52,7 +52,7 @@ class Journal:
         self.board.close()
 
 
-class TensorBoardLog:
+class _TensorBoardLog:
     """TensorBoard event file in the run folder; does nothing if TensorBoard is not installed."""
 
     def __init__(self, folder: Path) -> None:
@@ -104,6 +104,6 @@ class ProgressBar:
 
     def show(self, row: Mapping[str, float]) -> None:
         """Show the returns and speed of a row of metrics."""
-        self._latest.update({key: row[key] for key in SHOWN if key in row})
-        note = "  ".join(SHOWN[key].format(value) for key, value in self._latest.items())
+        self._latest.update({key: row[key] for key in _SHOWN if key in row})
+        note = "  ".join(_SHOWN[key].format(value) for key, value in self._latest.items())
         self._progress.update(self._task, note=note)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from spikedeploy.trainers.atomic import replacing
 
-RENAMED = {"hoist": "support_force"}  # columns of version 0.1
-CURVES = {"episode_return": "training", "eval_return": "validation"}
+_RENAMED = {"hoist": "support_force"}  # columns of version 0.1
+_CURVES = {"episode_return": "training", "eval_return": "validation"}
 
 
 class Metrics:
@@ -43,7 +43,7 @@ def read(path: Path) -> list[dict[str, float]]:
     """Return the rows of a metrics file, without empty values and under present names."""
     with path.open(newline="", encoding="utf-8") as file:
         return [
-            {RENAMED.get(key, key): float(value) for key, value in row.items() if value}
+            {_RENAMED.get(key, key): float(value) for key, value in row.items() if value}
             for row in csv.DictReader(file)
         ]
 
@@ -56,14 +56,14 @@ def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
     """Draw the returns of a metrics file as PNG; return whether there are any."""
     rows = read(metrics)
     steps = next(iter(rows[0]), None) if rows else None
-    if steps is None or not any(name in row for row in rows for name in CURVES):
+    if steps is None or not any(name in row for row in rows for name in _CURVES):
         return False
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
-    for name, label in CURVES.items():
+    for name, label in _CURVES.items():
         points = [(row[steps], row[name]) for row in rows if name in row]
         if points:
             axes.plot(

@@ -7,14 +7,14 @@ import onnxruntime
 
 from spikedeploy.runtime.errors import ArtifactError
 
-ERRORS_ONLY = 3  # ONNX Runtime's severity level; failures raise exceptions anyway
+_ERRORS_ONLY = 3  # ONNX Runtime's severity level; failures raise exceptions anyway
 
 
 def session(path: str | Path) -> Any:  # noqa: ANN401
     """Return the onnxruntime.InferenceSession of a file, or raise ArtifactError."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = ERRORS_ONLY
+    options.log_severity_level = _ERRORS_ONLY
     try:
         return onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
     except Exception as error:  # ONNX Runtime's errors share no other base class

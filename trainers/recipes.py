@@ -34,14 +34,14 @@ def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings
 
 # -- soft actor-critic: the hexapod; the defaults of SacConfig are tuned for walking straight
 
-POPSAN: Settings = {"policy": {"kind": "popsan"}}
+_POPSAN: Settings = {"policy": {"kind": "popsan"}}
 MLP: Settings = {"policy": {"kind": "mlp"}}
-NARROW: Settings = {"policy": {"hidden": [256, 256]}, "critic_hidden": [256, 256]}
+_NARROW: Settings = {"policy": {"hidden": [256, 256]}, "critic_hidden": [256, 256]}
 
-HEXAPOD: Settings = {"env": {"name": "hexapod"}}
+_HEXAPOD: Settings = {"env": {"name": "hexapod"}}
 
 # Following commands needs an early end of the support force and smoother actions.
-COMMAND: Settings = {
+_COMMAND: Settings = {
     "env": {"name": "hexapod-command"},
     "support_force": {"finish": 60_000},
     "temperature": {"begin": 40_000, "finish": 120_000},
@@ -51,7 +51,7 @@ COMMAND: Settings = {
 }
 
 # Smoke recipes take seconds, for tests and a first look at the tools.
-SMOKE_SAC: Settings = {
+_SMOKE_SAC: Settings = {
     "env": {"name": "hexapod", "count": 2},
     "policy": {"hidden": [16, 16]},
     "critic_hidden": [16, 16],
@@ -69,7 +69,7 @@ SMOKE_SAC: Settings = {
 # three controls, with the same states and updates, so that comparisons show what the spiking
 # network contributes. The teacher is given with --set teacher=PATH
 
-STUDENTS: dict[str, tuple[str, Settings]] = {
+_STUDENTS: dict[str, tuple[str, Settings]] = {
     "distill": ("PopSAN 77-770-512-512-180-18", {"kind": "popsan"}),
     "distill-256": ("PopSAN 77-770-256-256-180-18", {"kind": "popsan", "hidden": [256, 256]}),
     "linear": ("control: linear in all observations", {"kind": "mlp", "hidden": []}),
@@ -83,7 +83,7 @@ STUDENTS: dict[str, tuple[str, Settings]] = {
     ),
 }
 
-TASKS: dict[str, tuple[str, Settings]] = {
+_TASKS: dict[str, tuple[str, Settings]] = {
     # walking allows sparser activity than the defaults, at no cost in return: see the card of the
     # shipped policy, spikedeploy/zoo/hexapod/popsan.md
     "hexapod": (
@@ -108,7 +108,7 @@ TASKS: dict[str, tuple[str, Settings]] = {
     ),
 }
 
-SMOKE_DISTILL: Settings = {
+_SMOKE_DISTILL: Settings = {
     "env": {"name": "hexapod", "count": 2},
     "policy": {"kind": "popsan", "hidden": [16, 16], "populations": 3},
     "iterations": 2,
@@ -122,24 +122,24 @@ SMOKE_DISTILL: Settings = {
 
 DISTILL: dict[str, tuple[str, Settings]] = {
     f"{task}-{student}": (f"{network} that {verb}, from a teacher", {**settings, "policy": policy})
-    for task, (verb, settings) in TASKS.items()
-    for student, (network, policy) in STUDENTS.items()
-} | {"smoke-distill": ("a tiny PopSAN from a teacher, seconds", SMOKE_DISTILL)}
+    for task, (verb, settings) in _TASKS.items()
+    for student, (network, policy) in _STUDENTS.items()
+} | {"smoke-distill": ("a tiny PopSAN from a teacher, seconds", _SMOKE_DISTILL)}
 
 # -- proximal policy optimisation: the karts
 
-KART_ENVS = ("kart-grid", "kart-gazebo", "kart-steer")
+_KART_ENVS = ("kart-grid", "kart-gazebo", "kart-steer")
 
 # kart-simulator's networks, and two controls for its spiking one: a float network of the same
 # size, and a linear policy
-POLICIES: dict[str, tuple[str, Settings]] = {
+_POLICIES: dict[str, tuple[str, Settings]] = {
     "ann": ("a float MLP with 128-128", {"kind": "mlp", "hidden": [128, 128]}),
     "snn": ("64-64 LIF neurons", {"kind": "spiking-mlp", "hidden": [64, 64]}),
     "small": ("a float MLP of the spiking one's size", {"kind": "mlp", "hidden": [64, 64]}),
     "linear": ("a linear policy", {"kind": "mlp", "hidden": []}),
 }
 
-SMOKE_PPO: Settings = {
+_SMOKE_PPO: Settings = {
     "env": {"name": "kart-grid", "count": 2},
     "steps": 256,
     "horizon": 32,
@@ -150,39 +150,39 @@ SMOKE_PPO: Settings = {
     "validation": {"every": 128, "episodes": 1, "limit": 20},
 }
 
-KARTS: dict[str, tuple[str, Settings]] = {
+_KARTS: dict[str, tuple[str, Settings]] = {
     **{
         f"{env}-{name}": (f"{summary}, to race {env}", {"env": {"name": env}, "policy": policy})
-        for env in KART_ENVS
-        for name, (summary, policy) in POLICIES.items()
+        for env in _KART_ENVS
+        for name, (summary, policy) in _POLICIES.items()
     },
     "smoke-kart": (
         "a tiny spiking kart driver, seconds",
-        {**SMOKE_PPO, "policy": {"kind": "spiking-mlp", "hidden": [8, 8], "timesteps": 4}},
+        {**_SMOKE_PPO, "policy": {"kind": "spiking-mlp", "hidden": [8, 8], "timesteps": 4}},
     ),
 }
 
 RECIPES: dict[str, Recipe] = {
-    "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(HEXAPOD, MLP)),
+    "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(_HEXAPOD, MLP)),
     "hexapod-sac-256": Recipe(
-        "sac", "float MLP 77-256-256-18 that walks", merged(HEXAPOD, MLP, NARROW)
+        "sac", "float MLP 77-256-256-18 that walks", merged(_HEXAPOD, MLP, _NARROW)
     ),
     "hexapod-popsan": Recipe(
-        "sac", "PopSAN 77-770-512-512-180-18 that walks", merged(HEXAPOD, POPSAN)
+        "sac", "PopSAN 77-770-512-512-180-18 that walks", merged(_HEXAPOD, _POPSAN)
     ),
     "hexapod-popsan-256": Recipe(
-        "sac", "PopSAN 77-770-256-256-180-18 that walks", merged(HEXAPOD, POPSAN, NARROW)
+        "sac", "PopSAN 77-770-256-256-180-18 that walks", merged(_HEXAPOD, _POPSAN, _NARROW)
     ),
     "hexapod-command-sac": Recipe(
-        "sac", "float MLP 77-512-512-18 that follows commands", merged(COMMAND, MLP)
+        "sac", "float MLP 77-512-512-18 that follows commands", merged(_COMMAND, MLP)
     ),
     "hexapod-command-popsan": Recipe(
-        "sac", "PopSAN 77-770-512-512-180-18 that follows commands", merged(COMMAND, POPSAN)
+        "sac", "PopSAN 77-770-512-512-180-18 that follows commands", merged(_COMMAND, _POPSAN)
     ),
-    "smoke": Recipe("sac", "a tiny float MLP, seconds", merged(SMOKE_SAC, MLP)),
+    "smoke": Recipe("sac", "a tiny float MLP, seconds", merged(_SMOKE_SAC, MLP)),
     "smoke-popsan": Recipe(
-        "sac", "a tiny PopSAN, seconds", merged(SMOKE_SAC, POPSAN, {"policy": {"populations": 3}})
+        "sac", "a tiny PopSAN, seconds", merged(_SMOKE_SAC, _POPSAN, {"policy": {"populations": 3}})
     ),
     **{name: Recipe("distill", summary, settings) for name, (summary, settings) in DISTILL.items()},
-    **{name: Recipe("ppo", summary, settings) for name, (summary, settings) in KARTS.items()},
+    **{name: Recipe("ppo", summary, settings) for name, (summary, settings) in _KARTS.items()},
 }

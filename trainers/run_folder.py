@@ -25,7 +25,7 @@ from spikedeploy.trainers.config import C, RunConfig, validated
 from spikedeploy.trainers.policies import Policy, build
 from spikedeploy.trainers.versions import versions
 
-POLICY = "policy."  # prefix of the policy's tensors
+_POLICY = "policy."  # prefix of the policy's tensors
 
 
 class RunFolder:
@@ -93,7 +93,7 @@ class RunFolder:
     ) -> None:
         """Write a checkpoint: the policy, its state as JSON, and more tensors."""
         record = {"policy": policy.spec(), **state}
-        weights = {POLICY + key: value for key, value in policy.state_dict().items()}
+        weights = {_POLICY + key: value for key, value in policy.state_dict().items()}
         everything = {
             key: value.contiguous() for key, value in {**weights, **(tensors or {})}.items()
         }
@@ -120,7 +120,7 @@ class RunFolder:
         state, tensors = self.load(name)
         policy = build(state["policy"])
         policy.load_state_dict(
-            {key.removeprefix(POLICY): t for key, t in tensors.items() if key.startswith(POLICY)}
+            {key.removeprefix(_POLICY): t for key, t in tensors.items() if key.startswith(_POLICY)}
         )
         return policy.eval().requires_grad_(False)
 

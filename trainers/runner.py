@@ -18,7 +18,7 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.validation import Validator, sparsities
 
 
-class Learner(Protocol):
+class _Learner(Protocol):
     """Networks and optimisers of an algorithm, which checkpoints hold."""
 
     def tensors(self) -> dict[str, Tensor]:
@@ -46,7 +46,7 @@ class Runner(ABC, Generic[C]):
     SPEED: ClassVar[str] = "steps_per_s"
     VALIDATES_AT_END: ClassVar[bool] = True
     policy: Policy
-    learner: Learner
+    learner: _Learner
 
     @classmethod
     def columns(cls, config: RunConfig) -> tuple[str, ...]:

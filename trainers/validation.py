@@ -11,9 +11,9 @@ from spikedeploy.trainers.config import EnvConfig, PolicyConfig, ValidationConfi
 from spikedeploy.trainers.policies import Policy
 
 # info of the environment -> metric: mean over steps, root mean square, and value at the end
-MEANS = {"speed": "eval_speed"}
-SQUARES = {"speed_error": "eval_speed_rmse", "turn_error": "eval_turn_rmse"}
-LASTS = {
+_MEANS = {"speed": "eval_speed"}
+_SQUARES = {"speed_error": "eval_speed_rmse", "turn_error": "eval_turn_rmse"}
+_LASTS = {
     "cot": "eval_cot",
     "fall": "eval_falls",
     "finish": "eval_finish",
@@ -74,13 +74,13 @@ def _metrics(episodes: list[_Episode]) -> dict[str, float]:
     result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
     steps = [info for episode in episodes for info in episode.infos]
     ends = [episode.infos[-1] for episode in episodes]
-    for name, column in MEANS.items():
+    for name, column in _MEANS.items():
         if name in ends[0]:
             result[column] = float(np.mean([info[name] for info in steps]))
-    for name, column in SQUARES.items():
+    for name, column in _SQUARES.items():
         if name in ends[0]:
             result[column] = float(np.sqrt(np.mean([info[name] ** 2 for info in steps])))
-    for name, column in LASTS.items():
+    for name, column in _LASTS.items():
         if name in ends[0]:
             result[column] = float(np.mean([info[name] for info in ends]))
     return result

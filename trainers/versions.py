@@ -5,14 +5,14 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGES = ("spikedeploy", "torch", "numpy", "gymnasium", "mujoco", "snntorch", "safetensors")
+_PACKAGES = ("spikedeploy", "torch", "numpy", "gymnasium", "mujoco", "snntorch", "safetensors")
 
 
 def versions() -> dict[str, str | None]:
     """What a run is made with: name -> version, None where it is not installed; and the commit."""
     return {
         "python": platform.python_version(),
-        **{package: installed(package) for package in PACKAGES},
+        **{package: installed(package) for package in _PACKAGES},
         "commit": _commit(),
     }
 

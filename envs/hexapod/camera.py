@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.robot import Robot
 
-WIDTH, HEIGHT = 640, 480  # [pixels]
+_WIDTH, _HEIGHT = 640, 480  # [pixels]
 
 
 class Camera:
     """Off-screen frames of a robot, from the camera of its model that follows it."""
 
-    def __init__(self, subject: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
+    def __init__(self, subject: Robot, width: int = _WIDTH, height: int = _HEIGHT) -> None:
         self._model, self._data = subject.model, subject.data
         try:
             self._gl = mujoco.GLContext(width, height)

@@ -14,18 +14,18 @@ from spikedeploy.envs.hexapod.reward import command_terms
 from spikedeploy.envs.hexapod.robot import Motion
 from spikedeploy.envs.hexapod.terrain import Field
 
-STAND = 0.15  # probability of the command to stand still
+_STAND = 0.15  # probability of the command to stand still
 SPEED = (-0.25, 0.45)  # [m/s]
-TURN = 0.8  # [rad/s] largest turn rate
-OUTER_SPEED = 0.5  # [m/s] largest speed of the outer legs
-HALF_TRACK = 0.2  # [m] distance of the outer feet from the body's centre
+_TURN = 0.8  # [rad/s] largest turn rate
+_OUTER_SPEED = 0.5  # [m/s] largest speed of the outer legs
+_HALF_TRACK = 0.2  # [m] distance of the outer feet from the body's centre
 HOLD = (100, 200)  # [control steps] shortest and longest duration of a command
 
-COMMANDED_BODY = tuple(
+_COMMANDED_BODY = tuple(
     ObservationEntry("turn_error", 1, 0.0, 0.8) if entry.name == "heading" else entry  # [rad/s]
     for entry in BODY
 )
-COMMAND = (
+_COMMAND = (
     ObservationEntry("speed_error", 1, 0.0, 0.4),  # [m/s] commanded - smoothed, as turn_error
     ObservationEntry("command", 2, 0.0, (0.45, 0.8)),  # [m/s], [rad/s] forward speed and turn rate
 )
@@ -33,16 +33,16 @@ COMMAND = (
 
 def draw_command(rng: np.random.Generator) -> tuple[float, float]:
     """Draw forward speed [m/s] and turn rate [rad/s] that the legs can follow together."""
-    stand = rng.random() < STAND
+    stand = rng.random() < _STAND
     speed = rng.uniform(*SPEED)
-    turn = fastest_turn(speed) * rng.uniform(-1.0, 1.0)
+    turn = _fastest_turn(speed) * rng.uniform(-1.0, 1.0)
     return (0.0, 0.0) if stand else (speed, turn)
 
 
-def fastest_turn(speed: float) -> float:
+def _fastest_turn(speed: float) -> float:
     """Largest turn rate [rad/s] that the outer legs can follow at a forward speed [m/s]."""
     # |turn| <= (outer speed - |speed|) / half track
-    return min(TURN, (OUTER_SPEED - abs(speed)) / HALF_TRACK)
+    return min(_TURN, (_OUTER_SPEED - abs(speed)) / _HALF_TRACK)
 
 
 class HexapodCommandEnv(HexapodEnv):
@@ -67,7 +67,7 @@ class HexapodCommandEnv(HexapodEnv):
     its speed is along the body and its distance the length of the path.
     """
 
-    ENTRIES: ClassVar[tuple[ObservationEntry, ...]] = (*COMMANDED_BODY, *COMMAND, LOAD)
+    ENTRIES: ClassVar[tuple[ObservationEntry, ...]] = (*_COMMANDED_BODY, *_COMMAND, LOAD)
     OBSERVATION: ClassVar[dict[str, slice]] = layout(ENTRIES)
     FIELD: ClassVar[Field] = Field(length=18.0, width=18.0, start=(0.0, 0.0))
     PUSHES: ClassVar[PushTable] = PushTable(kick=(0.25, 0.5), spin=1.0, interval=(75, 200))
@@ -87,7 +87,7 @@ class HexapodCommandEnv(HexapodEnv):
     def steer(self, speed: float, turn: float) -> None:
         """Command a speed [m/s] and a turn rate [rad/s] until the end, clipped to their limits."""
         speed = min(max(speed, SPEED[0]), SPEED[1])
-        most = fastest_turn(speed)
+        most = _fastest_turn(speed)
         self._command = speed, min(max(turn, -most), most)
         self._change = math.inf
 

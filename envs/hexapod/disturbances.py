@@ -46,7 +46,7 @@ class PushTable:
 
 
 @dataclass(frozen=True)
-class Push:
+class _Push:
     """One push: kick (x, y) [m/s] and spin [rad/s]."""
 
     kick: tuple[float, float]
@@ -65,7 +65,7 @@ class Pushes:
         """Draw the time of the first push."""
         self._next = self._interval(rng)
 
-    def at(self, step: int, rng: np.random.Generator) -> Push | None:
+    def at(self, step: int, rng: np.random.Generator) -> _Push | None:
         """Return the push due at this control step, if any."""
         if step < self._next:
             return None
@@ -73,7 +73,7 @@ class Pushes:
         speed = self.scale * rng.uniform(*self.table.kick)
         direction = rng.uniform(-math.pi, math.pi)
         spin = self.scale * rng.normal(0.0, self.table.spin)
-        return Push((speed * math.cos(direction), speed * math.sin(direction)), spin)
+        return _Push((speed * math.cos(direction), speed * math.sin(direction)), spin)
 
     def _interval(self, rng: np.random.Generator) -> int:
         shortest, longest = self.table.interval

@@ -29,8 +29,8 @@ from spikedeploy.envs.hexapod.terrain import Field, Terrain
 
 CONTROL_DT = 0.02  # [s]
 SMOOTHING = 0.1  # weight of the newest value in a smoothed speed or turn rate
-FILTER = 0.6  # weight of the newest value in the command to the servos
-LOWEST_UP = 0.5  # [1] z of the body's up axis below which the robot has fallen
+_FILTER = 0.6  # weight of the newest value in the command to the servos
+_LOWEST_UP = 0.5  # [1] z of the body's up axis below which the robot has fallen
 
 
 class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
@@ -172,7 +172,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         reward = sum(terms.values())
         self._return += reward
         self._action = action
-        fall = -motion.gravity[2] < LOWEST_UP or height < self.LOWEST_HEIGHT
+        fall = -motion.gravity[2] < _LOWEST_UP or height < self.LOWEST_HEIGHT
         truncated = not fall and self._step >= self.max_steps
         info = self._info(motion, terms, fall)
         self._update_command()
@@ -211,7 +211,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             self._robot.push(push.kick, push.spin)
         # filtered = 0.6 (gait + authority x action) + 0.4 filtered
         command = self._gait.command() + self.AUTHORITY * action
-        self._filtered = FILTER * command + (1.0 - FILTER) * self._filtered
+        self._filtered = _FILTER * command + (1.0 - _FILTER) * self._filtered
         self._robot.drive(self._filtered)
         self._gait.advance(CONTROL_DT)
         return self._robot.sense()

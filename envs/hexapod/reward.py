@@ -5,9 +5,9 @@ from __future__ import annotations
 from spikedeploy.envs.hexapod.observation import FloatArray
 from spikedeploy.envs.hexapod.robot import Motion
 
-TARGET_SPEED = 0.40  # [m/s] of Hexapod-v0
-SPEED_KERNEL = 0.12  # [m/s]
-TURN_KERNEL = 0.3  # [rad/s]
+_TARGET_SPEED = 0.40  # [m/s] of Hexapod-v0
+_SPEED_KERNEL = 0.12  # [m/s]
+_TURN_KERNEL = 0.3  # [rad/s]
 
 
 def course_terms(speed: float, heading: float, lateral: float) -> dict[str, float]:
@@ -19,7 +19,7 @@ def course_terms(speed: float, heading: float, lateral: float) -> dict[str, floa
     """
     return {
         "alive": 1.0,
-        "speed": 3.0 * max(-1.0, 1.0 - abs(speed - TARGET_SPEED) / TARGET_SPEED),
+        "speed": 3.0 * max(-1.0, 1.0 - abs(speed - _TARGET_SPEED) / _TARGET_SPEED),
         "heading": -0.5 * min(abs(heading), 1.0),
         "lateral": -0.5 * min(abs(lateral), 1.0),
     }
@@ -34,8 +34,8 @@ def command_terms(speed_error: float, turn_error: float, sideways: float) -> dic
     """
     return {
         "alive": 1.0,
-        "speed": 2.5 * kernel(speed_error, SPEED_KERNEL),
-        "turn": 2.0 * kernel(turn_error, TURN_KERNEL),
+        "speed": 2.5 * kernel(speed_error, _SPEED_KERNEL),
+        "turn": 2.0 * kernel(turn_error, _TURN_KERNEL),
         "sideways": -0.5 * min(abs(sideways), 0.5),
     }
 

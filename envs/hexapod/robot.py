@@ -18,13 +18,13 @@ from spikedeploy.envs.hexapod.terrain import BASE, CEILING, Field
 
 mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)  # instead of MUJOCO_LOG.TXT
 
-XML = Path(__file__).with_name("hexapod.xml")
+_XML = Path(__file__).with_name("hexapod.xml")
 GRAVITY = 9.81  # [m/s^2]
 SUBSTEPS = 5  # of 4 ms each
 STANCE = np.tile([0.0, 0.35, -1.45], 6)  # (18,) [rad] nominal pose
-STANDING = 0.108  # [m] height of the torso's centre above flat ground in the nominal pose
-ACTION_UNIT = 0.6  # [rad]
-TOUCH = 0.5  # [N] load above which a foot is in contact
+_STANDING = 0.108  # [m] height of the torso's centre above flat ground in the nominal pose
+_ACTION_UNIT = 0.6  # [rad]
+_TOUCH = 0.5  # [N] load above which a foot is in contact
 
 FloatArray = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ class Robot:
         """Put the robot at rest in the nominal pose."""
         mujoco.mj_resetData(self.model, self.data)
         half = 0.5 * heading
-        pose = (x, y, ground + STANDING, math.cos(half), 0.0, 0.0, math.sin(half))
+        pose = (x, y, ground + _STANDING, math.cos(half), 0.0, 0.0, math.sin(half))
         self.data.qpos[:7] = pose
         self.data.qpos[7:] = STANCE
         self.data.ctrl[:] = STANCE
@@ -108,7 +108,7 @@ class Robot:
 
     def drive(self, command: FloatArray) -> None:
         """Hold the servos at stance + 0.6 rad x command (18,) for one control step."""
-        np.multiply(command, ACTION_UNIT, out=self.data.ctrl)
+        np.multiply(command, _ACTION_UNIT, out=self.data.ctrl)
         self.data.ctrl += STANCE
         self.data.xfrc_applied[self._torso, 2] = self.support_force * 0.6 * self.mass * GRAVITY
         for substep in range(SUBSTEPS):
@@ -136,7 +136,7 @@ class Robot:
         r10, r11, r12 = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
         r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
         load = sensors[:6].copy()
-        contact = load > TOUCH
+        contact = load > _TOUCH
         return Motion(
             position=(px, py, pz),
             gravity=(-r20, -r21, -r22),
@@ -173,10 +173,10 @@ def _slip(velocity: FloatArray, contact: NDArray[np.bool_]) -> float:
 
 def _xml(field: Field) -> str:
     """The model's XML with its height field sized for this ground."""
-    root = ElementTree.parse(XML).getroot()
+    root = ElementTree.parse(_XML).getroot()
     hfield = root.find("asset/hfield")
     if hfield is None:
-        raise ValueError(f"{XML.name} has no height field")
+        raise ValueError(f"{_XML.name} has no height field")
     rows, columns = field.shape
     hfield.set("nrow", str(rows))
     hfield.set("ncol", str(columns))

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-CELL = 0.05  # [m] spacing of the height samples
+_CELL = 0.05  # [m] spacing of the height samples
 CEILING = 0.1  # [m] height of the value 1 in MuJoCo's height field
 BASE = 0.2  # [m] thickness of the ground below its lowest point
-SPACING = 5  # [cells] spacing of the lattice of bumps, 25 cm
-PATCH = 3  # [cells] half width of the patch whose mean is the local ground
-CLEARING = (0.25, 0.5)  # [m] flat within the first radius of the start, rough beyond the second
+_SPACING = 5  # [cells] spacing of the lattice of bumps, 25 cm
+_PATCH = 3  # [cells] half width of the patch whose mean is the local ground
+_CLEARING = (0.25, 0.5)  # [m] flat within the first radius of the start, rough beyond the second
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Field:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows along y, columns along x)."""
-        return round(self.width / CELL) + 1, round(self.length / CELL) + 1
+        return round(self.width / _CELL) + 1, round(self.length / _CELL) + 1
 
 
 class Terrain:
@@ -49,7 +49,7 @@ class Terrain:
         self._heights = model.hfield_data.reshape(rows, columns)
         y = np.linspace(-field.width / 2, field.width / 2, rows)[:, None]
         x = np.linspace(-field.length / 2, field.length / 2, columns)[None, :]
-        near, far = CLEARING
+        near, far = _CLEARING
         distance = np.hypot(x - field.start[0], y - field.start[1])
         self._rough = np.clip((distance - near) / (far - near), 0.0, 1.0)
         self.height: NDArray[np.float64] = np.zeros((rows, columns))
@@ -62,14 +62,14 @@ class Terrain:
         # height = bump (noise - min) / (max - min), fading to the middle height at the start
         level = (noise - lowest) / (noise.max() - lowest)
         self.height = bump * (0.5 + self._rough * (level - 0.5))
-        self.mean = _box_mean(self.height, PATCH)
+        self.mean = _box_mean(self.height, _PATCH)
         self._heights[:] = self.height / CEILING
 
     def ground(self, x: float, y: float) -> float:
         """Mean height of the ground around a point [m], bilinear, constant beyond the edge."""
         rows, columns = self.mean.shape
-        u = min(max((x + self.field.length / 2) / CELL, 0.0), columns - 1.001)
-        v = min(max((y + self.field.width / 2) / CELL, 0.0), rows - 1.001)
+        u = min(max((x + self.field.length / 2) / _CELL, 0.0), columns - 1.001)
+        v = min(max((y + self.field.width / 2) / _CELL, 0.0), rows - 1.001)
         i, j = math.floor(v), math.floor(u)
         v, u = v - i, u - j
         item = self.mean.item
@@ -82,14 +82,14 @@ class Terrain:
 def _bumps(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
     """Random heights on a lattice of 25 cm, interpolated to every sample and smoothed."""
     rows, columns = shape
-    lattice = rng.random((rows // SPACING + 2, columns // SPACING + 2))
+    lattice = rng.random((rows // _SPACING + 2, columns // _SPACING + 2))
     fine = _blur(_stretch(_stretch(lattice).T).T)
     return fine[:rows, :columns]
 
 
 def _stretch(lattice: NDArray[np.float64]) -> NDArray[np.float64]:
     """Linear interpolation along the first axis, SPACING samples from one row to the next."""
-    weight = np.arange(SPACING)[None, :, None] / SPACING
+    weight = np.arange(_SPACING)[None, :, None] / _SPACING
     between = lattice[:-1, None] * (1.0 - weight) + lattice[1:, None] * weight
     return between.reshape(-1, lattice.shape[1])
 

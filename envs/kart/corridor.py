@@ -14,22 +14,22 @@ from spikedeploy.envs.kart.track import Track, segments
 FloatArray = NDArray[np.float64]
 Cell = tuple[int, int]
 
-HALF = 50.0  # [px] half a cell's side, as in kart-simulator
-CENTRE = (500.0, 500.0)  # [px] of the first cell
-SPREAD = 25.0  # [px] of start positions within it
-NAME = re.compile(r"corridor(?:-(\d+))?$")
-LENGTHS = (2, 64)  # cells
-DIRECTIONS: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, down, left, up
+_HALF = 50.0  # [px] half a cell's side, as in kart-simulator
+_CENTRE = (500.0, 500.0)  # [px] of the first cell
+_SPREAD = 25.0  # [px] of start positions within it
+_NAME = re.compile(r"corridor(?:-(\d+))?$")
+_LENGTHS = (2, 64)  # cells
+_DIRECTIONS: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, down, left, up
 
 
 def length_of(name: str) -> int | None:
     """Cells of `corridor` (3, as in kart-simulator) or `corridor-N`; None for other names."""
-    match = NAME.match(name)
+    match = _NAME.match(name)
     if match is None:
         return None
     count = int(match[1] or 3)
-    if not LENGTHS[0] <= count <= LENGTHS[1]:
-        raise EnvError(f"track {name!r}: a corridor has {LENGTHS[0]} to {LENGTHS[1]} cells")
+    if not _LENGTHS[0] <= count <= _LENGTHS[1]:
+        raise EnvError(f"track {name!r}: a corridor has {_LENGTHS[0]} to {_LENGTHS[1]} cells")
     return count
 
 
@@ -44,7 +44,7 @@ def corridor(count: int, rng: np.random.Generator) -> Track:
     polylines = tuple(
         _side(cell, side)
         for cell, open_sides in zip(path, openings, strict=True)
-        for side in DIRECTIONS
+        for side in _DIRECTIONS
         if side not in open_sides
     )
     heading = float(np.arctan2(steps[0][1], steps[0][0]))
@@ -52,8 +52,8 @@ def corridor(count: int, rng: np.random.Generator) -> Track:
         name=f"corridor-{count}",
         walls=segments(polylines),
         gates=np.stack([_side(cell, step) for cell, step in zip(path, left, strict=True)]),
-        start=np.array(CENTRE),
-        spread=SPREAD,
+        start=np.array(_CENTRE),
+        spread=_SPREAD,
         heading=(heading, heading),
         polylines=polylines,
     )
@@ -73,7 +73,7 @@ def _path(count: int, rng: np.random.Generator) -> list[Cell]:
 
 
 def _beside(cell: Cell) -> list[Cell]:
-    return [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
+    return [(cell[0] + dx, cell[1] + dy) for dx, dy in _DIRECTIONS]
 
 
 def _is_free(cell: Cell, path: list[Cell]) -> bool:
@@ -82,7 +82,7 @@ def _is_free(cell: Cell, path: list[Cell]) -> bool:
 
 def _side(cell: Cell, side: Cell) -> FloatArray:
     """Edge (2, 2) of a cell on one of its sides [px]."""
-    middle = np.array(CENTRE) + 2 * HALF * np.array(cell) + HALF * np.array(side)
-    along = HALF * np.array([side[1], side[0]])
+    middle = np.array(_CENTRE) + 2 * _HALF * np.array(cell) + _HALF * np.array(side)
+    along = _HALF * np.array([side[1], side[0]])
     edge: FloatArray = np.stack([middle - along, middle + along])
     return edge

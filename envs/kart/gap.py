@@ -19,10 +19,10 @@ from spikedeploy.envs.errors import EnvError
 FloatArray = NDArray[np.float64]
 
 WIDTH = 36.0  # half width of the free lane that a kart of radius 19.2 needs [px]
-TOLERANCE = 0.27  # heading error below which a kart drives on [rad]
-LEAN = 0.5  # anticipated heading change per observed turn rate [rad]
-AHEAD = {"steer": 0.5, "push": 0.75}  # relative cost of turning back
-CAUTION = {"steer": 400.0, "push": 250.0}  # free length at which top speed is safe [px]
+_TOLERANCE = 0.27  # heading error below which a kart drives on [rad]
+_LEAN = 0.5  # anticipated heading change per observed turn rate [rad]
+_AHEAD = {"steer": 0.5, "push": 0.75}  # relative cost of turning back
+_CAUTION = {"steer": 400.0, "push": 250.0}  # free length at which top speed is safe [px]
 
 
 class GapDriver:
@@ -80,26 +80,26 @@ class GapDriver:
         """Best direction [rad] and its free length [px]; deviation from `heading` is penalised."""
         free = self.free(scan)
         # score = free (1 - AHEAD (1 - cos(angle - heading)) / 2)
-        cost = AHEAD[self._kind] * (1.0 - np.cos(self.angles - heading)) / 2
+        cost = _AHEAD[self._kind] * (1.0 - np.cos(self.angles - heading)) / 2
         best = int(np.argmax(free * (1.0 - cost)))
         angle = (self.angles[best] + np.pi) % (2 * np.pi) - np.pi
         return float(angle), float(free[best])
 
     def _steer(self, scan: FloatArray, velocity: FloatArray) -> str:
         """Action of a kart with a heading."""
-        angle, free = self.course(scan, LEAN * velocity[1])
-        if abs(angle) > TOLERANCE:
+        angle, free = self.course(scan, _LEAN * velocity[1])
+        if abs(angle) > _TOLERANCE:
             return "right" if angle > 0 else "left"
         if "forward" in self.actions:
             return "forward"
-        speed, safe = (1.0 + velocity[0]) / 2, min(1.0, free / CAUTION["steer"])
+        speed, safe = (1.0 + velocity[0]) / 2, min(1.0, free / _CAUTION["steer"])
         return "accelerate" if speed < safe else "brake"
 
     def _push(self, scan: FloatArray, velocity: FloatArray) -> str:
         """Action of a kart that is pushed in screen directions."""
         angle, free = self.course(scan, float(np.arctan2(velocity[1], velocity[0])))
         # push along the larger component of the missing velocity
-        wanted = min(1.0, free / CAUTION["push"]) * np.array([np.cos(angle), np.sin(angle)])
+        wanted = min(1.0, free / _CAUTION["push"]) * np.array([np.cos(angle), np.sin(angle)])
         missing = wanted - velocity
         if abs(missing[0]) > abs(missing[1]):
             return "right" if missing[0] > 0 else "left"

@@ -12,7 +12,7 @@ from spikedeploy.envs.kart.stall import ClassicLimits
 from spikedeploy.envs.kart.world import KartState
 
 SPEED = 440.0  # [px/s] forward
-TURN = 5.68  # [rad/s] on the spot
+_TURN = 5.68  # [rad/s] on the spot
 
 
 class KartGazeboEnv(KartEnv):
@@ -33,7 +33,7 @@ class KartGazeboEnv(KartEnv):
 
     def observed_velocity(self, state: KartState) -> tuple[float, float]:
         """Forward speed and turn rate."""
-        return 2.0 * math.hypot(*state.velocity) / SPEED - 1.0, state.turn / TURN
+        return 2.0 * math.hypot(*state.velocity) / SPEED - 1.0, state.turn / _TURN
 
     def _act(self, action: Any) -> None:  # noqa: ANN401
         self._command = action_name(action, self.ACTIONS)
@@ -43,7 +43,7 @@ class KartGazeboEnv(KartEnv):
         speed = SPEED if self._command == "forward" else 0.0
         heading = self._kart.angle
         self._kart.velocity = speed * math.cos(heading), speed * math.sin(heading)
-        self._turn = TURN * self._steering()
+        self._turn = _TURN * self._steering()
         self._kart.angular_velocity = self._turn
 
     def _steering(self) -> int:

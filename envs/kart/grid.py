@@ -11,10 +11,10 @@ from spikedeploy.envs.kart.reward import ClassicReward
 from spikedeploy.envs.kart.stall import ClassicLimits
 from spikedeploy.envs.kart.world import KartState
 
-PUSH = 30.0  # [px/s] added to the velocity by one push
-TOP = 400.0  # [px/s] speed at which pushes have no effect, not even braking ones
-FRICTION = 1.05  # divisor of the velocity at each step
-DIRECTIONS = {"up": (0.0, -1.0), "down": (0.0, 1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
+_PUSH = 30.0  # [px/s] added to the velocity by one push
+_TOP = 400.0  # [px/s] speed at which pushes have no effect, not even braking ones
+_FRICTION = 1.05  # divisor of the velocity at each step
+_DIRECTIONS = {"up": (0.0, -1.0), "down": (0.0, 1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
 
 
 class KartGridEnv(KartEnv):
@@ -34,22 +34,22 @@ class KartGridEnv(KartEnv):
         pace=12.0, backward=1.5, progress=1.0, steer=0.0, gate=1.0, crash=-500.0
     )
     CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=0, receding=30)
-    CLASSIC_SPEED: ClassVar[float] = TOP
+    CLASSIC_SPEED: ClassVar[float] = _TOP
 
     def observed_velocity(self, state: KartState) -> tuple[float, float]:
         """Velocity divided by the top speed."""
         vx, vy = state.velocity
-        return vx / TOP, vy / TOP
+        return vx / _TOP, vy / _TOP
 
     def _act(self, action: Any) -> None:  # noqa: ANN401
         name = action_name(action, self.ACTIONS)
         vx, vy = self._kart.velocity
-        if name != "none" and math.hypot(vx, vy) < TOP:
-            dx, dy = DIRECTIONS[name]
-            self._kart.velocity = vx + PUSH * dx, vy + PUSH * dy
+        if name != "none" and math.hypot(vx, vy) < _TOP:
+            dx, dy = _DIRECTIONS[name]
+            self._kart.velocity = vx + _PUSH * dx, vy + _PUSH * dy
 
     def _move(self) -> None:
-        self._kart.velocity = self._kart.velocity / FRICTION
+        self._kart.velocity = self._kart.velocity / _FRICTION
 
     def _steering(self) -> int:
         return 0

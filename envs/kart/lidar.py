@@ -14,9 +14,9 @@ from spikedeploy.envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 
-FULL = math.tau
-CLOSE = 1e-9  # relative extension of each wall, so that no ray passes through a corner
-FLAT = 1e-12  # determinant that replaces 0 where ray and wall are parallel [px]
+_FULL = math.tau
+_CLOSE = 1e-9  # relative extension of each wall, so that no ray passes through a corner
+_FLAT = 1e-12  # determinant that replaces 0 where ray and wall are parallel [px]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class LidarOptions:
     """
 
     count: int = 24
-    field: float = FULL
+    field: float = _FULL
     range: float = 350.0
     noise: float = 0.0
     dropout: float = 0.0
@@ -40,14 +40,14 @@ class LidarOptions:
 
     def __post_init__(self) -> None:
         _bounds("count", self.count, 1, 1000)
-        _bounds("field", self.field, 0.0, FULL)
+        _bounds("field", self.field, 0.0, _FULL)
         _bounds("range", self.range, 1.0, 10_000.0)
         _bounds("noise", self.noise, 0.0, 1000.0)
         _bounds("dropout", self.dropout, 0.0, 1.0)
-        _bounds("facing", self.facing, -FULL, FULL)
+        _bounds("facing", self.facing, -_FULL, _FULL)
         if self.count != int(self.count):
             raise EnvError(f"option lidar.count: {self.count!r} is not a whole number")
-        if self.field < FULL and self.count % 2 == 0:
+        if self.field < _FULL and self.count % 2 == 0:
             raise EnvError(
                 f"option lidar.count: {self.count} rays in less than a full circle have none in "
                 f"the middle; choose {self.count + 1}"
@@ -65,8 +65,8 @@ class LidarOptions:
     @property
     def angles(self) -> FloatArray:
         """Directions of the rays (R,) from straight ahead [rad], clockwise."""
-        if self.field >= FULL:
-            return self.facing + FULL * np.arange(self.count) / self.count
+        if self.field >= _FULL:
+            return self.facing + _FULL * np.arange(self.count) / self.count
         half = self.field / 2 if self.count > 1 else 0.0
         return self.facing + np.linspace(-half, half, self.count)
 
@@ -102,10 +102,10 @@ class Lidar:
         # p + t ray = start + u along;  [a, b] = ax by - ay bx
         # t = [start - p, along] / [ray, along],  u = [start - p, ray] / [ray, along]
         determinant = rays @ self._across
-        determinant[determinant == 0.0] = FLAT
+        determinant[determinant == 0.0] = _FLAT
         distance = (self._offset - np.array((x, y)) @ self._across) / determinant
         share = (rays @ (self._turned - np.array(((-y,), (x,))))) / determinant
-        missed = (np.abs(share - 0.5) > 0.5 + CLOSE) | (distance < 0.0)
+        missed = (np.abs(share - 0.5) > 0.5 + _CLOSE) | (distance < 0.0)
         distance[missed] = self.range
         nearest: FloatArray = distance.min(axis=1, initial=self.range)
         return nearest

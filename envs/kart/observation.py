@@ -16,7 +16,7 @@ from spikedeploy.envs.kart.world import KartState
 
 FloatArray = NDArray[np.float64]
 
-SIZES = {  # of every component except the LIDAR's
+_SIZES = {  # of every component except the LIDAR's
     "position": 2,
     "velocity": 2,
     "heading": 2,
@@ -24,11 +24,11 @@ SIZES = {  # of every component except the LIDAR's
     "progress": 1,
     "speed": 1,
 }
-CLASSIC_BOX = 54.0, 81.0, 990.0, 958.0  # left, top, right, bottom [px] on every track
+_CLASSIC_BOX = 54.0, 81.0, 990.0, 958.0  # left, top, right, bottom [px] on every track
 CLASSIC_RAYS = 59  # 60 were asked for
 
 
-class ObservedKart(Protocol):
+class _ObservedKart(Protocol):
     """What an Observer reads from the environment of a kart, see KartEnv."""
 
     lidar: Lidar
@@ -52,8 +52,8 @@ class Observer:
     size     length of the observation
     """
 
-    def __init__(self, kart: ObservedKart, names: Sequence[str], classic: bool) -> None:
-        known = ["lidar", *SIZES]
+    def __init__(self, kart: _ObservedKart, names: Sequence[str], classic: bool) -> None:
+        known = ["lidar", *_SIZES]
         for name in names:
             if name not in known:
                 raise EnvError(f"observe: unknown component {name!r}; known: {', '.join(known)}")
@@ -62,7 +62,7 @@ class Observer:
         self._classic, self.columns = classic, _columns(names, len(kart.lidar.angles))
         self.size = max(place.stop for place in self.columns.values())
 
-    def __call__(self, kart: ObservedKart, state: KartState, scan: FloatArray) -> FloatArray:
+    def __call__(self, kart: _ObservedKart, state: KartState, scan: FloatArray) -> FloatArray:
         """The observation (obs,) of a state in which the LIDAR measured `scan` (R,) [px]."""
         values = np.empty(self.size)
         for name, place in self.columns.items():
@@ -73,7 +73,7 @@ class Observer:
         np.minimum(values, 1.0, out=values)
         return values
 
-    def _lidar(self, kart: ObservedKart, scan: FloatArray) -> FloatArray:
+    def _lidar(self, kart: _ObservedKart, scan: FloatArray) -> FloatArray:
         """+1 for a wall at the kart's centre, -1 for none within range."""
         reach = kart.lidar.range
         if not self._classic:
@@ -85,7 +85,7 @@ class Observer:
         return 1.0 - length * (2.0 / most)
 
     def _part(
-        self, kart: ObservedKart, state: KartState, name: str
+        self, kart: _ObservedKart, state: KartState, name: str
     ) -> Sequence[float] | FloatArray:
         if name == "heading":
             return math.cos(state.heading), math.sin(state.heading)
@@ -95,14 +95,14 @@ class Observer:
             speed = math.hypot(*state.velocity)
             return (2.0 * speed / kart.CLASSIC_SPEED - 1.0,)
         if name == "position":
-            left, top, right, bottom = CLASSIC_BOX if self._classic else kart.track.box
+            left, top, right, bottom = _CLASSIC_BOX if self._classic else kart.track.box
             across, down = (state.x - left) / (right - left), (state.y - top) / (bottom - top)
             return 2.0 * across - 1.0, 2.0 * down - 1.0
         if name == "progress":
             return (2.0 * kart.progress_at(state) - 1.0,)
         return self._gate(kart, state)
 
-    def _gate(self, kart: ObservedKart, state: KartState) -> Sequence[float]:
+    def _gate(self, kart: _ObservedKart, state: KartState) -> Sequence[float]:
         """Cosine and sine of the next gate's bearing from the heading, and its distance."""
         middles = kart.track.midpoints
         x, y = middles[min(state.next_gate, len(middles) - 1)]
@@ -114,7 +114,7 @@ class Observer:
 def _columns(names: Sequence[str], rays: int) -> dict[str, slice]:
     columns, end = {}, 0
     for name in names:
-        size = rays if name == "lidar" else SIZES[name]
+        size = rays if name == "lidar" else _SIZES[name]
         columns[name] = slice(end, end + size)
         end += size
     return columns

@@ -11,7 +11,7 @@ from spikedeploy.envs.errors import EnvError
 
 # Weights of the default reward. A lap of big_S is 2,400 px, so that progress earns 24, finishing
 # 10 more, and a crash costs 5.
-WEIGHTS: Mapping[str, float] = {
+_WEIGHTS: Mapping[str, float] = {
     "progress": 1.0,  # per 100 px that the remaining path became shorter
     "gate": 0.0,  # per gate
     "finish": 10.0,  # once
@@ -54,13 +54,13 @@ class PathReward:
 
     def __init__(self, changes: Mapping[str, float] | None = None) -> None:
         changes = changes or {}
-        unknown = sorted(changes.keys() - WEIGHTS.keys())
+        unknown = sorted(changes.keys() - _WEIGHTS.keys())
         if unknown:
-            raise EnvError(f"reward: unknown term {unknown[0]!r}; known: {', '.join(WEIGHTS)}")
+            raise EnvError(f"reward: unknown term {unknown[0]!r}; known: {', '.join(_WEIGHTS)}")
         for name, weight in changes.items():
             if not isinstance(weight, (int, float)) or not math.isfinite(weight):
                 raise EnvError(f"reward: the weight of {name} is {weight!r}, not a finite number")
-        self.weights = {**WEIGHTS, **changes}
+        self.weights = {**_WEIGHTS, **changes}
 
     def terms(self, outcome: StepOutcome) -> dict[str, float]:
         """Weighted terms of a step."""

@@ -15,12 +15,12 @@ Floats = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 NIGHT: Colour = (15, 18, 25)  # around the track
-ROAD: Colour = (31, 37, 50)
-EDGE: Colour = (20, 24, 33)  # the road's shade along the walls
+_ROAD: Colour = (31, 37, 50)
+_EDGE: Colour = (20, 24, 33)  # the road's shade along the walls
 WALL: Colour = (214, 222, 236)
 PLAIN: Colour = (64, 74, 96)  # gates that are still ahead
-MARGIN = 0.035  # of the surface's shorter side
-FINE = 2  # factor at which the ground is drawn, before it is downscaled
+_MARGIN = 0.035  # of the surface's shorter side
+_FINE = 2  # factor at which the ground is drawn, before it is downscaled
 
 pygame.font.init()
 
@@ -39,7 +39,7 @@ class Scene:
         self.track, self.size = track, size
         points = np.concatenate((track.walls, track.gates)).reshape(-1, 2)
         low, high = points.min(axis=0), points.max(axis=0)
-        margin = MARGIN * min(size) + 4
+        margin = _MARGIN * min(size) + 4
         inner = np.array(size) - 2 * margin
         self.scale = float((inner / np.maximum(high - low, 1.0)).min())
         self.pen = min(self.scale, 1.0)
@@ -53,13 +53,13 @@ class Scene:
 
     def _ground(self) -> pygame.Surface:
         """Draw road and walls, supersampled so that edges are smooth."""
-        large = pygame.Surface((FINE * self.size[0], FINE * self.size[1]))
+        large = pygame.Surface((_FINE * self.size[0], _FINE * self.size[1]))
         large.fill(NIGHT)
-        width = max(4, round(FINE * 5.0 * self.pen))
+        width = max(4, round(_FINE * 5.0 * self.pen))
         road = self._road(large.get_size(), width)
         if road is not None:
-            large.blit(road.to_surface(setcolor=ROAD, unsetcolor=NIGHT), (0, 0))
-            self._lines(large, EDGE, 5 * width, within=road)
+            large.blit(road.to_surface(setcolor=_ROAD, unsetcolor=NIGHT), (0, 0))
+            self._lines(large, _EDGE, 5 * width, within=road)
         self._checkers(large)
         self._lines(large, WALL, width)
         return pygame.transform.smoothscale(large, self.size)
@@ -71,10 +71,10 @@ class Scene:
         """
         barriers = pygame.Surface(size)
         self._lines(barriers, WALL, width)
-        a, b = FINE * self.at(self.track.gates[-1])
+        a, b = _FINE * self.at(self.track.gates[-1])
         thick_line(barriers, WALL, a, b, width)
         free = pygame.mask.from_threshold(barriers, (0, 0, 0), (1, 1, 1, 255))
-        start = tuple(int(value) for value in FINE * self.at(self.track.start))
+        start = tuple(int(value) for value in _FINE * self.at(self.track.start))
         road = free.connected_component(start)
         return None if road.get_at((0, 0)) else road
 
@@ -87,17 +87,17 @@ class Scene:
     ) -> None:
         """Draw every wall with round ends, clipped to the mask `within`."""
         target = surface if within is None else surface.copy()
-        for a, b in FINE * self.at(self.track.walls):
+        for a, b in _FINE * self.at(self.track.walls):
             thick_line(target, colour, a, b, width)
         if within is not None:
             within.to_surface(surface, setsurface=target, unsetcolor=None)
 
     def _checkers(self, surface: pygame.Surface) -> None:
         """Draw the finish as two rows of squares."""
-        a, b = FINE * self.at(self.track.gates[-1])
+        a, b = _FINE * self.at(self.track.gates[-1])
         along = (b - a) / max(float(np.hypot(*(b - a))), 1.0)
         across = np.array([-along[1], along[0]])
-        side = FINE * max(5.0, 9.0 * self.pen)
+        side = _FINE * max(5.0, 9.0 * self.pen)
         count = max(2, round(float(np.hypot(*(b - a))) / side))
         step = (b - a) / count
         for column in range(count):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-STALL = 120  # [steps] without progress after which a kart has stalled
-PROGRESS = 20.0  # [px] by which the remaining path must become shorter to count
-SLOW = 25.0  # [px/s] below which kart-simulator counts a kart as standing still
+_STALL = 120  # [steps] without progress after which a kart has stalled
+_PROGRESS = 20.0  # [px] by which the remaining path must become shorter to count
+_SLOW = 25.0  # [px/s] below which kart-simulator counts a kart as standing still
 
 
 class StallRule:
@@ -20,11 +20,11 @@ class StallRule:
 
     def stalled(self, remaining: float, approach: float, speed: float) -> bool:
         """Add a step: remaining path [px], decrease of the gate's distance [px], speed [px/s]."""
-        if remaining < self._best - PROGRESS:
+        if remaining < self._best - _PROGRESS:
             self._best, self._steps = remaining, 0
         else:
             self._steps += 1
-        return self._steps >= STALL
+        return self._steps >= _STALL
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ClassicStallRule:
 
     def stalled(self, remaining: float, approach: float, speed: float) -> bool:
         """Add a step, as in StallRule."""
-        self._still = self._still + 1 if speed < SLOW else 0
+        self._still = self._still + 1 if speed < _SLOW else 0
         self._receding = self._receding + 1 if approach < 0 else 0
         still = 0 < self._limits.still <= self._still
         return still or 0 < self._limits.receding <= self._receding

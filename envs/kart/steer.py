@@ -15,14 +15,14 @@ from spikedeploy.envs.kart.reward import ClassicReward
 from spikedeploy.envs.kart.stall import ClassicLimits
 from spikedeploy.envs.kart.world import KartState
 
-TOP = 599.0  # [px/s] speed at which the throttle has no effect
-GAIN = 7.488  # [px/s] per step of full throttle
-BRAKE = 11.98  # [px/s] per step of full brake
-DRAG = 1.005  # divisor of the speed at each step
-STEER = 0.2126  # added to the steering accumulator by a step of full steering
-SHARE = 0.2  # [rad] change of heading per unit of the accumulator
-RELEASE = 3.0  # divisor of the accumulator at each step
-TURN = STEER * SHARE * 1.5 / CONTROL_DT  # [rad/s] when steering is held: the sum of 1/3^k is 1.5
+_TOP = 599.0  # [px/s] speed at which the throttle has no effect
+_GAIN = 7.488  # [px/s] per step of full throttle
+_BRAKE = 11.98  # [px/s] per step of full brake
+_DRAG = 1.005  # divisor of the speed at each step
+_STEER = 0.2126  # added to the steering accumulator by a step of full steering
+_SHARE = 0.2  # [rad] change of heading per unit of the accumulator
+_RELEASE = 3.0  # divisor of the accumulator at each step
+_TURN = _STEER * _SHARE * 1.5 / CONTROL_DT  # [rad/s] when steering is held: the sum of 1/3^k is 1.5
 
 
 class KartSteerEnv(KartEnv):
@@ -39,7 +39,7 @@ class KartSteerEnv(KartEnv):
         pace=2.0, backward=1.0, progress=0.5, steer=0.7, gate=1.0, crash=-500.0
     )
     CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=120, receding=30)
-    CLASSIC_SPEED: ClassVar[float] = TOP
+    CLASSIC_SPEED: ClassVar[float] = _TOP
     EFFECTS: ClassVar[dict[str, tuple[float, float]]] = {
         "none": (0.0, 0.0),
         "accelerate": (1.0, 0.0),
@@ -62,7 +62,7 @@ class KartSteerEnv(KartEnv):
 
     def observed_velocity(self, state: KartState) -> tuple[float, float]:
         """Forward speed and turn rate."""
-        return 2.0 * math.hypot(*state.velocity) / TOP - 1.0, state.turn / TURN
+        return 2.0 * math.hypot(*state.velocity) / _TOP - 1.0, state.turn / _TURN
 
     def _begin(self) -> None:
         super()._begin()
@@ -82,19 +82,19 @@ class KartSteerEnv(KartEnv):
 
     def _act(self, action: Any) -> None:  # noqa: ANN401
         throttle, self._steered = self._effect(action)
-        if throttle > 0 and self._forward < TOP:
-            self._forward += GAIN * throttle
+        if throttle > 0 and self._forward < _TOP:
+            self._forward += _GAIN * throttle
         elif throttle < 0 and self._forward > 0:
-            self._forward += BRAKE * throttle
-        self._wheel += STEER * self._steered
+            self._forward += _BRAKE * throttle
+        self._wheel += _STEER * self._steered
         heading = self._kart.angle
         self._kart.velocity = self._forward * math.cos(heading), self._forward * math.sin(heading)
 
     def _move(self) -> None:
         """Turn the kart together with its velocity, and apply drag."""
-        change = SHARE * self._wheel
-        self._wheel /= RELEASE
-        self._forward /= DRAG
+        change = _SHARE * self._wheel
+        self._wheel /= _RELEASE
+        self._forward /= _DRAG
         self._turn = change / CONTROL_DT
         heading = self._kart.angle + change
         self._kart.angle = heading

@@ -27,8 +27,8 @@ from spikedeploy.envs.kart.track_rules import check
 
 FloatArray = NDArray[np.float64]
 FOLDER = Path(__file__).parent / "tracks"
-FIELDS = ("name", "walls", "gates", "start")
-START = ("position", "spread", "heading")
+_FIELDS = ("name", "walls", "gates", "start")
+_START = ("position", "spread", "heading")
 
 
 def names() -> tuple[str, ...]:
@@ -67,8 +67,8 @@ def _read(path: Path, changed: int) -> Track:
 
 def parse(tree: object, where: str) -> Track:
     """The track in a file's JSON object; `where` names the file in errors."""
-    fields = _fields(tree, FIELDS, ("sway",), where)
-    start = _fields(fields["start"], START, (), f"{where}: start")
+    fields = _fields(tree, _FIELDS, ("sway",), where)
+    start = _fields(fields["start"], _START, (), f"{where}: start")
     polylines = _lines(fields["walls"], f"{where}: wall")
     low, high = _numbers(start["heading"], (2,), f"{where}: start heading")
     track = Track(

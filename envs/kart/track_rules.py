@@ -9,44 +9,44 @@ from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import RADIUS, Track
 
 FloatArray = NDArray[np.float64]
-CELL = 6.0  # [px] of the reachability map; far narrower than a kart
-LARGEST_TRACK = 20_000.0  # [px] width or height; the map of a larger one would fill the memory
-RIM = RADIUS + 2 * CELL  # [px] largest distance of a barrier from its nearest free cells
+_CELL = 6.0  # [px] of the reachability map; far narrower than a kart
+_LARGEST_TRACK = 20_000.0  # [px] width or height; the map of a larger one would fill the memory
+_RIM = RADIUS + 2 * _CELL  # [px] largest distance of a barrier from its nearest free cells
 
 
 def check(track: Track, where: str) -> None:
     """Raise EnvError unless walls are closed, the start is free and every gate can be reached."""
     _check_size(track, where)
     _check_start(track, where)
-    free, origin = free_map(track)
-    reached = flooded(free, _cell(track.start, origin))
+    free, origin = _free_map(track)
+    reached = _flooded(free, _cell(track.start, origin))
     if reached[0].any() or reached[-1].any() or reached[:, 0].any() or reached[:, -1].any():
         raise EnvError(
             f"{where}: the walls are open, or the start is outside of them: a kart can leave the "
             "track without passing the finish. Close the polyline, or draw the finish across the "
             "opening"
         )
-    cells = origin + CELL * np.argwhere(reached)
+    cells = origin + _CELL * np.argwhere(reached)
     for number, gate in enumerate(track.gates, start=1):
         _check_gate_crossings(track, gate, number, where)
         # the finish is a barrier of the map: free cells end a rim's distance before it
         _check_gate_reachable(
-            gate, number, where, cells, CELL if number < len(track.gates) else RIM
+            gate, number, where, cells, _CELL if number < len(track.gates) else _RIM
         )
     for shift in (-track.sway, track.sway) if track.sway else ():
         swayed = track.gates[-1] + (0.0, shift)
         _check_gate_crossings(track, swayed, len(track.gates), f"{where}, swayed by {shift:g} px")
         _check_gate_reachable(
-            swayed, len(track.gates), f"{where}, swayed by {shift:g} px", cells, RIM
+            swayed, len(track.gates), f"{where}, swayed by {shift:g} px", cells, _RIM
         )
 
 
 def _check_size(track: Track, where: str) -> None:
     points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
     widest = float(np.ptp(points, axis=0).max())
-    if widest > LARGEST_TRACK:
+    if widest > _LARGEST_TRACK:
         raise EnvError(
-            f"{where}: the track is {widest:g} px wide; at most {LARGEST_TRACK:g}. Scale it down"
+            f"{where}: the track is {widest:g} px wide; at most {_LARGEST_TRACK:g}. Scale it down"
         )
 
 
@@ -61,20 +61,20 @@ def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
     return result
 
 
-def free_map(track: Track) -> tuple[NDArray[np.bool_], FloatArray]:
+def _free_map(track: Track) -> tuple[NDArray[np.bool_], FloatArray]:
     """Map of the cells (x, y) in which a kart touches neither wall nor finish, and its origin."""
     points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
     origin = points.min(axis=0) - 3 * RADIUS
-    shape = np.ceil((points.max(axis=0) + 3 * RADIUS - origin) / CELL).astype(int)
+    shape = np.ceil((points.max(axis=0) + 3 * RADIUS - origin) / _CELL).astype(int)
     barriers = np.concatenate([track.walls, track.gates[-1:]])
-    centres = np.indices(shape).reshape(2, -1).T * CELL + origin
+    centres = np.indices(shape).reshape(2, -1).T * _CELL + origin
     nearest = np.full(len(centres), np.inf)
     for barrier in barriers:  # one at a time: all together would take gigabytes
         np.minimum(nearest, distances(centres, barrier[None])[:, 0], out=nearest)
     return (nearest > RADIUS).reshape(shape), origin
 
 
-def flooded(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]:
+def _flooded(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]:
     """Flood fill: the free cells that are connected with the seed cell."""
     reached = np.zeros_like(free)
     reached[seed] = free[seed]
@@ -91,7 +91,7 @@ def flooded(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]
 
 
 def _cell(point: FloatArray, origin: FloatArray) -> tuple[int, int]:
-    x, y = np.rint((point - origin) / CELL).astype(int)
+    x, y = np.rint((point - origin) / _CELL).astype(int)
     return int(x), int(y)
 
 

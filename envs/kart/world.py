@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.kart.track import RADIUS, Track
 
-MASS = 1.0
-KART, WALL, GATE = 1, 2, 3  # collision types
+_MASS = 1.0
+_KART, _WALL, _GATE = 1, 2, 3  # collision types
 
 
 class KartState(NamedTuple):
@@ -39,15 +39,15 @@ class KartWorld:
     """
 
     def __init__(self, track: Track) -> None:
-        self.kart = pymunk.Body(MASS, pymunk.moment_for_circle(MASS, 0.0, RADIUS))
+        self.kart = pymunk.Body(_MASS, pymunk.moment_for_circle(_MASS, 0.0, RADIUS))
         self._space = pymunk.Space()
-        self._space.on_collision(KART, WALL, begin=self._touch_wall)
-        self._space.on_collision(KART, GATE, begin=self._enter_gate, separate=self._leave_gate)
+        self._space.on_collision(_KART, _WALL, begin=self._touch_wall)
+        self._space.on_collision(_KART, _GATE, begin=self._enter_gate, separate=self._leave_gate)
         for wall in track.walls:
-            self._add_line(wall, WALL)
-        self._gates = {self._add_line(gate, GATE): k for k, gate in enumerate(track.gates)}
+            self._add_line(wall, _WALL)
+        self._gates = {self._add_line(gate, _GATE): k for k, gate in enumerate(track.gates)}
         self._rim = pymunk.Circle(self.kart, RADIUS)
-        self._rim.collision_type = KART
+        self._rim.collision_type = _KART
         self._space.add(self.kart, self._rim)
         self.clear()
 

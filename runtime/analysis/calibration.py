@@ -23,12 +23,12 @@ Raster = NDArray[np.uint8]
 
 # what tuning tries; no change comes first, and so wins among equals. Clipping pays where a few
 # weights are much larger than the others.
-CLIP_RATIOS = (1.0, 0.8, 0.9, 1.15, 1.3, 1.5, 1.75, 2.0, 2.5, 3.0)
-THRESHOLDS = (1.0, 0.8, 0.85, 0.9, 0.95, 0.975, 1.025, 1.05, 1.1, 1.15, 1.2)
+_CLIP_RATIOS = (1.0, 0.8, 0.9, 1.15, 1.3, 1.5, 1.75, 2.0, 2.5, 3.0)
+_THRESHOLDS = (1.0, 0.8, 0.85, 0.9, 0.95, 0.975, 1.025, 1.05, 1.1, 1.15, 1.2)
 
 # smallest part of the scale at which headroom is still looked for, and how near to the largest
-LEAST = 1e-5
-NEAR = 1.02
+_LEAST = 1e-5
+_NEAR = 1.02
 
 
 def with_calibrated_headroom(
@@ -70,9 +70,9 @@ def tuned(
 
     for name in _layers(artifact, on, quantisation):
         old = quantisation.of(name)
-        ratios = [replace(old, clip_ratio=old.clip_ratio * ratio) for ratio in CLIP_RATIOS]
+        ratios = [replace(old, clip_ratio=old.clip_ratio * ratio) for ratio in _CLIP_RATIOS]
         best = min(ratios, key=lambda each: distance(name, each))
-        factors = [replace(best, threshold=old.threshold * factor) for factor in THRESHOLDS]
+        factors = [replace(best, threshold=old.threshold * factor) for factor in _THRESHOLDS]
         best = min(factors, key=lambda each: distance(name, each))
         quantisation = _with(quantisation, name, best)
     return quantisation
@@ -104,9 +104,9 @@ def _with_headroom(
     low = high = old.clip_ratio
     while not fits(low):
         high, low = low, low / 2
-        if low < LEAST * old.clip_ratio:
+        if low < _LEAST * old.clip_ratio:
             return quantisation
-    while high / low > NEAR:
+    while high / low > _NEAR:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if fits(middle) else (low, middle)
     return quantisation if low == old.clip_ratio else clipped(low)

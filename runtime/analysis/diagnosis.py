@@ -17,7 +17,7 @@ Cause = Literal[
 ]
 
 # [spikes for each neuron and timestep] beyond it a rate carries little information
-SATURATED = 0.9
+_SATURATED = 0.9
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Finding:
 def health(spikes: NDArray[Any]) -> Health:
     """Of a layer with these spikes (B, T, N)."""
     rate = spikes.mean()
-    return "dead" if rate == 0 else "saturated" if rate > SATURATED else ""
+    return "dead" if rate == 0 else "saturated" if rate > _SATURATED else ""
 
 
 def diagnose(

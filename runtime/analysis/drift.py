@@ -71,7 +71,7 @@ def van_rossum(one: NDArray[Any], other: NDArray[Any], tau: float = TAU) -> Floa
 
 
 @dataclass(frozen=True)
-class LayerDrift:
+class _LayerDrift:
     """How a layer's spikes differ from the float twin's.
 
     name: of the node.
@@ -112,7 +112,7 @@ class OutputDrift:
 
 
 @dataclass(frozen=True)
-class Rung:
+class _Rung:
     """The network with some of the chip's roundings.
 
     name: of the rounding that was added last.
@@ -146,11 +146,11 @@ class Drift:
     inferences: int
     timesteps: int
     tau: float
-    layers: tuple[LayerDrift, ...]
+    layers: tuple[_LayerDrift, ...]
     diverged: int
     first: Divergence | None
     output: OutputDrift
-    rungs: tuple[Rung, ...]
+    rungs: tuple[_Rung, ...]
     findings: tuple[Finding, ...]
 
     def as_json(self) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def drift(
         layers=tuple(_layer(name, twin, seen, tau) for name in names),
         diverged=_diverged(twin, seen, names),
         first=first(twin, seen, names),
-        output=output_drift(artifact, twin.output, seen.output),
+        output=_output_drift(artifact, twin.output, seen.output),
         rungs=tuple(_rung(artifact, name, twin, ran, tau) for name, ran in ladder.items())
         if floats
         else (),
@@ -208,7 +208,7 @@ def activity(artifact: Artifact, program: Program | None, raster: NDArray[np.uin
     return ran.parted(len(raster))
 
 
-def output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
+def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
     """How far the outputs (B, T, act) of the float twin and of a chip are apart."""
     codec = artifact.codec
     if codec is None or codec.timesteps != before.shape[1]:
@@ -220,7 +220,7 @@ def output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDri
     return _apart("action", actions[1] - actions[0])
 
 
-def layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[str, float]:
+def _layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[str, float]:
     """Mean distance of van Rossum of every layer over inferences and neurons."""
     return {
         name: float(van_rossum(twin.spikes[name], spikes, tau).mean())
@@ -243,11 +243,11 @@ def _apart(kind: Literal["action", "output"], difference: Floats) -> OutputDrift
     )
 
 
-def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> LayerDrift:
+def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> _LayerDrift:
     before, after = twin.spikes[name], seen.spikes[name]
     spiked, spikes = before.any(axis=(0, 1)), after.any(axis=(0, 1))
     different = np.argwhere(before != after)
-    return LayerDrift(
+    return _LayerDrift(
         name=name,
         neurons=before.shape[2],
         float_rate=float(before.mean()),
@@ -268,6 +268,6 @@ def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
     return int(np.any(differ, axis=0).sum())
 
 
-def _rung(artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float) -> Rung:
-    distances = layer_distances(twin, ran, tau)
-    return Rung(name, distances, output_drift(artifact, twin.output, ran.output))
+def _rung(artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float) -> _Rung:
+    distances = _layer_distances(twin, ran, tau)
+    return _Rung(name, distances, _output_drift(artifact, twin.output, ran.output))

@@ -21,8 +21,8 @@ from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 
-SCHEMA = 1
-KEY = "spikedeploy"
+_SCHEMA = 1
+_KEY = "spikedeploy"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def load(
         graph = _read(Path(path))
         if like is not None:
             return _like(graph, like, given)
-        if KEY in graph.metadata:
+        if _KEY in graph.metadata:
             return _ours(graph, given)
         return Artifact(graph, None, infer_convention(graph, given))
     except (ArtifactError, ConventionError) as error:
@@ -147,14 +147,14 @@ def _stamped(artifact: Artifact) -> nir.NIRGraph:
     return nir.NIRGraph(
         nodes=dict(sorted(artifact.graph.nodes.items())),
         edges=sorted(artifact.graph.edges),
-        metadata={**artifact.graph.metadata, KEY: record},
+        metadata={**artifact.graph.metadata, _KEY: record},
         type_check=False,
     )
 
 
 def _record(artifact: Artifact) -> Tree:
     """The metadata without the provenance."""
-    record: Tree = {"schema": SCHEMA, "convention": artifact.convention.to_record()}
+    record: Tree = {"schema": _SCHEMA, "convention": artifact.convention.to_record()}
     if artifact.codec is not None:
         record["codec"] = artifact.codec.to_record()
     return record
@@ -176,14 +176,14 @@ def _read(path: Path) -> nir.NIRGraph:
 
 def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     """The artifact of a graph with our metadata."""
-    record = Record(graph.metadata, "file").group(KEY)
+    record = Record(graph.metadata, "file").group(_KEY)
     _check_schema(record)
     convention = _stated_convention(record.group("convention"))
     _check_timestep(graph, convention)
     codec = Codec.from_record(record.group("codec")) if "codec" in record else None
     # "origin" is the key of the file format
     found = Provenance.from_record(record.group("origin")) if "origin" in record else None
-    del graph.metadata[KEY]
+    del graph.metadata[_KEY]
     stated = Artifact(graph, codec, convention, found)
     if found is not None:
         _check_digest(stated, found)
@@ -192,7 +192,7 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
 
 def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
     """The artifact as another tool reads the graph; it ignores our convention and provenance."""
-    codec = _ours(graph, {}).codec if KEY in graph.metadata else None
+    codec = _ours(graph, {}).codec if _KEY in graph.metadata else None
     read, convention = read_like(graph, tool, given)
     return Artifact(read, codec, convention)
 
@@ -206,9 +206,9 @@ def _stated_convention(record: Record) -> Convention:
 
 def _check_schema(record: Record) -> None:
     record.only("schema", "convention", "codec", "origin")
-    if (schema := record.integer("schema")) != SCHEMA:
+    if (schema := record.integer("schema")) != _SCHEMA:
         raise ArtifactError(
-            f"metadata {record.where}.schema is {schema}; this version reads {SCHEMA}. "
+            f"metadata {record.where}.schema is {schema}; this version reads {_SCHEMA}. "
             "Update spikedeploy, or export the policy again."
         )
 
@@ -230,7 +230,7 @@ def _check_digest(artifact: Artifact, provenance: Provenance) -> None:
         raise ArtifactError(
             f"the policy is not the one that was exported: its SHA-256 is {found[:12]}…, its "
             f"provenance states {provenance.sha256[:12]}…. Export the policy again; if the change "
-            f"is intended, delete metadata/{KEY}/origin from the file."
+            f"is intended, delete metadata/{_KEY}/origin from the file."
         )
 
 

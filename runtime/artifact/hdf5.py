@@ -18,17 +18,17 @@ from nir.serialization import hdf2dict
 from spikedeploy.runtime.errors import ArtifactError
 
 # bytes of all parameters: a file with more is taken for a mistake that would exhaust the memory
-MAX_PARAMETER_BYTES = 1 << 31
+_MAX_PARAMETER_BYTES = 1 << 31
 # bytes of an array for each that is stored (deflate packs 1032 zeros into one), and besides those
-MAX_EXPANSION = 1100
-FREE_BYTES = 1 << 20
+_MAX_EXPANSION = 1100
+_FREE_BYTES = 1 << 20
 # nested groups (a graph inside a graph takes three), and links in all
-MAX_DEPTH = 64
-MAX_LINKS = 100_000
+_MAX_DEPTH = 64
+_MAX_LINKS = 100_000
 # "GCOL" with version and padding, so that no weight is mistaken for it
-HEAP_SIGNATURE = b"GCOL\x01\x00\x00\x00"
-HEAP_HEADER = 16  # [bytes]
-REMEDY = "Export the network again, or correct the node."
+_HEAP_SIGNATURE = b"GCOL\x01\x00\x00\x00"
+_HEAP_HEADER = 16  # [bytes]
+_REMEDY = "Export the network again, or correct the node."
 
 
 def read_graph(path: Path) -> nir.NIRGraph:
@@ -36,10 +36,10 @@ def read_graph(path: Path) -> nir.NIRGraph:
 
     Whether the graph can be computed is for runtime.graph.validate to check.
     """
-    check_heaps(path)
+    _check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
-            check_container(file, path)
+            _check_container(file, path)
             tree = hdf2dict(file["node"])
         if tree["type"] != "NIRGraph":
             raise ValueError(f"it holds a single {tree['type']} and no graph")
@@ -54,7 +54,7 @@ def read_graph(path: Path) -> nir.NIRGraph:
         ) from error
 
 
-def check_heaps(path: Path) -> None:
+def _check_heaps(path: Path) -> None:
     """Raise ArtifactError where a global heap, in which texts lie, is damaged.
 
     A heap collection is "GCOL", a version, three bytes, and its size in 8 bytes; then objects: an
@@ -63,25 +63,25 @@ def check_heaps(path: Path) -> None:
     (HDF5 File Format Specification 3.0, section III.E).
     """
     content = path.read_bytes()
-    at = content.find(HEAP_SIGNATURE)
+    at = content.find(_HEAP_SIGNATURE)
     while at >= 0:
         if not _ends(content, at):
             raise ArtifactError(
                 f"cannot be read as a NIR graph: its texts, at byte {at}, are damaged. Copy the "
                 "file or export it again."
             )
-        at = content.find(HEAP_SIGNATURE, at + 1)
+        at = content.find(_HEAP_SIGNATURE, at + 1)
 
 
 def _ends(content: bytes, at: int) -> bool:
     """Whether the heap collection at this byte has an end."""
     size = _number(content, at + 8, 8)
-    here, end = at + HEAP_HEADER, at + size
-    while end - here >= HEAP_HEADER:
+    here, end = at + _HEAP_HEADER, at + size
+    while end - here >= _HEAP_HEADER:
         index, length = _number(content, here, 2), _number(content, here + 8, 8)
         # the size of free space includes its header
-        step = length if index == 0 else HEAP_HEADER + (length + 7) // 8 * 8
-        if step < HEAP_HEADER:
+        step = length if index == 0 else _HEAP_HEADER + (length + 7) // 8 * 8
+        if step < _HEAP_HEADER:
             return False
         here += step
     return True
@@ -91,7 +91,7 @@ def _number(content: bytes, at: int, width: int) -> int:
     return int.from_bytes(content[at : at + width], "little")
 
 
-def check_container(file: h5py.File, path: Path) -> None:
+def _check_container(file: h5py.File, path: Path) -> None:
     """Raise ArtifactError where links leave the file or form a circle, or sizes are impossible."""
     sizes: dict[str, int] = {}
     for name, dataset in _datasets(file):
@@ -99,11 +99,11 @@ def check_container(file: h5py.File, path: Path) -> None:
         sizes[name] = _size(name, dataset)
         if dataset.dtype.kind == "O":
             _check_texts(name, dataset, path)
-    if sum(sizes.values()) > MAX_PARAMETER_BYTES:
+    if sum(sizes.values()) > _MAX_PARAMETER_BYTES:
         largest = max(sizes, key=lambda name: sizes[name])
         raise ArtifactError(
             f"{largest} is {sizes[largest]} bytes; all parameters together may be "
-            f"{MAX_PARAMETER_BYTES}. The file is damaged, or the network too large for one "
+            f"{_MAX_PARAMETER_BYTES}. The file is damaged, or the network too large for one "
             "machine: divide it."
         )
 
@@ -141,9 +141,9 @@ def _check_group(name: str, depth: int, count: int, known: bool) -> None:
             f"{name[:60]} is a group that is there under another name too, so that reading might "
             "never end. Export the network again."
         )
-    if depth >= MAX_DEPTH or count > MAX_LINKS:
+    if depth >= _MAX_DEPTH or count > _MAX_LINKS:
         raise ArtifactError(
-            f"{name[:60]}… is deeper than {MAX_DEPTH} groups, or comes after {MAX_LINKS} other "
+            f"{name[:60]}… is deeper than {_MAX_DEPTH} groups, or comes after {_MAX_LINKS} other "
             "links. Flatten the graph in the tool that wrote it, or divide it."
         )
 
@@ -166,7 +166,7 @@ def _size(name: str, dataset: h5py.Dataset) -> int:
             "them into it."
         )
     size = int(dataset.nbytes)
-    if size > FREE_BYTES + MAX_EXPANSION * dataset.id.get_storage_size():
+    if size > _FREE_BYTES + _MAX_EXPANSION * dataset.id.get_storage_size():
         raise ArtifactError(
             f"{name} is {size} bytes, for which too few are in the file. It is damaged; copy or "
             "export it again."
@@ -201,7 +201,7 @@ def _graph(tree: Mapping[str, Any], path: str) -> nir.NIRGraph:
     if unknown:
         raise ArtifactError(
             f"graph{f' {path[:-1]!r}' if path else ''} has the unknown field {unknown[0]!r}; NIR "
-            f"knows nodes, edges and metadata. {REMEDY}"
+            f"knows nodes, edges and metadata. {_REMEDY}"
         )
     nodes = {name: _node(node, f"{path}{name}") for name, node in tree["nodes"].items()}
     edges = [(_text(source), _text(target)) for source, target in tree["edges"]]
@@ -230,7 +230,7 @@ def _node(tree: object, path: str) -> nir.NIRNode:
     except Exception as error:
         raise ArtifactError(
             f"node {path!r}: no {kind} can be made of {_shapes(tree)}: {error or 'nir refuses'}. "
-            f"{REMEDY}"
+            f"{_REMEDY}"
         ) from error
 
 

@@ -62,17 +62,19 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
     """
     name, _, options = name.partition(":")
     if name not in CHIPS:
-        raise ChipError(f"there is no chip {name!r}{like(name, CHIPS)}. Known: {', '.join(CHIPS)}.")
+        raise ChipError(
+            f"there is no chip {name!r}{_like(name, CHIPS)}. Known: {', '.join(CHIPS)}."
+        )
     module, attribute = CHIPS[name].split(":")
     datasheet: Chip = getattr(import_module(module), attribute)
-    return overridden(datasheet, {**spelled(datasheet, options), **overrides})
+    return _overridden(datasheet, {**_spelled(datasheet, options), **overrides})
 
 
 # not for a line of text: they are made of other things
-WHOLE = ("name", "arithmetic", "sources")
+_WHOLE = ("name", "arithmetic", "sources")
 
 
-def overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":
+def _overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":
     """The datasheet with these fields of it, or of its arithmetic, replaced."""
     arithmetic = datasheet.arithmetic
     own = {f.name for f in fields(datasheet)}
@@ -84,7 +86,7 @@ def overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":
     return replace(datasheet, **{"arithmetic": replace(arithmetic, **inner), **outer})
 
 
-def spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
+def _spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
     """The options in a text like "weight_bits=4,membrane=12-wrap"."""
     options: dict[str, Any] = {}
     for part in filter(None, text.split(",")):
@@ -111,7 +113,7 @@ def listed(text: str) -> list[str]:
     return names
 
 
-def like(name: str, known: Iterable[str]) -> str:
+def _like(name: str, known: Iterable[str]) -> str:
     """A hint at what may have been meant."""
     close = difflib.get_close_matches(name, list(known), n=2)
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
@@ -121,7 +123,7 @@ def _field(datasheet: "Chip", key: str) -> "Field[Any]":
     every = (*fields(datasheet), *fields(datasheet.arithmetic))
     known = {f.name: f for f in every if f.init}
     if key not in known:
-        raise ChipError(f"chip {datasheet.name!r} has no option {key!r}{like(key, known)}.")
+        raise ChipError(f"chip {datasheet.name!r} has no option {key!r}{_like(key, known)}.")
     return known[key]
 
 
@@ -136,7 +138,7 @@ def _filled(arithmetic: Arithmetic, key: str, value: Any) -> Any:  # noqa: ANN40
 def _read(datasheet: "Chip", field: "Field[Any]", text: str) -> Any:  # noqa: ANN401
     """The value of a field in a text, by the field's type."""
     kind: Any = field.type
-    if field.name in WHOLE:
+    if field.name in _WHOLE:
         raise ChipError(f"chip {datasheet.name!r}: {field.name!r} cannot be given as text.")
     if kind is Register:
         return _register(datasheet, field.name, text)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.errors import ChipError, ConfigError
 
 # bits of a register whose sums int64 still holds
-WIDEST = 62
+_WIDEST = 62
 
 Integers = NDArray[np.int64]
 Overflow = Literal["none", "wrap", "wrap-once", "clip", "saturate"]
 OVERFLOWS: tuple[Overflow, ...] = get_args(Overflow)
 # of tables of datasheets
-WORDS: dict[Overflow, str] = {
+_WORDS: dict[Overflow, str] = {
     "none": "never full",
     "wrap": "wraps",
     "wrap-once": "wraps once",
@@ -54,8 +54,10 @@ class Register:
     between: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        if not 2 <= self.bits <= WIDEST:
-            raise ChipError(f"a register of {self.bits} bits; choose 2 to {WIDEST}, sign included.")
+        if not 2 <= self.bits <= _WIDEST:
+            raise ChipError(
+                f"a register of {self.bits} bits; choose 2 to {_WIDEST}, sign included."
+            )
         if self.overflow not in OVERFLOWS:
             raise ChipError(
                 f"overflow {self.overflow!r} is unknown. Choose one of {', '.join(OVERFLOWS)}."
@@ -79,7 +81,7 @@ class Register:
 
     def describe(self) -> str:
         """Its width and what it does when it is full."""
-        return f"{self.bits} bits, {WORDS[self.overflow]}"
+        return f"{self.bits} bits, {_WORDS[self.overflow]}"
 
 
 def _unchanged(x: Integers, bits: int) -> Integers:

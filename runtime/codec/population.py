@@ -127,7 +127,7 @@ def integrate(drive: Drives, threshold: float, timesteps: int) -> NDArray[np.uin
 
 
 @dataclass(frozen=True, eq=False)
-class PatternTable:
+class _PatternTable:
     """Every spike pattern of drives from 0 to 1; K patterns in the order of their drives.
 
     edges: (K - 1,) largest drive of each pattern but the last, increasing.
@@ -139,7 +139,7 @@ class PatternTable:
 
 
 @lru_cache(maxsize=16)
-def pattern_table(threshold: float, timesteps: int, dtype: str) -> PatternTable:
+def pattern_table(threshold: float, timesteps: int, dtype: str) -> _PatternTable:
     """The table of a threshold, its edges bisected down to neighbouring floating-point numbers."""
     low, high = np.zeros(1, dtype), np.ones(1, dtype)
     parts = [np.empty(0, dtype)]
@@ -153,7 +153,7 @@ def pattern_table(threshold: float, timesteps: int, dtype: str) -> PatternTable:
         low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
     edges = np.sort(np.concatenate(parts))
     one_drive_each = np.append(edges, np.ones(1, dtype))
-    return PatternTable(edges, integrate(one_drive_each, threshold, timesteps))
+    return _PatternTable(edges, integrate(one_drive_each, threshold, timesteps))
 
 
 def _differ(low: Drives, high: Drives, threshold: float, timesteps: int) -> NDArray[np.bool_]:

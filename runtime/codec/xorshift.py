@@ -70,12 +70,12 @@ def first_states(seed: int, width: int, robots: NDArray[np.integer[Any]]) -> Sta
     index = robots[:, None].astype(np.uint32) * _u32(width) + np.arange(width, dtype=np.uint32)
     low, high = np.array([[seed % 2**32], [seed // 2**32 % 2**32]], np.uint32)
     # x = mix(mix(mix(low + golden ratio) + high) + robot M + neuron)
-    begun = mix(mix(low + _u32(0x9E3779B9)) + high)
-    first: States = np.maximum(mix(begun + index), _u32(1))
+    begun = _mix(_mix(low + _u32(0x9E3779B9)) + high)
+    first: States = np.maximum(_mix(begun + index), _u32(1))
     return first
 
 
-def mix(x: States) -> States:
+def _mix(x: States) -> States:
     """MurmurHash3's finaliser (Appleby 2011): a permutation that mixes all bits."""
     x = (x ^ (x >> _u32(16))) * _u32(0x85EBCA6B)
     x = (x ^ (x >> _u32(13))) * _u32(0xC2B2AE35)

@@ -21,7 +21,7 @@ from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from spikedeploy.runtime.graph.neurons import DiscreteNeuron, discretise
 
 # [timesteps] beyond any network's longest path
-ENDLESS = 1 << 30
+_ENDLESS = 1 << 30
 
 
 def compile_program(
@@ -42,7 +42,7 @@ def compile_program(
     """
     _check_reset(artifact.convention, chip)
     if not limits:
-        chip = replace(chip, delay_max=ENDLESS)
+        chip = replace(chip, delay_max=_ENDLESS)
     graph = wiring(artifact.graph, artifact.convention)
     plan = design(artifact, chip, chip.limits) if limits and chip.limits else None
     if plan:
@@ -161,7 +161,7 @@ def _ways_out(
 
 
 COMPILE = "compile"
-NONE = Limits(primitives=(), sources={})
+_NONE = Limits(primitives=(), sources={})
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ class DesignCheck:
 
 def check(artifact: Artifact, on: Chip) -> DesignCheck:
     """Judge the artifact by every rule of the chip."""
-    plan = design(artifact, on, on.limits or NONE)
+    plan = design(artifact, on, on.limits or _NONE)
     rulings = judged(plan) if on.limits is not None else []
     broken = any(ruling.failed for ruling in rulings)
     return DesignCheck(on, (*rulings, _compiled(artifact, on, not broken)), plan.mapping)

@@ -26,17 +26,17 @@ Floats: TypeAlias = NDArray[np.float64]
 Parts: TypeAlias = dict[int, Floats]
 
 # impulses are cheap through these: most rows of their input are zero
-DENSE = (nir.Affine, nir.Linear)
-BIASED = (nir.Affine, *CONVOLUTIONS)
-LINEAR = (nir.Linear, *BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
+_DENSE = (nir.Affine, nir.Linear)
+_BIASED = (nir.Affine, *CONVOLUTIONS)
+LINEAR = (nir.Linear, *_BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
 
 # bytes of matrices beyond which a network is a mistake on a chip: 33 million weights
-LARGEST = 1 << 28
+_LARGEST = 1 << 28
 # multiplications that finding a matrix may take
-HARDEST = 1 << 34
+_HARDEST = 1 << 34
 # numbers that the impulses sent at once may fill, and how many are sent at most
-ENOUGH = 1 << 22
-MOST = 256
+_ENOUGH = 1 << 22
+_MOST = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,21 +113,21 @@ class Linear:
         return np.zeros((size, self._size(target)))
 
     def _check_size(self, target: str, size: int) -> None:
-        if (found := self._bytes + 8 * size * self._size(target)) > LARGEST:
+        if (found := self._bytes + 8 * size * self._size(target)) > _LARGEST:
             raise RuleError(
                 f"rule matrix: node {target!r}: as one matrix for each pair of layers, which a "
-                f"chip's axons need, the weights take {found} bytes by here; at most {LARGEST}. "
+                f"chip's axons need, the weights take {found} bytes by here; at most {_LARGEST}. "
                 "Run the network in float, or make its convolutions smaller."
             )
 
     def _check_work(self, region: LinearBlock, source: str) -> None:
         """Refuse windows so large that sending all impulses through them takes minutes."""
-        nodes = [n for n in region.names if not isinstance(self._graph.nodes[n], DENSE)]
+        nodes = [n for n in region.names if not isinstance(self._graph.nodes[n], _DENSE)]
         each = sum(multiplications(n, self._graph.nodes[n], self._shape(n)) for n in nodes)
-        if (found := each * self._size(source)) > HARDEST:
+        if (found := each * self._size(source)) > _HARDEST:
             raise RuleError(
                 f"rule matrix: node {region.target!r}: the matrix from {source!r} takes {found} "
-                f"multiplications; at most {HARDEST}. Run the network in float, or make its "
+                f"multiplications; at most {_HARDEST}. Run the network in float, or make its "
                 "convolutions smaller."
             )
 
@@ -135,7 +135,7 @@ class Linear:
         """Rows of the identity as (R, *shape), a few at a time, and the number of the first."""
         shape = self._shape(source)
         names = (source, *region.names, region.target)
-        some = min(max(1, ENOUGH // max(map(self._size, names))), MOST)
+        some = min(max(1, _ENOUGH // max(map(self._size, names))), _MOST)
         size = self._size(source)
         for first in range(0, size, some):
             rows = np.zeros((min(some, size - first), size))
@@ -149,7 +149,7 @@ class Linear:
         put = dict(start)
         for name in region.names:
             put[name] = self._through(name, self._arriving(name, put))
-            if biased and isinstance(self._graph.nodes[name], BIASED):
+            if biased and isinstance(self._graph.nodes[name], _BIASED):
                 _add(put[name], 0, self._bias(name))
         return self._arriving(region.target, put)
 
@@ -185,7 +185,7 @@ class Linear:
         name, *others = region.names or ("",)
         node = self._graph.nodes.get(name)
         alone = [sources(self._graph, at) for at in (name, region.target)] == [[source], [name]]
-        if others or not alone or not isinstance(node, DENSE) or node.weight.ndim != 2:
+        if others or not alone or not isinstance(node, _DENSE) or node.weight.ndim != 2:
             return {}
         edges = [(source, name), (name, region.target)]
         self._bytes += 8 * node.weight.size
@@ -216,7 +216,7 @@ class Linear:
 
 
 def _unbiased(node: nir.NIRNode) -> nir.NIRNode:
-    if not isinstance(node, BIASED):
+    if not isinstance(node, _BIASED):
         return node
     plain = copy(node)
     plain.bias = np.zeros_like(node.bias)

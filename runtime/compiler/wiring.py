@@ -17,11 +17,11 @@ from spikedeploy.runtime.graph.ports import Port, ports
 
 Floats = NDArray[np.float64]
 
-KNOWN = (nir.Input, nir.Output, *LINEAR, *SPIKING)
+_KNOWN = (nir.Input, nir.Output, *LINEAR, *SPIKING)
 
 
 @dataclass(frozen=True, eq=False)
-class Connection:
+class _Connection:
     """One connection of a layer.
 
     source: the spiking node or the input that it comes from.
@@ -49,7 +49,7 @@ class LayerGraph:
     input: str
     inputs: tuple[Port, ...]
     layers: tuple[str, ...]
-    connections: dict[str, tuple[Connection, ...]]
+    connections: dict[str, tuple[_Connection, ...]]
     bias: dict[str, Floats]
     outlets: tuple[HostOutput, ...]
 
@@ -82,17 +82,17 @@ def wiring(graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
 def _check_kinds(graph: nir.NIRGraph) -> None:
     for name in sorted(graph.nodes):
         node = graph.nodes[name]
-        if not isinstance(node, KNOWN):
+        if not isinstance(node, _KNOWN):
             raise RuleError(
                 f"rule primitive: node {name!r}: {type(node).__name__} has no place on a chip, "
                 "whose neurons send spikes and whose synapses are linear; possible are "
-                f"{', '.join(kind.__name__ for kind in KNOWN)}. Replace it, or run it in float."
+                f"{', '.join(kind.__name__ for kind in _KNOWN)}. Replace it, or run it in float."
             )
 
 
 def _connections(
     linear: Linear, region: LinearBlock, name: str, inputs: Sequence[Port]
-) -> tuple[Connection, ...]:
+) -> tuple[_Connection, ...]:
     """The connections onto a layer by source and lag; those of all Inputs as one matrix."""
     rows = _rows(inputs)
     presynaptic: dict[tuple[str, int], Floats] = {}
@@ -106,7 +106,7 @@ def _connections(
                 width = sum(port.size for port in inputs)
                 all_ = presynaptic.setdefault((name, lag), np.zeros((width, matrix.shape[1])))
                 all_[rows[source]] = matrix
-    return tuple(Connection(source, matrix, lag) for (source, lag), matrix in presynaptic.items())
+    return tuple(_Connection(source, matrix, lag) for (source, lag), matrix in presynaptic.items())
 
 
 def _rows(inputs: Sequence[Port]) -> dict[str, slice]:

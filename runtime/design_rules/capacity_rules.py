@@ -14,7 +14,7 @@ from spikedeploy.runtime.design_rules.mapping import Placement, mapping
 from spikedeploy.runtime.design_rules.rule import PlacedNetwork, RuleResult, at_most
 from spikedeploy.runtime.design_rules.topology import Population
 
-ENTRIES = "entries"
+_ENTRIES = "entries"
 
 
 def neurons(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -27,7 +27,7 @@ def neurons(design: PlacedNetwork) -> Iterator[RuleResult]:
                 max(core.neurons for core in limits.layer_cores),
             )
             remedy = "Make the layer smaller."
-            yield at_most("neurons", population.name, found, most, ENTRIES, remedy)
+            yield at_most("neurons", population.name, found, most, _ENTRIES, remedy)
         elif limits.neurons_per_core is not None:
             found = _placement(design, population.name).block
             unit, remedy = "neurons in a core", "Divide the layer."
@@ -67,7 +67,7 @@ def synaptic_memory(design: PlacedNetwork) -> Iterator[RuleResult]:
         if limits.layer_cores:
             most = max(core.kernel for core in limits.layer_cores)
             found = entries(design.graph, population).kernel
-            yield at_most("synaptic-memory", name, found, most, ENTRIES, remedy)
+            yield at_most("synaptic-memory", name, found, most, _ENTRIES, remedy)
         elif limits.memory is None:
             yield RuleResult("synaptic-memory", name, "unknown")
         else:

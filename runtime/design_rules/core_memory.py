@@ -26,18 +26,18 @@ from spikedeploy.runtime.graph.windows import CONVOLUTIONS
 
 Counts = NDArray[np.int64]
 
-WORD = 64
-BLOCK = 64
-OVERHEAD = 10
-INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
-DELAY_BITS = 6
+_WORD = 64
+_BLOCK = 64
+_OVERHEAD = 10
+_INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
+_DELAY_BITS = 6
 
 
 def axon_bits(synapses: Counts, bits: int) -> Counts:
     """What an axon of so many synapses of so many bits takes in words [bit]."""
-    blocks, rest = np.divmod(synapses, BLOCK)
-    full = _words(BLOCK * bits + OVERHEAD)
-    return np.asarray(blocks * full + np.where(rest, _words(rest * bits + OVERHEAD), 0))
+    blocks, rest = np.divmod(synapses, _BLOCK)
+    full = _words(_BLOCK * bits + _OVERHEAD)
+    return np.asarray(blocks * full + np.where(rest, _words(rest * bits + _OVERHEAD), 0))
 
 
 def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: bool) -> Counts:
@@ -49,7 +49,7 @@ def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: boo
     """
     if memory.cost == "bits":
         return np.asarray(counts.sum(axis=0) * memory.weight_bits)
-    bits = memory.weight_bits + (DELAY_BITS if delayed else 0)
+    bits = memory.weight_bits + (_DELAY_BITS if delayed else 0)
     sparse = axon_bits(counts, bits + index_bits(neurons)).sum(axis=0)
     dense = np.count_nonzero(counts, axis=0) * axon_bits(np.array([neurons]), bits)
     return np.asarray(np.minimum(sparse, dense))
@@ -58,11 +58,11 @@ def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: boo
 def index_bits(neurons: int) -> int:
     """What names one of so many neurons in a sparse list."""
     needed = math.ceil(math.log2(neurons)) if neurons > 1 else 0
-    return next((bits for bits in INDEX_BITS if bits >= needed), needed)
+    return next((bits for bits in _INDEX_BITS if bits >= needed), needed)
 
 
 def _words(bits: Counts | int) -> Counts:
-    return np.asarray(-(-np.asarray(bits) // WORD) * WORD)
+    return np.asarray(-(-np.asarray(bits) // _WORD) * _WORD)
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def through(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts:
 
 
 def _composed(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts:
-    alone = one_map(name, node)
+    alone = _one_map(name, node)
     if not _weighted(fan):
         return replace(
             alone,
@@ -118,7 +118,7 @@ def _weighted(fan: SynapseCounts) -> bool:
     return not (same and (fan.out == 1).all() and (fan.into == 1).all())
 
 
-def one_map(name: str, node: nir.NIRNode) -> SynapseCounts:
+def _one_map(name: str, node: nir.NIRNode) -> SynapseCounts:
     """The fan of one map."""
     if isinstance(node, DENSE):
         return _dense(node)

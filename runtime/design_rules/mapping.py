@@ -234,7 +234,7 @@ def _source(
 
 
 @dataclass(frozen=True)
-class Utilisation:
+class _Utilisation:
     """Shares of 1; None where the chip has no such limit.
 
     neurons: of the cores that are taken.
@@ -248,16 +248,16 @@ class Utilisation:
     axons_out: float | None
 
 
-def of_placement(placement: Placement, limits: Limits) -> Utilisation:
+def of_placement(placement: Placement, limits: Limits) -> _Utilisation:
     """Of the fullest core of a layer."""
     if limits.layer_cores and placement.first is not None:
         core = limits.layer_cores[placement.first]
         memory = (placement.memory or 0) / core.kernel
-        return Utilisation(placement.block / core.neurons, memory, None, None)
+        return _Utilisation(placement.block / core.neurons, memory, None, None)
     return _shares([(1, placement)], limits, [placement.block])
 
 
-def of_mapping(mapping: CoreMapping, limits: Limits) -> Utilisation:
+def of_mapping(mapping: CoreMapping, limits: Limits) -> _Utilisation:
     """Of all cores that are taken."""
     placed = [(placement.cores, placement) for placement in mapping.placements]
     return _shares(placed, limits, [placement.neurons for placement in mapping.placements])
@@ -265,7 +265,7 @@ def of_mapping(mapping: CoreMapping, limits: Limits) -> Utilisation:
 
 def _shares(
     placed: list[tuple[int, Placement]], limits: Limits, neurons: Iterable[int]
-) -> Utilisation:
+) -> _Utilisation:
     cores = sum(number for number, _ in placed)
     size = None if limits.memory is None else limits.memory.size
 
@@ -273,7 +273,7 @@ def _shares(
         total = sum(found or 0 for found in each)
         return total / (most * cores) if most and cores else None
 
-    return Utilisation(
+    return _Utilisation(
         neurons=share(neurons, limits.neurons_per_core),
         memory=share(((p.memory or 0) * number for number, p in placed), size),
         axons_in=share((p.axons_in * number for number, p in placed), limits.axons_in),

@@ -21,9 +21,9 @@ from spikedeploy.runtime.graph.windows import CONVOLUTIONS, convolution_window
 Floats = NDArray[np.float64]
 
 # a decay or mantissa that is a limit itself may come out a last bit beyond it
-HAIR = 1e-9
+_HAIR = 1e-9
 # of the smallest mantissa: what is no more becomes 0 when it is rounded
-HALF = 0.5
+_HALF = 0.5
 
 
 def primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -102,7 +102,7 @@ def _within(losses: list[tuple[Floats, tuple[float, float] | None]]) -> Status:
 def _holds(span: tuple[float, float], loss: Floats) -> bool:
     """Whether each loss is at most half a step outside; next to an end the step is as it is."""
     least, most = span[0] / 2, span[1] + (1 - span[1]) / 2 * (span[1] > span[0])
-    return bool(loss.min() >= least - HAIR and loss.max() <= most + HAIR)
+    return bool(loss.min() >= least - _HAIR and loss.max() <= most + _HAIR)
 
 
 def _span(values: Floats) -> str:
@@ -120,13 +120,13 @@ def threshold_range(design: PlacedNetwork) -> Iterator[RuleResult]:
             yield RuleResult("threshold-range", population.name, "unknown")
             continue
         found = float(threshold.min()) * widest / largest
-        dead = found < 0 or 0 < found <= HALF
+        dead = found < 0 or 0 < found <= _HALF
         yield RuleResult(
             rule="threshold-range",
             node=population.name,
             status="fail" if dead else "pass",
             found=found,
-            limit=f"thresholds above {HALF}, to {most}",
+            limit=f"thresholds above {_HALF}, to {most}",
             unit="units of the smallest weight",
             remedy="Raise the threshold, or clip the weights.",
             note="thresholds above the range scale the weights down" if found > most else "",
@@ -146,9 +146,9 @@ def weight_bits(design: PlacedNetwork) -> Iterator[RuleResult]:
         yield RuleResult(
             rule="weight-bits",
             node=population.name,
-            status="pass" if found > HALF else "fail",
+            status="pass" if found > _HALF else "fail",
             found=found,
-            limit=f"weights above {HALF}, to {widest}",
+            limit=f"weights above {_HALF}, to {widest}",
             unit="mantissa of the largest weight",
             remedy="Scale the weights up, or the threshold down.",
         )

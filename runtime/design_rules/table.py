@@ -30,7 +30,7 @@ NODE_RULES: dict[str, Rule] = {
     "recurrence": node_rules.recurrence,
     "delay": node_rules.delay,
 }
-NETWORK_RULES: dict[str, Rule] = {
+_NETWORK_RULES: dict[str, Rule] = {
     "inputs": capacity_rules.inputs,
     "outputs": capacity_rules.outputs,
     "input-targets": capacity_rules.input_targets,
@@ -40,7 +40,7 @@ NETWORK_RULES: dict[str, Rule] = {
     "chips": capacity_rules.chips,
     "convention": capacity_rules.convention,
 }
-RULES = (*NODE_RULES, *NETWORK_RULES)
+RULES = (*NODE_RULES, *_NETWORK_RULES)
 # what the compiler alone finds: biases that no neuron can have, a network too large to unroll, and
 # an option that no scale satisfies; all else that it refuses has the name of a rule
 COMPILER_RULES = ("bias", "matrix", "headroom")
@@ -67,7 +67,7 @@ def judged(plan: PlacedNetwork, names: Collection[str] = RULES) -> list[RuleResu
         found = list(rule(plan))
         others = set(plan.graph.nodes) - {result.node for result in found}
         results += [*found, *(RuleResult(name, node, "not applicable") for node in sorted(others))]
-    for name, rule in NETWORK_RULES.items():
+    for name, rule in _NETWORK_RULES.items():
         results += rule(plan) if name in names else ()
     return results
 

@@ -18,7 +18,7 @@ from spikedeploy.runtime.graph.order import Edge, order, sources
 
 Counts = NDArray[np.int64]
 
-POPULATIONS = (*NEURONS, nir.Threshold)
+_POPULATIONS = (*NEURONS, nir.Threshold)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def topology(graph: nir.NIRGraph) -> Topology:
         populations=tuple(
             _population(graph, name, ways, late, ahead)
             for name in names
-            if isinstance(graph.nodes[name], POPULATIONS)
+            if isinstance(graph.nodes[name], _POPULATIONS)
         ),
         host=tuple(sorted(_host(graph, ahead))),
     )
@@ -125,7 +125,7 @@ def _ways(
     ways: dict[str, dict[str, SynapseCounts]] = {}
     for name in names:
         node = graph.nodes[name]
-        if isinstance(node, (*POPULATIONS, nir.Input)):
+        if isinstance(node, (*_POPULATIONS, nir.Input)):
             ways[name] = {name: one_to_one(_size(node))}
     for name in names:
         if name not in ways:
@@ -185,7 +185,7 @@ def _host(graph: nir.NIRGraph, ahead: dict[str, set[str]]) -> set[str]:
         target = waiting.pop()
         for name in sources(graph, target):
             node = graph.nodes[name]
-            inside = isinstance(node, (*POPULATIONS, nir.Input)) or name in found
+            inside = isinstance(node, (*_POPULATIONS, nir.Input)) or name in found
             if not inside and ahead[name] <= found | set(graph.outputs):
                 found.add(name)
                 waiting.append(name)

@@ -17,13 +17,13 @@ from spikedeploy.runtime.errors import ConfigError, ObservationError
 # "auto" too.
 BackendName = Literal["numpy", "numba", "auto", "interpreter"]
 # which of them a name stands for, the first that can run the program
-PREFERENCES: Mapping[str, tuple[str, ...]] = {
+_PREFERENCES: Mapping[str, tuple[str, ...]] = {
     "numpy": ("numpy", "interpreter"),
     "numba": ("numba",),
     "auto": ("numba", "numpy", "interpreter"),
     "interpreter": ("interpreter",),
 }
-INTERPRETER = "spikedeploy.runtime.emulator.interpreter_backend:InterpreterBackend"
+_INTERPRETER = "spikedeploy.runtime.emulator.interpreter_backend:InterpreterBackend"
 
 # "window": all timesteps of a layer at once; "row": one timestep of all layers after another, which
 # closes loops; "step": one timestep of the chip, with the delays of the chip
@@ -138,12 +138,12 @@ def backend_class(program: Program, name: str) -> type[Backend]:
         choices = ", ".join(map(repr, get_args(BackendName)))
         raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
     arithmetic = program.chip.arithmetic
-    able = {**arithmetic.backends, "interpreter": INTERPRETER}
+    able = {**arithmetic.backends, "interpreter": _INTERPRETER}
     obstacle: str | None = (
         f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which only the "
         "interpreter knows."
     )
-    for each in PREFERENCES[name]:
+    for each in _PREFERENCES[name]:
         if each in able:
             found = _imported(able[each])
             if (obstacle := found.obstacle(program)) is None:

@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.machine import SerialCalls
 from spikedeploy.runtime.emulator.network import running
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 
-STREAM = 2  # keeps the draws apart from those of an environment with the same seed
+_STREAM = 2  # keeps the draws apart from those of an environment with the same seed
 
 
 class Sampler:
@@ -34,7 +34,7 @@ class Sampler:
 
     def reset(self, seed: int) -> None:
         """Start the draws of this seed."""
-        self._rng = np.random.default_rng([seed, STREAM])
+        self._rng = np.random.default_rng([seed, _STREAM])
 
     def __call__(self, scores: NDArray[np.floating]) -> NDArray[np.int64]:
         """Indices (B,) of actions drawn for the scores (B, act)."""

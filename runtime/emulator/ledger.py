@@ -113,10 +113,10 @@ def _each(values: NDArray[Any]) -> Counts:
 Rows = Literal["each", "total", "none"]
 
 # observations that wait to be counted: many are counted in little more time than one
-PENDING = 64
+_PENDING = 64
 
 
-class Counter(Protocol):
+class _Counter(Protocol):
     """Counts the events of many windows at once.
 
     batch: B.
@@ -145,20 +145,20 @@ class LedgerBuilder:
         self._counts = np.zeros((1, len(program.layers), len(EVENTS)), np.int64)
         self._used = self._inferences = self._timesteps = self._steps = 0
         self._pending: list[Any] = []
-        self._counter: Counter | None = None
+        self._counter: _Counter | None = None
 
     @property
     def keeps(self) -> bool:
         """Whether anything is to be counted."""
         return self.rows != "none"
 
-    def observe(self, counter: Counter, observation: Any) -> None:  # noqa: ANN401
+    def observe(self, counter: _Counter, observation: Any) -> None:  # noqa: ANN401
         """Take what a counter needs of one inference, or step, of each of a batch."""
         if counter is not self._counter:
             self._count()
             self._counter = counter
         self._pending.append(observation)
-        if len(self._pending) * counter.batch >= PENDING:
+        if len(self._pending) * counter.batch >= _PENDING:
             self._count()
 
     def add(self, counts: Counts, timesteps: int, steps: int) -> None:

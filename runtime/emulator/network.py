@@ -18,14 +18,14 @@ from spikedeploy.runtime.emulator.machine import Machine, SerialCalls
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.graph.ports import Port
 
-FLOAT = "float"
+_FLOAT = "float"
 # inferences that are computed at once: enough to fill matrix products, few enough for the cache
 CHUNK = 64
 
 
 def chip_called(name: str) -> Chip | None:
     """The chip of that name; None for "float", the float twin."""
-    return None if name == FLOAT else datasheet(name)
+    return None if name == _FLOAT else datasheet(name)
 
 
 class RunningNetwork(Protocol):

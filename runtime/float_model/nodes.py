@@ -40,7 +40,7 @@ def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTyp
     if isinstance(node, CONVOLUTIONS):
         return convolution(name, node, dtype)
     if isinstance(node, POOLS):
-        return pool(name, node)
+        return _pool(name, node)
     if isinstance(node, nir.Delay):
         return Delay(name, delay_timesteps(name, node, convention))
     if isinstance(node, NEURONS):
@@ -225,7 +225,7 @@ def convolution(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
     return _in_chunks(window, lambda windows: _product(windows, weight, window) + bias)
 
 
-def pool(name: str, node: nir.NIRNode) -> Node:
+def _pool(name: str, node: nir.NIRNode) -> Node:
     """SumPool2d or AvgPool2d: output (B, T, C, *P) of x (B, T, C, *X).
 
     A mean divides by the whole kernel, zeros of the padding included, which is the default of

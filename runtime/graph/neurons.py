@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 
 LEAKY = (nir.LIF, nir.LI)
 CURRENT_BASED = (nir.CubaLIF, nir.CubaLI)
-INTEGRATORS = (nir.IF, nir.I)
+_INTEGRATORS = (nir.IF, nir.I)
 SPIKING = (nir.LIF, nir.CubaLIF, nir.IF)
-NEURONS = (*LEAKY, *CURRENT_BASED, *INTEGRATORS)
+NEURONS = (*LEAKY, *CURRENT_BASED, *_INTEGRATORS)
 
 # Relative rounding error of parameters by their dtype. Exporters write r = tau/dt and w_in = tau/dt
 # for a gain of 1; a gain that differs from 1 by no more than this is taken as exactly 1, so that
@@ -79,7 +79,7 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
     current_decay = None
     gain = _array(node.r)
     leak = np.zeros_like(gain)
-    if isinstance(node, INTEGRATORS):
+    if isinstance(node, _INTEGRATORS):
         membrane_decay = np.ones_like(gain)
         gain = convention.dt * gain
     else:
@@ -95,7 +95,7 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
             f"node {name!r}: at dt = {convention.dt:g} s its gain or leak is too large for "
             "float64. Correct its parameters, or choose another dt."
         )
-    gain[np.abs(gain - 1) <= rounding(node)] = 1.0
+    gain[np.abs(gain - 1) <= _rounding(node)] = 1.0
     if convention.spikes == "many" and isinstance(node, SPIKING):
         _check_spike_height(name, node)
     threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
@@ -111,7 +111,7 @@ def _check_spike_height(name: str, node: nir.NIRNode) -> None:
         )
 
 
-def rounding(node: nir.NIRNode) -> float:
+def _rounding(node: nir.NIRNode) -> float:
     """Relative rounding error of a neuron's parameters, from their dtype."""
     return ROUNDING.get(node.r.dtype.type, ROUNDING[np.float64])
 
@@ -123,7 +123,7 @@ def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> 
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)
     # for tau = dt, rounding may put dt/tau slightly above 1
-    if step.max() > 1 + rounding(node):
+    if step.max() > 1 + _rounding(node):
         raise ConventionError(
             f"node {name!r}: dt = {convention.dt:g} s is longer than {field} = "
             f"{convention.dt / step.max():g} s, and forward Euler would overshoot. "
@@ -137,11 +137,11 @@ def _array(values: NDArray[np.generic]) -> Array:
     return values.astype(np.float64)
 
 
-DEFAULT = "the file does not say: NIR's usual"
+_DEFAULT = "the file does not say: NIR's usual"
 
 
 @dataclass(frozen=True)
-class InferredTimestep:
+class _InferredTimestep:
     """The dt that the gains of a graph imply.
 
     dt: [s], or None where they imply none or contradict each other.
@@ -154,23 +154,23 @@ class InferredTimestep:
     confirmed: bool = False
 
 
-def infer_timestep(graph: nir.NIRGraph) -> InferredTimestep:
+def infer_timestep(graph: nir.NIRGraph) -> _InferredTimestep:
     """The dt for which every gain of the graph is 1, if one exists."""
     neurons = {n: node for n, node in sorted(graph.nodes.items()) if isinstance(node, NEURONS)}
     if not neurons:
-        return InferredTimestep(None, "no node of the graph has a time constant")
+        return _InferredTimestep(None, "no node of the graph has a time constant")
     if any((node.r <= 0).any() for node in neurons.values()):
-        return InferredTimestep(None, "a gain r is not above 0")
+        return _InferredTimestep(None, "a gain r is not above 0")
     candidates = np.concatenate([_candidates(node) for node in neurons.values()])
     if not np.isfinite(candidates).all() or not candidates.min() > 0:
-        return InferredTimestep(None, "tau/r is too large or too small for float64")
-    tolerance = max(rounding(node) for node in neurons.values())
+        return _InferredTimestep(None, "tau/r is too large or too small for float64")
+    tolerance = max(_rounding(node) for node in neurons.values())
     dt = _rounded(float(np.median(candidates)), tolerance)
     for name, node in neurons.items():
         if contradiction := _contradiction(node, dt, tolerance):
-            return InferredTimestep(None, f"in node {name!r} {contradiction}")
+            return _InferredTimestep(None, f"in node {name!r} {contradiction}")
     confirmed = any(isinstance(node, CURRENT_BASED) for node in neurons.values())
-    return InferredTimestep(dt, f"dt = tau/r in {', '.join(neurons)}", confirmed)
+    return _InferredTimestep(dt, f"dt = tau/r in {', '.join(neurons)}", confirmed)
 
 
 def _contradiction(node: nir.NIRNode, dt: float, tolerance: float) -> str:
@@ -179,7 +179,7 @@ def _contradiction(node: nir.NIRNode, dt: float, tolerance: float) -> str:
     if np.abs(found / dt - 1).max() > tolerance:
         return f"tau/r is {found.min():g} s and not {dt:g} s"
     # forward Euler needs tau > dt, so r > 1; tools that leave dt out of r write r = 1
-    if not isinstance(node, INTEGRATORS) and (node.r <= 1).any():
+    if not isinstance(node, _INTEGRATORS) and (node.r <= 1).any():
         return f"r is {node.r.min():g}, a gain and not tau/dt"
     if isinstance(node, CURRENT_BASED):
         gain = dt * node.w_in / node.tau_syn
@@ -194,7 +194,7 @@ def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conventio
     Raises ArtifactError where dt is neither given nor implied by the gains.
     """
     if "dt" in given:
-        return Convention(given["dt"], source=DEFAULT).with_options(given)
+        return Convention(given["dt"], source=_DEFAULT).with_options(given)
     evidence = infer_timestep(graph)
     if evidence.dt is None:
         raise ArtifactError(
@@ -202,13 +202,13 @@ def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conventio
             "Give the dt in seconds of the tool that wrote the file, or name that tool with "
             "--like."
         )
-    return Convention(evidence.dt, source=f"{evidence.reason}; {DEFAULT}").with_options(given)
+    return Convention(evidence.dt, source=f"{evidence.reason}; {_DEFAULT}").with_options(given)
 
 
 def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
     """The dt of each neuron for which its membrane's gain is 1."""
     with np.errstate(over="ignore", under="ignore"):
-        if isinstance(node, INTEGRATORS):
+        if isinstance(node, _INTEGRATORS):
             return np.ravel(1 / node.r)
         tau = node.tau_mem if isinstance(node, CURRENT_BASED) else node.tau
         return np.ravel(tau / node.r)

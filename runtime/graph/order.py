@@ -21,7 +21,7 @@ Edge: TypeAlias = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Order:
+class _Order:
     """An execution order of the nodes.
 
     names: of all nodes, each after its sources, except over late edges.
@@ -63,7 +63,7 @@ def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     late = {edge for edge in graph.edges if edge[1] in delaying}
     if convention.delay:
         late |= _into_weights(graph)
-    stepwise, loops = order(graph, late), has_loop(graph)
+    stepwise, loops = order(graph, late), _has_loop(graph)
     return Timing(
         # without loops a node runs for all timesteps at once, after its late sources too
         names=stepwise.names if loops else order(graph).names,
@@ -90,7 +90,7 @@ def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArr
     return np.asarray(whole, np.int64)
 
 
-def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
+def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> _Order:
     """Topological order; each loop is opened at an edge by which a neuron's output returns to it.
 
     Which edge of a loop is late is not in NIR. As in Norse and SpikingJelly it is the one that
@@ -114,10 +114,10 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
             delayed |= _feedback(graph, pending, delayed)
         done.update(dict.fromkeys(ready))
         pending.difference_update(ready)
-    return Order(tuple(done), frozenset(delayed))
+    return _Order(tuple(done), frozenset(delayed))
 
 
-def has_loop(graph: nir.NIRGraph) -> bool:
+def _has_loop(graph: nir.NIRGraph) -> bool:
     """Whether any node reaches itself over the edges."""
     pending = set(graph.nodes)
     while pending:

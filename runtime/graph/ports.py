@@ -56,11 +56,11 @@ def by_port(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[st
             f"the network has the inputs {', '.join(port.name for port in all_)}, found one raster "
             "without a name. Give one raster for each input, by name."
         )
-    check_rasters(all_, given)
+    _check_rasters(all_, given)
     return given
 
 
-def check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
+def _check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
     """Raise ObservationError where the rasters (B, T, *shape) do not fit the ports."""
     if names := sorted({port.name for port in all_} ^ set(rows)):
         raise ObservationError(
@@ -74,7 +74,7 @@ def check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
 
 def concatenate(all_: Sequence[Port], rows: Mapping[str, Rows]) -> Rows:
     """One raster (B, T, M) of those of the ports (B, T, *shape), each in C order, ports by name."""
-    check_rasters(all_, rows)
+    _check_rasters(all_, rows)
     flat = [rows[port.name].reshape(*rows[port.name].shape[:2], port.size) for port in all_]
     return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=2)
 

@@ -28,9 +28,9 @@ DENSE = (nir.Affine, nir.Linear)
 
 # multiplications of a node in one timestep beyond which it is taken for a mistake; large networks
 # for images have as many in all layers together
-MAX_MULTIPLICATIONS = 1 << 33
+_MAX_MULTIPLICATIONS = 1 << 33
 # values that the windows of a convolution may hold together
-MAX_WINDOW_VALUES = 1 << 26
+_MAX_WINDOW_VALUES = 1 << 26
 
 # (taken, put out) of each node
 Shapes: TypeAlias = dict[str, tuple[Shape, Shape]]
@@ -42,7 +42,7 @@ def infer_shapes(graph: nir.NIRGraph) -> None:
     for source, target in graph.edges:
         sources[target].append(source)
     shapes = _shapes(graph, sources)
-    check_work(graph, shapes)
+    _check_work(graph, shapes)
     for source, target in sorted(graph.edges):
         puts, takes = shapes[source][1], shapes[target][0]
         if puts != takes:
@@ -58,7 +58,7 @@ def infer_shapes(graph: nir.NIRGraph) -> None:
             node.input_shape = takes[1:] if isinstance(node, nir.Conv2d) else takes[1]
 
 
-def check_work(graph: nir.NIRGraph, shapes: Mapping[str, tuple[Shape, Shape]]) -> None:
+def _check_work(graph: nir.NIRGraph, shapes: Mapping[str, tuple[Shape, Shape]]) -> None:
     """Raise ArtifactError where one timestep would exhaust the memory or take minutes."""
     values = 0
     for name, (takes, puts) in sorted(shapes.items()):
@@ -69,16 +69,16 @@ def check_work(graph: nir.NIRGraph, shapes: Mapping[str, tuple[Shape, Shape]]) -
                 f"node {name!r}: it and the nodes before it put out {values} values in a "
                 f"timestep; at most {MAX_VALUES} for all. Correct its shape, or divide the network."
             )
-        if (found := multiplications(name, node, puts)) > MAX_MULTIPLICATIONS:
+        if (found := multiplications(name, node, puts)) > _MAX_MULTIPLICATIONS:
             raise ArtifactError(
                 f"node {name!r}: {found} multiplications in a timestep; at most "
-                f"{MAX_MULTIPLICATIONS}. Correct its kernel or its shape."
+                f"{_MAX_MULTIPLICATIONS}. Correct its kernel or its shape."
             )
         if not isinstance(node, CONVOLUTIONS):
             continue
-        if (found := _window_values(node, takes, puts)) > MAX_WINDOW_VALUES:
+        if (found := _window_values(node, takes, puts)) > _MAX_WINDOW_VALUES:
             raise ArtifactError(
-                f"node {name!r}: its windows hold {found} values; at most {MAX_WINDOW_VALUES}. "
+                f"node {name!r}: its windows hold {found} values; at most {_MAX_WINDOW_VALUES}. "
                 "Correct its kernel or its shape."
             )
 

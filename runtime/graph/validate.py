@@ -17,8 +17,8 @@ from spikedeploy.runtime.graph.shapes import DENSE, infer_shapes
 from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS, whole_numbers
 
 # kinds whose fields are all arrays of numbers, except for those that nir derives
-NUMERIC = (*DENSE, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)
-KINDS = (nir.Input, nir.Output, *NUMERIC, *CONVOLUTIONS, *POOLS, nir.Flatten)
+_NUMERIC = (*DENSE, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)
+_KINDS = (nir.Input, nir.Output, *_NUMERIC, *CONVOLUTIONS, *POOLS, nir.Flatten)
 DERIVED_FIELDS = ("input_type", "output_type", "metadata")
 _NODE_REMEDY = "Export the network again, or correct the node."
 _EDGE_REMEDY = "Export the network again, or correct the edge."
@@ -32,7 +32,7 @@ def check_graph(graph: nir.NIRGraph) -> None:
         _check_node(name, graph.nodes[name])
     _check_ports(graph)
     infer_shapes(graph)
-    check_connected(graph)
+    _check_connected(graph)
 
 
 def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
@@ -57,7 +57,7 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
         )
 
 
-def check_connected(graph: nir.NIRGraph) -> None:
+def _check_connected(graph: nir.NIRGraph) -> None:
     """Raise ArtifactError where a node lies on no path from an Input to an Output."""
     backwards = [(target, source) for source, target in graph.edges]
     driven, used = _reached(graph.inputs, graph.edges), _reached(graph.outputs, backwards)
@@ -83,12 +83,12 @@ def _check_name(name: str) -> None:
 
 
 def _check_node(name: str, node: nir.NIRNode) -> None:
-    if not isinstance(node, KINDS):
+    if not isinstance(node, _KINDS):
         raise ArtifactError(
             f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. "
-            f"Write it with {', '.join(kind.__name__ for kind in KINDS)}."
+            f"Write it with {', '.join(kind.__name__ for kind in _KINDS)}."
         )
-    numeric = set(vars(node)) - set(DERIVED_FIELDS) if isinstance(node, NUMERIC) else set()
+    numeric = set(vars(node)) - set(DERIVED_FIELDS) if isinstance(node, _NUMERIC) else set()
     for field, value in sorted(vars(node).items()):
         if isinstance(value, np.ndarray) or field in numeric:
             _check_values(name, field, value)

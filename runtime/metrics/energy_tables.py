@@ -35,7 +35,7 @@ class Uncertainty:
         return f"{self.low:.4g} to {self.high:.4g} times"
 
 
-UNKNOWN = Uncertainty(0.0, math.inf, "nothing published bounds it")
+_UNKNOWN = Uncertainty(0.0, math.inf, "nothing published bounds it")
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class EnergyTable:
     joules: Mapping[str, float]
     seconds: Mapping[str, float] = field(default_factory=dict)
     step: float = 0.0
-    uncertainty: Uncertainty = UNKNOWN
-    time_uncertainty: Uncertainty = UNKNOWN
+    uncertainty: Uncertainty = _UNKNOWN
+    time_uncertainty: Uncertainty = _UNKNOWN
     upper_joules: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -86,96 +86,96 @@ class StaticPower:
     watts: float
 
 
-PICO = 1e-12
-NANO = 1e-9
+_PICO = 1e-12
+_NANO = 1e-9
 
-SERIAL = "one core, one event after another"
+_SERIAL = "one core, one event after another"
 
-DAVIES2018 = EnergyTable(
+_DAVIES2018 = EnergyTable(
     name="davies2018",
     source="Davies et al. 2018, IEEE Micro 38(1), Table 2",
     provenance="pre-silicon SPICE minimum at 0.75 V; messages within a tile; the table itself is "
     "read in transcriptions that agree",
     joules={
-        "sop": 23.6 * PICO,
-        "bias_sop": 23.6 * PICO,
-        "neuron_update": 81 * PICO,
-        "neuron_idle": 52 * PICO,
-        "message": 1.7 * PICO,
-        "hop_x": 3.0 * PICO,
-        "hop_y": 4.0 * PICO,
+        "sop": 23.6 * _PICO,
+        "bias_sop": 23.6 * _PICO,
+        "neuron_update": 81 * _PICO,
+        "neuron_idle": 52 * _PICO,
+        "message": 1.7 * _PICO,
+        "hop_x": 3.0 * _PICO,
+        "hop_y": 4.0 * _PICO,
     },
     seconds={
-        "sop": 3.5 * NANO,
-        "bias_sop": 3.5 * NANO,
-        "neuron_update": 8.4 * NANO,
-        "neuron_idle": 5.3 * NANO,
-        "message": 2.1 * NANO,
+        "sop": 3.5 * _NANO,
+        "bias_sop": 3.5 * _NANO,
+        "neuron_update": 8.4 * _NANO,
+        "neuron_idle": 5.3 * _NANO,
+        "message": 2.1 * _NANO,
     },
-    step=113 * NANO,
+    step=113 * _NANO,
     uncertainty=Uncertainty(
         1.0, math.inf, "the minimum of a synaptic operation, before there was silicon"
     ),
     time_uncertainty=Uncertainty(
-        0.0, math.inf, f"{SERIAL}, at the longest time of an operation and the shortest barrier"
+        0.0, math.inf, f"{_SERIAL}, at the longest time of an operation and the shortest barrier"
     ),
 )
 
 # every neuron is accessed in every timestep; an update and a spike cost extra
-SANAFE = EnergyTable(
+_SANAFE = EnergyTable(
     name="sanafe",
     source="SANA-FE 2.2.9, arch/loihi.yaml (Boyle et al. 2025)",
     provenance="fit to Nahuku silicon, model error <= 11.7 % in energy and 24.3 % in time; "
     "dense synapses; no hops without a layout, one tile",
     joules={
-        "sop": 35.5 * PICO,
-        "bias_sop": 35.5 * PICO,
-        "neuron_update": (51.2 + 21.6) * PICO,
-        "neuron_idle": 51.2 * PICO,
-        "spike_out": 69.3 * PICO,
-        "message": 111 * PICO,
-        "hop_x": 3.0 * PICO,
-        "hop_y": 4.2 * PICO,
+        "sop": 35.5 * _PICO,
+        "bias_sop": 35.5 * _PICO,
+        "neuron_update": (51.2 + 21.6) * _PICO,
+        "neuron_idle": 51.2 * _PICO,
+        "spike_out": 69.3 * _PICO,
+        "message": 111 * _PICO,
+        "hop_x": 3.0 * _PICO,
+        "hop_y": 4.2 * _PICO,
     },
     seconds={
-        "sop": 3.8 * NANO,
-        "bias_sop": 3.8 * NANO,
-        "neuron_update": (6.0 + 3.7) * NANO,
-        "neuron_idle": 6.0 * NANO,
-        "spike_out": 30 * NANO,
-        "message": (5.1 + 16) * NANO,
+        "sop": 3.8 * _NANO,
+        "bias_sop": 3.8 * _NANO,
+        "neuron_update": (6.0 + 3.7) * _NANO,
+        "neuron_idle": 6.0 * _NANO,
+        "spike_out": 30 * _NANO,
+        "message": (5.1 + 16) * _NANO,
     },
-    step=600 * NANO,
+    step=600 * _NANO,
     uncertainty=Uncertainty(
         1 - 0.117, 1 + 0.117, "the error of the model on its authors' benchmarks, at most"
     ),
     time_uncertainty=Uncertainty(
-        0.0, 1 + 0.243, f"{SERIAL}: no more than their model on one tile, whose error is 24.3 %"
+        0.0, 1 + 0.243, f"{_SERIAL}: no more than their model on one tile, whose error is 24.3 %"
     ),
 )
 
-SANAFE_SPARSE = replace(
-    SANAFE,
+_SANAFE_SPARSE = replace(
+    _SANAFE,
     name="sanafe-sparse",
-    provenance=SANAFE.provenance.replace("dense", "sparse"),
-    joules={**SANAFE.joules, "sop": 33.6 * PICO, "bias_sop": 33.6 * PICO},
-    seconds={**SANAFE.seconds, "sop": 4.7 * NANO, "bias_sop": 4.7 * NANO},
+    provenance=_SANAFE.provenance.replace("dense", "sparse"),
+    joules={**_SANAFE.joules, "sop": 33.6 * _PICO, "bias_sop": 33.6 * _PICO},
+    seconds={**_SANAFE.seconds, "sop": 4.7 * _NANO, "bias_sop": 4.7 * _NANO},
 )
 
-SANAFE_CONV = replace(
-    SANAFE,
+_SANAFE_CONV = replace(
+    _SANAFE,
     name="sanafe-conv",
-    provenance=SANAFE.provenance.replace("dense", "convolutional"),
-    joules={**SANAFE.joules, "sop": 24.0 * PICO, "bias_sop": 24.0 * PICO},
-    seconds={**SANAFE.seconds, "sop": 3.1 * NANO, "bias_sop": 3.1 * NANO},
+    provenance=_SANAFE.provenance.replace("dense", "convolutional"),
+    joules={**_SANAFE.joules, "sop": 24.0 * _PICO, "bias_sop": 24.0 * _PICO},
+    seconds={**_SANAFE.seconds, "sop": 3.1 * _NANO, "bias_sop": 3.1 * _NANO},
 )
 
-TRUENORTH = EnergyTable(
+_TRUENORTH = EnergyTable(
     name="truenorth",
     source="Merolla et al. 2014, Science 345, 668, as others quote it: 26 pJ per synaptic event",
     provenance="measured; the energy of the whole chip, static power included, divided by its "
     "synaptic events, at 20 Hz, 128 synapses, 0.775 V and 72 mW: nothing is to be added to it",
-    joules={"sop": 26 * PICO, "bias_sop": 26 * PICO},
+    joules={"sop": 26 * _PICO, "bias_sop": 26 * _PICO},
     step=1e-3,
     uncertainty=Uncertainty(
         0.0, math.inf, "holds at the activity it was measured at: a quieter chip pays more an event"
@@ -188,78 +188,78 @@ ODIN = EnergyTable(
     source="Frenkel et al. 2018, IEEE TBioCAS, 10.1109/TBCAS.2018.2880425: 12.7 pJ per SOP",
     provenance="measured, 28 nm, the minimum at 0.55 V; the increment of one more SOP is 8.43 pJ, "
     "and at biological rates a SOP takes 54 pJ (both secondary)",
-    joules={"sop": 12.7 * PICO, "bias_sop": 12.7 * PICO},
+    joules={"sop": 12.7 * _PICO, "bias_sop": 12.7 * _PICO},
     uncertainty=Uncertainty(
         8.43 / 12.7, 54 / 12.7, "8.43 pJ, one SOP more, to 54 pJ, all at biological rates"
     ),
 )
 
-RECKON = EnergyTable(
+_RECKON = EnergyTable(
     name="reckon",
     source="the README of ReckOn: 5.3 pJ per SOP",
     provenance="measured, 28 nm, at 0.5 V",
-    joules={"sop": 5.3 * PICO, "bias_sop": 5.3 * PICO},
+    joules={"sop": 5.3 * _PICO, "bias_sop": 5.3 * _PICO},
 )
 
 # software on a processor computes every neuron in every timestep, idle or not
-SPINNAKER2 = EnergyTable(
+_SPINNAKER2 = EnergyTable(
     name="spinnaker2",
     source="two energy estimators that do not cite where they have it from",
     provenance="secondary, of little confidence: 450 pJ in one and 1.5 nJ in the other (the "
     "prototype) per synaptic event; both have 2.19 nJ per neuron update",
     joules={
-        "sop": 450 * PICO,
-        "bias_sop": 450 * PICO,
-        "neuron_update": 2.19 * NANO,
-        "neuron_idle": 2.19 * NANO,
+        "sop": 450 * _PICO,
+        "bias_sop": 450 * _PICO,
+        "neuron_update": 2.19 * _NANO,
+        "neuron_idle": 2.19 * _NANO,
     },
-    upper_joules={"sop": 1.5 * NANO, "bias_sop": 1.5 * NANO},
+    upper_joules={"sop": 1.5 * _NANO, "bias_sop": 1.5 * _NANO},
     uncertainty=Uncertainty(1.0, 1.0, "both for a synaptic event, and neither has a source"),
 )
 
 # float32: 3.7 pJ a multiplication, 0.9 pJ an addition; 10 pJ a read of 8 bytes, of which 4 are used
-HOROWITZ45 = EnergyTable(
+_HOROWITZ45 = EnergyTable(
     name="horowitz45",
     source="Horowitz 2014, ISSCC: 45 nm, 0.9 V",
     provenance="arithmetic in float32 and one weight fetched from an 8 KB SRAM per operation, the "
     "best case; neuron updates derived: two multiplications, three additions, four accesses",
     joules={
-        "mac": (3.7 + 0.9 + 10 / 2) * PICO,
-        "sop": (0.9 + 10 / 2) * PICO,
-        "bias_sop": (0.9 + 10 / 2) * PICO,
-        "neuron_update": (2 * 3.7 + 3 * 0.9 + 4 * 10 / 2) * PICO,
+        "mac": (3.7 + 0.9 + 10 / 2) * _PICO,
+        "sop": (0.9 + 10 / 2) * _PICO,
+        "bias_sop": (0.9 + 10 / 2) * _PICO,
+        "neuron_update": (2 * 3.7 + 3 * 0.9 + 4 * 10 / 2) * _PICO,
     },
     uncertainty=Uncertainty(
         1.0, math.inf, "arithmetic and the smallest memory; control and larger memories add to it"
     ),
 )
 
-HOROWITZ45_INT8 = replace(
-    HOROWITZ45,
+_HOROWITZ45_INT8 = replace(
+    _HOROWITZ45,
     name="horowitz45-int8",
     provenance="8-bit weights, 32-bit sums, one weight fetched from an 8 KB SRAM per operation, "
     "the best case; neuron updates derived as for horowitz45, with 32-bit integers",
     joules={
-        "mac": (0.2 + 0.1 + 10 / 8) * PICO,
-        "sop": (0.1 + 10 / 8) * PICO,
-        "bias_sop": (0.1 + 10 / 8) * PICO,
-        "neuron_update": (2 * 3.1 + 3 * 0.1 + 4 * 10 / 2) * PICO,
+        "mac": (0.2 + 0.1 + 10 / 8) * _PICO,
+        "sop": (0.1 + 10 / 8) * _PICO,
+        "bias_sop": (0.1 + 10 / 8) * _PICO,
+        "neuron_update": (2 * 3.1 + 3 * 0.1 + 4 * 10 / 2) * _PICO,
     },
 )
 
 TABLES: dict[str, EnergyTable] = {
     table.name: table
     for table in (
-        DAVIES2018,
-        SANAFE,
-        SANAFE_SPARSE,
-        SANAFE_CONV,
-        TRUENORTH,
+        _DAVIES2018,
+        _SANAFE,
+        _SANAFE_SPARSE,
+        _SANAFE_CONV,
+        _TRUENORTH,
         ODIN,
-        RECKON,
-        SPINNAKER2,
-        HOROWITZ45,
-        HOROWITZ45_INT8,
+        _RECKON,
+        _SPINNAKER2,
+        _HOROWITZ45,
+        _HOROWITZ45_INT8,
     )
 }
 

@@ -18,12 +18,12 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.float_model.nodes import convolution
 from spikedeploy.runtime.metrics.memory import packed_bytes
 
-WEIGHTED = (nir.Affine, nir.Linear, nir.Conv1d, nir.Conv2d)
-FLOAT32 = 4  # [bytes]
+_WEIGHTED = (nir.Affine, nir.Linear, nir.Conv1d, nir.Conv2d)
+_FLOAT32 = 4  # [bytes]
 # further buffers of a snnTorch neuron: the factor of graded spikes, and the reset mechanism
-EXTRA_BUFFERS = 4 + 8  # [bytes]
+_EXTRA_BUFFERS = 4 + 8  # [bytes]
 # operations of an update, by neuron and reset: the table in NeuroBench's neuron_operations.py
-NEURON_OPERATIONS = {
+_NEURON_OPERATIONS = {
     "Leaky": {"subtract": 4, "zero": 4},
     "Synaptic": {"subtract": 6, "zero": 8},
 }
@@ -98,11 +98,11 @@ def neurobench(
     membranes: (B, T, N) of each layer after each timestep, resets included.
     """
     samples = len(spikes[program.input])
-    acs, macs = synaptic_operations(program, spikes)
+    acs, macs = _synaptic_operations(program, spikes)
     timesteps = spikes[program.input].shape[1]
     layers = {layer.name: spikes[layer.name] for layer in program.layers}
     updates = _updates(membranes) if membranes is not None else None
-    operations = neuron_operations(program)
+    operations = _neuron_operations(program)
     each = {layer.name: timesteps * layer.size for layer in program.layers}
     return NeuroBench(
         parameter_count=parameter_count(graph),
@@ -150,7 +150,7 @@ def sparsity(rasters: Any) -> float:  # noqa: ANN401
     return float((every - sum(np.count_nonzero(rows) for rows in rasters)) / every)
 
 
-def synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+def _synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
     """Effective ACs and MACs of all samples: non-zero inputs of each matrix times their fan-out.
 
     Only spikes that arrive within the inference count: in a loop, not those of the last timestep.
@@ -170,11 +170,11 @@ def dense_operations(graph: nir.NIRGraph) -> int:
     return sum(_products(name, node) for name, node in graph.nodes.items() if _is_weighted(node))
 
 
-def neuron_operations(program: Program) -> dict[str, int]:
+def _neuron_operations(program: Program) -> dict[str, int]:
     """Operations of an update in each layer; a neuron whose current does not last is Leaky."""
     reset = program.convention.reset
     return {
-        layer.name: NEURON_OPERATIONS["Synaptic" if layer.current_decay.any() else "Leaky"][reset]
+        layer.name: _NEURON_OPERATIONS["Synaptic" if layer.current_decay.any() else "Leaky"][reset]
         for layer in program.layers
     }
 
@@ -222,7 +222,7 @@ def _products(name: str, node: nir.NIRNode) -> int:
 
 
 def _is_weighted(node: nir.NIRNode) -> bool:
-    return isinstance(node, WEIGHTED)
+    return isinstance(node, _WEIGHTED)
 
 
 def _weighted(graph: nir.NIRGraph) -> list[nir.NIRNode]:
@@ -237,7 +237,7 @@ def _parameters(node: nir.NIRNode) -> Iterator[NDArray[Any]]:
 
 def _width(array: NDArray[Any]) -> int:
     """Size [bytes] of a value: floats are float32, torch's default."""
-    return array.itemsize if array.dtype.kind in "iu" else FLOAT32
+    return array.itemsize if array.dtype.kind in "iu" else _FLOAT32
 
 
 def _buffers(node: nir.NIRNode) -> int:
@@ -248,7 +248,7 @@ def _buffers(node: nir.NIRNode) -> int:
     constants = [node.v_threshold, *(decays or [1.0])]
     if hasattr(node, "tau_syn"):
         constants.append(node.tau_syn)
-    return EXTRA_BUFFERS + FLOAT32 * sum(map(_stored_values, constants))
+    return _EXTRA_BUFFERS + _FLOAT32 * sum(map(_stored_values, constants))
 
 
 def _stored_values(constant: Any) -> int:  # noqa: ANN401

@@ -14,17 +14,17 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
 # [clock cycles] rockpool 3.1, devices/xylo/syns61201 cycles_model; the same for all Xylos
-INPUT_LOOP = 3.5
-HIDDEN_UPDATE = 7
-OUTPUT_UPDATE = 8
-HIDDEN_FIXED = 19
-OUTPUT_FIXED = 12
-CLOCK = 50e6  # [Hz] rockpool's default for the core
-MARGIN = 0.2  # safety margin of rockpool
+_INPUT_LOOP = 3.5
+_HIDDEN_UPDATE = 7
+_OUTPUT_UPDATE = 8
+_HIDDEN_FIXED = 19
+_OUTPUT_FIXED = 12
+_CLOCK = 50e6  # [Hz] rockpool's default for the core
+_MARGIN = 0.2  # safety margin of rockpool
 
 
 def xylo_time(
-    program: Program, spikes: Mapping[str, NDArray[Any]], clock: float = CLOCK
+    program: Program, spikes: Mapping[str, NDArray[Any]], clock: float = _CLOCK
 ) -> EnergyEstimate:
     """Time of an inference [s], up to that with rockpool's margin.
 
@@ -33,7 +33,7 @@ def xylo_time(
     """
     timesteps = spikes[program.input].shape[1]
     seconds = timesteps * xylo_clocks(program, spikes) / clock
-    return EnergyEstimate(seconds, seconds, seconds * (1 + MARGIN))
+    return EnergyEstimate(seconds, seconds, seconds * (1 + _MARGIN))
 
 
 def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
@@ -42,14 +42,14 @@ def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
     spikes: (B, T, N) of the input and of each layer.
     """
     outputs = program.layer(program.output).size
-    clocks = float(OUTPUT_FIXED * outputs)
+    clocks = float(_OUTPUT_FIXED * outputs)
     for layer in program.layers:
         if layer.name == program.output:
             continue
         rate = _rate(spikes[layer.name])
         # in = Nin (3.5 p_in N + 1)      out = N p (1 + 8 Nout)
-        clocks += program.width * (INPUT_LOOP * _rate(spikes[program.input]) * layer.size + 1)
-        clocks += layer.size * rate * (1 + OUTPUT_UPDATE * outputs)
+        clocks += program.width * (_INPUT_LOOP * _rate(spikes[program.input]) * layer.size + 1)
+        clocks += layer.size * rate * (1 + _OUTPUT_UPDATE * outputs)
         clocks += layer.size * _hidden(layer, rate)
     return clocks
 
@@ -67,7 +67,7 @@ def _hidden(layer: Layer, rate: float) -> float:
         + rate
         + max(rate, alias) * alias
     )  # fmt: skip
-    return HIDDEN_UPDATE * fan_out * rate + 3 + HIDDEN_FIXED + spiking
+    return _HIDDEN_UPDATE * fan_out * rate + 3 + _HIDDEN_FIXED + spiking
 
 
 def _rate(raster: NDArray[Any]) -> float:

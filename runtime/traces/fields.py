@@ -13,8 +13,8 @@ from spikedeploy.runtime.errors import TraceError
 Integers = NDArray[np.int64]
 
 # JSON numbers that float64 holds exactly
-EXACT = 1 << 53
-HUGE = 1e300
+_EXACT = 1 << 53
+_HUGE = 1e300
 
 
 def read_json(path: Path) -> "Fields":
@@ -122,7 +122,7 @@ class Fields:
         found = {name: self._taken(name) for name in names if name in self._found}
         for name, value in found.items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not -HUGE < value < HUGE:
+            if not number or not -_HUGE < value < _HUGE:
                 raise self.wrong(name, f"is {_short(value)}", "Write a finite number.")
         return found
 
@@ -168,7 +168,7 @@ class Fields:
         except (ValueError, OverflowError, RecursionError):  # ragged, or too deep
             raise self.wrong(name, "has rows of different lengths", "Write a full table.") from None
         if found.dtype.kind == "f" and np.isfinite(found).all() and (found == np.rint(found)).all():
-            found = found if (np.abs(found) > EXACT).any() else found.astype(np.int64)
+            found = found if (np.abs(found) > _EXACT).any() else found.astype(np.int64)
         if found.dtype.kind not in "biu" or not found.size:
             raise self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
         return found.astype(np.int64) if found.dtype.kind == "b" else found

@@ -17,31 +17,31 @@ from spikedeploy.runtime.traces.fields import Fields
 from spikedeploy.runtime.traces.trace_file import Difference, Verdict
 
 MAKER = "sanafe"
-NUMBER = r"([1-9]\d{0,2})"
-SETUP = re.compile(
-    rf"{NUMBER} input neurons spiking \[([01](?:, *[01])*)\] *-> *all-to-all *-> *"
-    rf"{NUMBER} loihi_lif neurons \(threshold 1e9\), one core, {NUMBER} steps"
+_NUMBER = r"([1-9]\d{0,2})"
+_SETUP = re.compile(
+    rf"{_NUMBER} input neurons spiking \[([01](?:, *[01])*)\] *-> *all-to-all *-> *"
+    rf"{_NUMBER} loihi_lif neurons \(threshold 1e9\), one core, {_NUMBER} steps"
 )
 # what SANA-FE calls a part of the energy -> our events
-ENERGIES = {
+_ENERGIES = {
     "synapse": ("sop", "bias_sop"),
     "dendrite": (),
     "soma": ("neuron_update", "neuron_idle", "spike_out"),
     "network": ("message",),
 }
-COUNTS = {
+_COUNTS = {
     "spikes(synops)": ("sop",),
     "packets_sent": ("message",),
     "neurons_fired": ("spike_in", "spike_out"),
     "neurons_updated": ("neuron_update", "spike_in"),
 }
-NEVER = ((1 << 17) - 1) << 6  # a threshold that so few inputs do not reach
-TOLERANCE = 1e-6
+_NEVER = ((1 << 17) - 1) << 6  # a threshold that so few inputs do not reach
+_TOLERANCE = 1e-6
 
 
 def energy_verdict(fields: Fields) -> Verdict:
     """Whether our ledger and its table give SANA-FE's counts and energies."""
-    setup = SETUP.fullmatch(fields.text("setup").strip())
+    setup = _SETUP.fullmatch(fields.text("setup").strip())
     if setup is None:
         raise TraceError(
             f"{fields.where}: setup is {fields.text('setup')[:60]!r}, which cannot be read. "
@@ -51,13 +51,13 @@ def energy_verdict(fields: Fields) -> Verdict:
     spikes = [int(bit) for bit in bits.split(",")]
     if len(spikes) != int(steps):
         raise fields.wrong("setup", f"has {len(spikes)} spikes", "Write one for each step.")
-    if int(inputs) * sum(spikes) << 6 > NEVER:
+    if int(inputs) * sum(spikes) << 6 > _NEVER:
         raise fields.wrong(
             "setup", f"has {sum(spikes)} spikes", "Neurons would spike; write fewer."
         )
     ledger = _run(int(inputs), int(neurons), spikes)
     result = fields.group("result")
-    expected = {**result.numbers(*COUNTS), **result.group("energy").numbers("total", *ENERGIES)}
+    expected = {**result.numbers(*_COUNTS), **result.group("energy").numbers("total", *_ENERGIES)}
     if not expected:
         raise TraceError(f"{fields.where}: there is nothing to compare. Record result.energy.")
     return Verdict(
@@ -79,7 +79,7 @@ def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
         synapses=(Synapses("input", weight, 1),),
         bias=0 * ones,
         voltage_bias=0 * ones,
-        threshold=NEVER * ones,
+        threshold=_NEVER * ones,
         current_decay=0 * ones,
         membrane_decay=4096 * ones,
         scale=1.0,
@@ -96,16 +96,16 @@ def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
 def _found(ledger: Ledger) -> dict[str, float]:
     """Counts, and energies [J]; SANA-FE's inputs send messages and cost nothing else."""
     prices = TABLES["sanafe"].joules
-    counts = {name: sum(map(ledger.total, events)) for name, events in COUNTS.items()}
+    counts = {name: sum(map(ledger.total, events)) for name, events in _COUNTS.items()}
     parts = {
         name: sum(ledger.total(event) * prices[event] for event in events)
-        for name, events in ENERGIES.items()
+        for name, events in _ENERGIES.items()
     }
     return {**counts, **parts, "total": sum(parts.values())}
 
 
 def _first(expected: dict[str, float], found: dict[str, float]) -> Difference | None:
     for name, value in expected.items():
-        if not math.isclose(value, found[name], rel_tol=TOLERANCE, abs_tol=1e-15):
+        if not math.isclose(value, found[name], rel_tol=_TOLERANCE, abs_tol=1e-15):
             return Difference(None, None, None, name, value, found[name])
     return None

@@ -20,7 +20,7 @@ from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.traces.fields import Fields, Integers, read_json
 
 # who wrote a trace, by what its name, source and kind say -> the chip in that reading
-MAKERS = (
+_MAKERS = (
     (r"sana-?fe", "sanafe"),
     # before lava's simulations, to which prose compares boards
     (r"loihi[ _-]?2[ _-]?(hw|board|chip|hardware)|hw[ _-]loihi[ _-]?2", "loihi2"),
@@ -31,7 +31,7 @@ MAKERS = (
     (r"loihi[ _-]?2", "loihi2"),
     (r"lava", "loihi1"),
 )
-READERS = {
+_READERS = {
     "loihi1": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
     "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
     "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
@@ -78,12 +78,12 @@ def read_trace(path: Path) -> TraceFile:
 def trace_in(fields: Fields, stem: str) -> TraceFile:
     """The trace in the fields of a file of that name."""
     chip = maker(fields, stem)
-    if chip not in READERS:
+    if chip not in _READERS:
         hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
         raise TraceError(
-            f"{fields.where}: chip {chip!r} {hint}. Traces may be of {', '.join(READERS)}."
+            f"{fields.where}: chip {chip!r} {hint}. Traces may be of {', '.join(_READERS)}."
         )
-    module, attribute = READERS[chip].split(":")
+    module, attribute = _READERS[chip].split(":")
     reader: Reader = getattr(import_module(module), attribute)
     return reader(fields, chip)
 
@@ -115,12 +115,12 @@ def maker(fields: Fields, stem: str) -> str:
         return prose["chip"]
     # the name of the file is a last resort
     for text in (" ".join(prose.values()), stem):
-        for pattern, chip in MAKERS:
+        for pattern, chip in _MAKERS:
             if re.search(pattern, text, re.IGNORECASE):
                 return chip
     raise TraceError(
         f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
-        f"by that. Add a field chip; it may be {', '.join(READERS)}."
+        f"by that. Add a field chip; it may be {', '.join(_READERS)}."
     )
 
 

@@ -18,7 +18,7 @@ from spikedeploy.runtime.traces.trace_file import (
     trace_in,
 )
 
-BLIND = "membranes at spikes, of which the board's probe shows something else"
+_BLIND = "membranes at spikes, of which the board's probe shows something else"
 
 
 def verify(path: Path) -> Verdict:
@@ -37,7 +37,7 @@ def verify(path: Path) -> Verdict:
         steps=recorded.raster.shape[1],
         compared=sum(int(mask.sum()) for mask in masks.values()),
         passed_over=passed_over,
-        why=BLIND if passed_over else "",
+        why=_BLIND if passed_over else "",
         difference=_first(recorded, found, masks),
         unread=recorded.unread,
     )

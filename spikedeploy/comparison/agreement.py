@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.interface import Player
 
-TOLERANCE = 0.01  # of an action in [-1, 1]: far below the resolution of a servo
+_TOLERANCE = 0.01  # of an action in [-1, 1]: far below the resolution of a servo
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def first_divergence(left: NDArray[np.float64], right: NDArray[np.float64]) -> i
     """First step at which actions (S, act) or (S,) differ by more than TOLERANCE, or None."""
     shared = min(len(left), len(right))
     apart = np.abs(left[:shared] - right[:shared]).reshape(shared, -1)
-    differs = apart.max(axis=1) > TOLERANCE
+    differs = apart.max(axis=1) > _TOLERANCE
     if differs.any():
         return int(differs.argmax())
     return shared if len(left) != len(right) else None

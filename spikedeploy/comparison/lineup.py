@@ -10,7 +10,7 @@ from spikedeploy.policies.registry import find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 
-CONTROLS = (
+_CONTROLS = (
     "phase",
     "bilinear",
     "linear",
@@ -101,7 +101,7 @@ def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
 def _controls(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Controls without repetition, those of CONTROLS first and in that order."""
     controls = dict.fromkeys(_of_kind("control", candidates))
-    order = {name: place for place, name in enumerate(CONTROLS)}
+    order = {name: place for place, name in enumerate(_CONTROLS)}
     return sorted(controls, key=lambda control: order.get(control.name, len(order)))
 
 

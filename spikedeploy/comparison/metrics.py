@@ -14,7 +14,7 @@ Signal = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Metric:
+class _Metric:
     """One number of an episode.
 
     name      field of a report's rows
@@ -42,7 +42,7 @@ class Metric:
         return present and (self.after is None or bool(infos[self.after][-1]))
 
 
-def last(signal: Signal) -> float:
+def _last(signal: Signal) -> float:
     """The value at the last control step."""
     return float(signal[-1])
 
@@ -52,67 +52,67 @@ def mean(signal: Signal) -> float:
     return float(signal.mean())
 
 
-def mean_size(signal: Signal) -> float:
+def _mean_size(signal: Signal) -> float:
     """The mean of the absolute value over the control steps."""
     return float(np.abs(signal).mean())
 
 
-def root_mean_square(signal: Signal) -> float:
+def _root_mean_square(signal: Signal) -> float:
     """The root of the mean square over the control steps."""
     return float(np.sqrt(np.square(signal).mean()))
 
 
-def ever(signal: Signal) -> float:
+def _ever(signal: Signal) -> float:
     """1 if the signal is raised at any control step, else 0."""
     return float(signal.any())
 
 
 WALKING = (
-    Metric("speed", "speed", mean, "m/s", "mean forward speed [m/s]", ".3f"),
-    Metric("cot", "cot", last, "CoT", "cost of transport: energy / (m g distance)", ".2f"),
-    Metric(
+    _Metric("speed", "speed", mean, "m/s", "mean forward speed [m/s]", ".3f"),
+    _Metric("cot", "cot", _last, "CoT", "cost of transport: energy / (m g distance)", ".2f"),
+    _Metric(
         "heading_error",
         "heading",
-        mean_size,
+        _mean_size,
         "heading",
         "mean absolute heading [rad]; straight ahead is 0",
         ".3f",
         unless="turn_error",
     ),
-    Metric(
+    _Metric(
         "speed_rmse",
         "speed_error",
-        root_mean_square,
+        _root_mean_square,
         "speed err.",
         "RMSE of the forward speed to the command [m/s]",
         ".3f",
     ),
-    Metric(
+    _Metric(
         "turn_rmse",
         "turn_error",
-        root_mean_square,
+        _root_mean_square,
         "turn err.",
         "RMSE of the turn rate to the command [rad/s]",
         ".3f",
     ),
-    Metric("falls", "fall", ever, "falls", "episodes with a fall", ".0%"),
+    _Metric("falls", "fall", _ever, "falls", "episodes with a fall", ".0%"),
 )
 
 
 DRIVING = (
-    Metric(
+    _Metric(
         "lap_time",
         "lap_time",
-        last,
+        _last,
         "lap [s]",
         "time of the finished episodes [s]",
         ".2f",
         after="finish",
     ),
-    Metric("crashes", "crash", ever, "crashes", "episodes that end at a wall", ".0%"),
-    Metric("stalls", "stalled", ever, "stalls", "episodes that end without progress", ".0%"),
-    Metric("gates", "gates", last, "gates", "gates passed, in order", ".1f"),
-    Metric("speed", "speed", mean, "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
+    _Metric("crashes", "crash", _ever, "crashes", "episodes that end at a wall", ".0%"),
+    _Metric("stalls", "stalled", _ever, "stalls", "episodes that end without progress", ".0%"),
+    _Metric("gates", "gates", _last, "gates", "gates passed, in order", ".1f"),
+    _Metric("speed", "speed", mean, "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
 )
 
 

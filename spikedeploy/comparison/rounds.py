@@ -43,7 +43,7 @@ def compare_policies(
         workers(processes) as jobs,
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
-        plan = Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder))
+        plan = _Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder))
         for group in plan.rounds():
             episodes = jobs.run(play, [job for entry in group for job in plan.jobs(entry)], done)
             for place, entry in enumerate(group):
@@ -53,7 +53,7 @@ def compare_policies(
 
 
 @dataclass(frozen=True)
-class Plan:
+class _Plan:
     """The jobs of a comparison, in rounds.
 
     env      short name or id

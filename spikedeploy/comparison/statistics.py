@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-RESAMPLES = 10_000
-LEVEL = 0.95
+_RESAMPLES = 10_000
+_LEVEL = 0.95
 Z = 1.959964  # standard deviations that hold LEVEL of a normal distribution
 
 
@@ -42,7 +42,7 @@ def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
     """The mean of `values` (n,) and the interval of means of resamples with replacement."""
     sample = np.asarray(values, dtype=np.float64)
     means = _resampled_means(sample, rng)
-    tail = (1 - LEVEL) / 2
+    tail = (1 - _LEVEL) / 2
     low, high = np.quantile(means, (tail, 1 - tail))
     return Estimate(float(sample.mean()), (float(low), float(high)))
 
@@ -77,15 +77,15 @@ def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Gen
     """
     left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
     tops, bottoms = (
-        np.median(each[rng.integers(each.size, size=(RESAMPLES, each.size))], axis=1)
+        np.median(each[rng.integers(each.size, size=(_RESAMPLES, each.size))], axis=1)
         for each in (left, right)
     )
-    tail = (1 - LEVEL) / 2
+    tail = (1 - _LEVEL) / 2
     low, high = np.quantile(tops / bottoms, (tail, 1 - tail))
     return Estimate(float(np.median(left) / np.median(right)), (float(low), float(high)))
 
 
 def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    picks = rng.integers(sample.size, size=(RESAMPLES, sample.size))
+    picks = rng.integers(sample.size, size=(_RESAMPLES, sample.size))
     means: NDArray[np.float64] = sample[picks].mean(axis=1)
     return means

@@ -8,8 +8,8 @@ from spikedeploy.policies.interface import BASELINES
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 
-NEEDED = 0.95  # of the ANN's return: a control that reaches this much is as good
-NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
+_NEEDED = 0.95  # of the ANN's return: a control that reaches this much is as good
+_NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
 
 
 def summary(rows: Sequence[Row]) -> str:
@@ -46,12 +46,12 @@ def _worth(rows: Sequence[Row]) -> str:
     share = best["ratio_to_float_ann"]
     verdict = (
         "so on this task alone the network is not shown to be needed"
-        if share >= NEEDED
+        if share >= _NEEDED
         else "so the rest is what the network is worth"
     )
     baseline = next((row for row in plain if row["kind"] in BASELINES), None)
     alone = (
-        f"{NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%} of the float ANN's "
+        f"{_NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%} of the float ANN's "
         "return"
         if baseline
         else ""
@@ -82,7 +82,7 @@ def _race(rows: Sequence[Row]) -> str:
     best = max(plain, key=lambda row: row["success_rate"])
     verdict = (
         f"so on this track alone {best['policy']} is enough"
-        if best["success_rate"] >= NEEDED * ann["success_rate"]
+        if best["success_rate"] >= _NEEDED * ann["success_rate"]
         else "so the rest is what the network is worth"
     )
     return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}: {verdict}."

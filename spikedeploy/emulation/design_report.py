@@ -17,7 +17,7 @@ from spikedeploy.runtime.errors import ConfigError
 
 ALL = "all"
 # statuses of a rule on several nodes: the first of these that occurs counts
-ORDER: tuple[Status, ...] = ("fail", "pass", "unknown", "not applicable")
+_ORDER: tuple[Status, ...] = ("fail", "pass", "unknown", "not applicable")
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def worst(rulings: Sequence[RuleResult]) -> RuleResult:
 
 def _rank(ruling: RuleResult) -> tuple[int, float]:
     found = ruling.found if isinstance(ruling.found, int | float) else 0.0
-    return ORDER.index(ruling.status), 0.0 if ruling.failed else -found
+    return _ORDER.index(ruling.status), 0.0 if ruling.failed else -found
 
 
 def _path(reference: str) -> Path:

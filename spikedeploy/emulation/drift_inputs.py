@@ -62,7 +62,7 @@ def choose_inputs(
     """Inputs from a raster file, or random at a rate, or else `observed_inputs`."""
     _check_one_input(artifact)
     if raster is not None:
-        return raster_inputs(artifact, raster)
+        return _raster_inputs(artifact, raster)
     if random is not None:
         return random_inputs(artifact, random, steps, seeds[0])
     if artifact.codec is None:
@@ -73,7 +73,7 @@ def choose_inputs(
     return observed_inputs(artifact, find(str(path)), env, seeds, steps, options)
 
 
-def raster_inputs(artifact: Artifact, path: Path) -> DriftInputs:
+def _raster_inputs(artifact: Artifact, path: Path) -> DriftInputs:
     """The raster (T, *shape) of a file, as one inference."""
     (rows,) = by_port(ports(artifact.graph.inputs), in_batch(read_rasters(path))).values()
     return DriftInputs(rows.reshape(*rows.shape[:2], -1), str(path))

@@ -23,9 +23,9 @@ from spikedeploy.runtime.graph.ports import Port, by_port, ports, split
 from spikedeploy.runtime.metrics.energy import EnergyEstimate, energy_estimate, energy_table
 
 # bytes of a neuron in a timestep: current, membrane and spike, while running and recorded
-STATE = 48
+_STATE = 48
 LARGEST = 1 << 32
-UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
+_UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def emulate_artifact(
         for name, seen in network.spikes.items()
     }
     unlimited = on is not None and not limits and on.limits is not None
-    remarks = (*network.remarks, UNLIMITED) if unlimited else network.remarks
+    remarks = (*network.remarks, _UNLIMITED) if unlimited else network.remarks
     emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks)
     try:
         raster, ledger = network.program.joined(rows), network.ledger
@@ -174,7 +174,7 @@ def emulate_artifact(
 def _check_memory(program: Program, rows: Mapping[str, Raster]) -> None:
     """Refuse a raster over which the recorded states would exceed LARGEST bytes."""
     timesteps = next(iter(rows.values())).shape[1]
-    found = STATE * sum(program.sizes.values()) * program.steps(timesteps)
+    found = _STATE * sum(program.sizes.values()) * program.steps(timesteps)
     if found > LARGEST:
         raise ObservationError(
             f"{timesteps} timesteps of {sum(program.sizes.values())} neurons and inputs take "

@@ -13,7 +13,7 @@ from spikedeploy.runtime.errors import ObservationError
 Raster = NDArray[Any]
 
 # bytes of all arrays together; a small archive may unpack to any number
-LARGEST = 1 << 31
+_LARGEST = 1 << 31
 
 
 def read_rasters(path: Path) -> Raster | dict[str, Raster]:
@@ -38,9 +38,9 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
 def _archive(path: Path) -> dict[str, Raster]:
     with zipfile.ZipFile(path) as archive:
         claimed = sum(member.file_size for member in archive.infolist())
-    if claimed > LARGEST:
+    if claimed > _LARGEST:
         raise ObservationError(
-            f"{path} would be {claimed} bytes when unpacked; the limit is {LARGEST}. Split it, "
+            f"{path} would be {claimed} bytes when unpacked; the limit is {_LARGEST}. Split it, "
             "and play the parts one by one."
         )
     # opened here, because numpy leaves it open where the archive is broken

@@ -31,7 +31,7 @@ def finished_by(steps: Steps, grid: Steps) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class TrainingProgress:
+class _TrainingProgress:
     """The progress of a training.
 
     steps     environment steps
@@ -42,7 +42,7 @@ class TrainingProgress:
     finishes: int
 
 
-def progress_of(folder: Path, name: str) -> TrainingProgress | None:
+def progress_of(folder: Path, name: str) -> _TrainingProgress | None:
     """The last logged progress of the newest run of this name; None before the first line."""
     found = sorted(folder.glob(f"{name}-*/metrics.csv"))
     head, *lines = found[-1].read_text(encoding="utf-8").splitlines() if found else [""]
@@ -50,4 +50,4 @@ def progress_of(folder: Path, name: str) -> TrainingProgress | None:
     row = dict(zip(names, values, strict=False))
     if not row.get("env_steps") or not row.get("finishes"):
         return None
-    return TrainingProgress(int(float(row["env_steps"])), int(float(row["finishes"])))
+    return _TrainingProgress(int(float(row["env_steps"])), int(float(row["finishes"])))

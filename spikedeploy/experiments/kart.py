@@ -18,10 +18,10 @@ from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
-EVERY = 300.0  # [s] between two lines where there is no terminal
+_EVERY = 300.0  # [s] between two lines where there is no terminal
 
 
-class ExperimentProgress:
+class _ExperimentProgress:
     """Progress bars of the experiment and of its running parts.
 
     folder  of the trials, whose metrics are read
@@ -43,7 +43,7 @@ class ExperimentProgress:
         self._tasks: dict[str, TaskID] = {}
         self._last_line = time.monotonic()
 
-    def __enter__(self) -> "ExperimentProgress":
+    def __enter__(self) -> "_ExperimentProgress":
         self._bars.start()
         return self
 
@@ -64,7 +64,7 @@ class ExperimentProgress:
             if found:
                 note = f"steps, {found.finishes:,} finishes"
                 self._bars.update(self._tasks[job.name], completed=found.steps, note=note)
-        if not self._console.is_terminal and time.monotonic() - self._last_line > EVERY:
+        if not self._console.is_terminal and time.monotonic() - self._last_line > _EVERY:
             self._last_line = time.monotonic()
             self._say("running: " + "; ".join(self._line(job) for job in running))
 
@@ -91,7 +91,7 @@ class ExperimentProgress:
 
 
 @dataclass(frozen=True)
-class TrialOutcome:
+class _TrialOutcome:
     """The result of running an experiment.
 
     done, of     number of complete parts, and of all
@@ -109,7 +109,7 @@ class TrialOutcome:
 
 def experiment(
     design: ExperimentDesign, only: Sequence[str], count: int, results: Path, train: bool = True
-) -> TrialOutcome:
+) -> _TrialOutcome:
     """Run the missing parts of the experiment.
 
     only     prefixes of the names of parts; empty for all
@@ -121,7 +121,7 @@ def experiment(
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
     failed: dict[str, str] = {}
-    with ExperimentProgress(design.folder, len(jobs)) as progress:
+    with _ExperimentProgress(design.folder, len(jobs)) as progress:
 
         def ended(end: JobEnd) -> None:
             progress.end(end)
@@ -132,7 +132,7 @@ def experiment(
         whole = workers.run(jobs, count, ended, progress.update)
     files = write(design, results)
     done = [part.done for part in design.parts]
-    return TrialOutcome(sum(done), len(done), failed, not whole, files)
+    return _TrialOutcome(sum(done), len(done), failed, not whole, files)
 
 
 def _check(trial: Trial) -> None:

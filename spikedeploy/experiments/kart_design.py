@@ -70,7 +70,7 @@ class ExperimentDesign:
 
 
 @dataclass(frozen=True)
-class Peer:
+class _Peer:
     """Steps of its ANN and its SNN in one world, in thousands of environment steps.
 
     first  (ANN, SNN) to the first finish of training
@@ -87,7 +87,7 @@ class Peer:
 
 
 PEERS = {
-    "kart-grid": Peer((141, 175), (402, 406)),
-    "kart-gazebo": Peer((82, 22), (431, 507)),
-    "kart-steer": Peer((156, 441), (724, 957)),
+    "kart-grid": _Peer((141, 175), (402, 406)),
+    "kart-gazebo": _Peer((82, 22), (431, 507)),
+    "kart-steer": _Peer((156, 441), (724, 957)),
 }

@@ -22,8 +22,8 @@ from spikedeploy.experiments.kart_tables import (
 from spikedeploy.files import write_text
 from spikedeploy.trainers.versions import own
 
-NEAR = 0.95  # of the ANN's steps: what an SNN is asked to reach
-POINTS = 2  # of the finish rate that the chip may differ from the float twin
+_NEAR = 0.95  # of the ANN's steps: what an SNN is asked to reach
+_POINTS = 2  # of the finish rate that the chip may differ from the float twin
 
 
 def write(design: ExperimentDesign, results: Path) -> list[Path]:
@@ -36,7 +36,7 @@ def write(design: ExperimentDesign, results: Path) -> list[Path]:
         write_csv(_finishes(design), folder / "finishes.csv"),
         draw(design, folder / "finishes.png"),
     ]
-    return [write_text(results / "kart.md", page(design, learned, driven)), *files]
+    return [write_text(results / "kart.md", _page(design, learned, driven)), *files]
 
 
 def _finishes(design: ExperimentDesign) -> list[Record]:
@@ -49,7 +49,7 @@ def _finishes(design: ExperimentDesign) -> list[Record]:
     ]
 
 
-LEARNING = f"""\
+_LEARNING = f"""\
 Environment steps until the first and the {COUNT}th finished episode of training, whose actions are
 drawn and whose starts are random; the steps of all copies of the world count. Medians over the
 training seeds [least, most]. "% of ANN" is the ANN's steps over the SNN's, with a 95% bootstrap
@@ -58,31 +58,31 @@ interval over seeds. kart-simulator's figures are of single, best runs, read off
 Dynamics, track, starts and what counts as a finish are kart-simulator's; the reward, the
 observation (rays straight ahead, all of the motion) and PPO's settings are ours. So the steps show
 what a user of this project gets, not which of these differences is worth how much."""
-DRIVING = """\
+_DRIVING = """\
 Greedy episodes from {episodes} starts that no training saw, for each trained policy; medians over
 the trainings [least, most]. `float` is the float twin of the spiking network, `{chip}` the same
 file in the emulated chip's integers. Controls: `small` is a float network of the spiking one's
 size, `linear` has no hidden layer; both learn by the same rules within the same budget. `gap` is a
 script that follows the gap in the LIDAR, `random` draws its actions."""
-CHIP = """\
+_CHIP = """\
 The same starts, the same file; points of the finish rate, and the share of equal actions on the
 observations that the twin recorded."""
 
 
-def page(design: ExperimentDesign, learned: Sequence[Record], driven: Sequence[Record]) -> str:
+def _page(design: ExperimentDesign, learned: Sequence[Record], driven: Sequence[Record]) -> str:
     """The page."""
     budgets = {(w, p): _budget(design, w, p) for w in WORLDS for p in NETWORKS}
     sections = {
         "How soon they finish": [
-            LEARNING,
+            _LEARNING,
             "\n".join(learning_table(learned, budgets)),
             "![finishes against environment steps](kart/finishes.png)",
         ],
         "How well they drive": [
-            DRIVING.format(episodes=design.episodes, chip=design.chip),
+            _DRIVING.format(episodes=design.episodes, chip=design.chip),
             "\n".join(driving_table(driven)),
         ],
-        "The chip beside its float twin": [CHIP, "\n".join(chip_table(driven))],
+        "The chip beside its float twin": [_CHIP, "\n".join(chip_table(driven))],
         "How this was made": ["\n".join(_facts(design, budgets))],
     }
     parts = ["# Karts: float and spiking networks, learned from scratch", f"    {_command()}"]
@@ -141,12 +141,12 @@ def verdicts(learned: Sequence[Record], driven: Sequence[Record]) -> list[str]:
                 )
         ratio = share(learned, world)
         if ratio:
-            text = f"{world}: the SNN reaches {ratio.mean:.0%} of the ANN (asked for {NEAR:.0%})"
-            lines.append(_verdict(ratio.mean >= NEAR, text))
+            text = f"{world}: the SNN reaches {ratio.mean:.0%} of the ANN (asked for {_NEAR:.0%})"
+            lines.append(_verdict(ratio.mean >= _NEAR, text))
         apart = [abs(100 * row["success_difference_mean"]) for row in on_chip(driven, world)]
         if apart:
             text = f"{world}: chip and float twin differ by up to {max(apart):.0f} points"
-            lines.append(_verdict(max(apart) <= POINTS, text))
+            lines.append(_verdict(max(apart) <= _POINTS, text))
     return lines
 
 

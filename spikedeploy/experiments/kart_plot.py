@@ -16,9 +16,9 @@ from spikedeploy.reports.plots import BLUE, VERMILION, save
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = dict(zip(NETWORKS, (BLUE, VERMILION), strict=True))
-NAMES = {"ann": "float ANN", "snn": "SNN"}
-POINTS = 400  # of a line
+_COLOURS = dict(zip(NETWORKS, (BLUE, VERMILION), strict=True))
+_NAMES = {"ann": "float ANN", "snn": "SNN"}
+_POINTS = 400  # of a line
 
 
 def draw(design: ExperimentDesign, path: Path) -> Path:
@@ -47,7 +47,7 @@ def _panel(axes: "Axes", design: ExperimentDesign, world: str) -> None:
             _curve(axes, [trial.finishes for trial in trials], lengths, policy)
         peer = 1000 * PEERS[world].nth[place]
         axes.plot(
-            peer, COUNT, "x", color=COLOURS[policy], clip_on=False, zorder=5,
+            peer, COUNT, "x", color=_COLOURS[policy], clip_on=False, zorder=5,
             label=f"kart-simulator's {policy.upper()}",
         )  # fmt: skip
     axes.set_title(world, loc="left", fontsize=11, pad=10)
@@ -68,10 +68,15 @@ def _legend(axes: "Axes") -> tuple[list[Any], list[Any]]:
 def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy: str) -> None:
     grid, counts = counted(runs, lengths)
     axes.fill_between(
-        grid, counts.min(axis=0), counts.max(axis=0), color=COLOURS[policy], alpha=0.18, linewidth=0
+        grid,
+        counts.min(axis=0),
+        counts.max(axis=0),
+        color=_COLOURS[policy],
+        alpha=0.18,
+        linewidth=0,
     )
-    label = f"{NAMES[policy]}: median and range"
-    axes.plot(grid, np.median(counts, axis=0), color=COLOURS[policy], linewidth=1.8, label=label)
+    label = f"{_NAMES[policy]}: median and range"
+    axes.plot(grid, np.median(counts, axis=0), color=_COLOURS[policy], linewidth=1.8, label=label)
 
 
 def counted(runs: Sequence[Steps], lengths: Sequence[float]) -> tuple[Steps, NDArray[np.int64]]:
@@ -82,5 +87,5 @@ def counted(runs: Sequence[Steps], lengths: Sequence[float]) -> tuple[Steps, NDA
     ends = [r[COUNT - 1] if len(r) >= COUNT else math.inf for r in runs]
     short = [length for length, end in zip(lengths, ends, strict=True) if math.isinf(end)]
     last = min(short) if short else max(ends)
-    grid = np.linspace(0, last, POINTS)
+    grid = np.linspace(0, last, _POINTS)
     return grid, np.stack([np.minimum(finished_by(run, grid), COUNT) for run in runs])

@@ -45,7 +45,7 @@ def driving(design: ExperimentDesign) -> list[Record]:
     return found
 
 
-FIELDS = (
+_FIELDS = (
     "chip",
     "episodes",
     "success_rate",
@@ -67,7 +67,7 @@ FIELDS = (
 def _driven(row: Mapping[str, Any]) -> Record:
     energies = row["energy_per_inference_j"]
     prices = {f"energy_{table}_j": joules for table, joules in energies.items()}
-    return {field: row.get(field) for field in FIELDS} | prices
+    return {field: row.get(field) for field in _FIELDS} | prices
 
 
 def _identity(trial: Trial) -> Record:

@@ -44,7 +44,7 @@ def learning_table(rows: Sequence[Record], budgets: Mapping[tuple[str, str], int
                     f"{peer.share:.1%}" if spiking else ABSENT,
                 ]
             )
-    return markdown(lines)
+    return _markdown(lines)
 
 
 def driving_table(rows: Sequence[Record]) -> list[str]:
@@ -70,7 +70,7 @@ def driving_table(rows: Sequence[Record]) -> list[str]:
             ]
             joules = [_joules(found, price) for price in prices]
             lines.append([world, label, f"{len(found)}", *cells, *joules])
-    return markdown(lines)
+    return _markdown(lines)
 
 
 def chip_table(rows: Sequence[Record]) -> list[str]:
@@ -79,7 +79,7 @@ def chip_table(rows: Sequence[Record]) -> list[str]:
     for world in WORLDS:
         twins = {row["seed"]: row for row in of(rows, world, "snn", chip=FLOAT)}
         lines += [_beside(row, twins[row["seed"]]) for row in on_chip(rows, world)]
-    return markdown(lines)
+    return _markdown(lines)
 
 
 def _beside(row: Record, twin: Record) -> list[str]:
@@ -128,7 +128,7 @@ def percent_of_ann(rows: Sequence[Record], world: str) -> str:
     return f"{found.mean:.1%}{known}"
 
 
-def markdown(lines: Sequence[Sequence[str]]) -> list[str]:
+def _markdown(lines: Sequence[Sequence[str]]) -> list[str]:
     """A table whose first line is its head."""
     rows = [lines[0], ["---"] * len(lines[0]), *lines[1:]]
     return [f"| {' | '.join(row)} |" for row in rows]

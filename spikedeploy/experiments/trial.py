@@ -39,7 +39,7 @@ def exclusive(path: Path) -> Iterator[None]:
         yield
 
 
-STAMP = r"\d{8}-\d{6}(-\d+)?"
+_STAMP = r"\d{8}-\d{6}(-\d+)?"
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Trial:
     @property
     def run(self) -> Path | None:
         """The run folder; None before the first training."""
-        pattern = re.compile(re.escape(self.name) + "-" + STAMP)
+        pattern = re.compile(re.escape(self.name) + "-" + _STAMP)
         found = sorted(p.parent for p in Path(self.folder).glob(f"{self.name}-*/config.json"))
         return next((path for path in found if pattern.fullmatch(path.name)), None)
 
@@ -177,7 +177,7 @@ def _evaluate(trial: Trial) -> None:
     found = {
         "of": trial.evaluated_with,
         "trial": {"recipe": trial.recipe, "seed": trial.seed},
-        "parameters": parameters(run),
+        "parameters": _parameters(run),
         "rows": evaluate(
             config.env.name, config.env.options, str(exported.path), trial.episodes, trial.chip
         ),
@@ -185,7 +185,7 @@ def _evaluate(trial: Trial) -> None:
     write_text(run / "evaluation.json", as_text(found))
 
 
-def parameters(run: Path) -> int:
+def _parameters(run: Path) -> int:
     """The number of parameters of the run's policy."""
     from spikedeploy.trainers.run_folder import load_policy
 

@@ -16,7 +16,7 @@ from typing import Any
 from spikedeploy.experiments.worker import INTERRUPTED
 from spikedeploy.parallel import WORKER_ENVIRONMENT
 
-PAUSE = 0.5  # [s] between two polls of the processes
+_PAUSE = 0.5  # [s] between two polls of the processes
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def run(
                     running.remove(process)
                     ended(process.end())
                 update([process.job for process in running])
-                time.sleep(PAUSE)
+                time.sleep(_PAUSE)
         except KeyboardInterrupt:
             _stop(running, ended)
             return False

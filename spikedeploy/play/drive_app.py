@@ -24,8 +24,11 @@ from spikedeploy.policies.interface import DEFAULT_CHIP, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 
-HEIGHT = 800
-SIZES = {True: (HEIGHT, HEIGHT), False: (HEIGHT * 4 // 3, HEIGHT)}  # of a track, of a camera's view
+_HEIGHT = 800
+_SIZES = {
+    True: (_HEIGHT, _HEIGHT),
+    False: (_HEIGHT * 4 // 3, _HEIGHT),
+}  # of a track, of a camera's view
 
 
 class DriveApp:
@@ -41,7 +44,7 @@ class DriveApp:
         self.fps = 1.0 / float(session.world.CONTROL_DT)
         track = getattr(session.world, "track", None)
         self._heading = f"{self.name} · {track.name}" if track else self.name
-        self._size = SIZES[is_kart(session.world)]
+        self._size = _SIZES[is_kart(session.world)]
 
     def handle(self, event: pygame.Event) -> None:
         """R restarts; any other key is passed to the driver."""

@@ -25,8 +25,8 @@ from spikedeploy.play.theme import (
 )
 
 WIDTH = 400
-PAD = 26
-TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
+_PAD = 26
+_TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
 
 
 def draw_drive_panel(
@@ -34,7 +34,7 @@ def draw_drive_panel(
 ) -> None:
     """Draw the panel of a session into a rectangle of a surface."""
     pygame.draw.rect(surface, PANEL, place)
-    inner = place.inflate(-2 * PAD, -2 * PAD)
+    inner = place.inflate(-2 * _PAD, -2 * _PAD)
     write(surface, title, inner.topleft, 20, TEXT, "bold")
     write(surface, session.driver.name, (inner.left, inner.top + 28), 13, DIM)
     y = _speed(surface, inner, inner.top + 66, session)
@@ -54,7 +54,7 @@ def _speed(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session
     heading(surface, "speed", (inner.left, y))
     number = write(surface, f"{speed:.2f}", (inner.left, y + 14), 44, TEXT, "bold")
     write(surface, "m/s", (number.right + 8, number.bottom - 9), 15, DIM, anchor="bottomleft")
-    top = next((TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in TOPS), 0.5)
+    top = next((_TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in _TOPS), 0.5)
     bar(surface, pygame.Rect(inner.left, y + 72, inner.width, 8), abs(speed) / top)
     if "command_speed" not in session.info:
         return y + 80

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.policies.interface import Player
 
-ARROWS = {
+_ARROWS = {
     "up": (pygame.K_w, pygame.K_UP),
     "down": (pygame.K_s, pygame.K_DOWN),
     "left": (pygame.K_a, pygame.K_LEFT),
@@ -18,7 +18,7 @@ ARROWS = {
     "accelerate": (pygame.K_w, pygame.K_UP),
     "brake": (pygame.K_s, pygame.K_SPACE, pygame.K_DOWN),
 }  # action -> keys
-CAPS = {
+_CAPS = {
     "up": "W",
     "down": "S",
     "left": "A",
@@ -38,7 +38,7 @@ class Keys:
     def __init__(self, actions: tuple[str, ...]) -> None:
         self.actions = actions
         self._meaning: Mapping[int, int] = {
-            key: index for index, name in enumerate(actions) for key in ARROWS.get(name, ())
+            key: index for index, name in enumerate(actions) for key in _ARROWS.get(name, ())
         }
         self._held: list[int] = []
 
@@ -64,7 +64,7 @@ class Keys:
     @property
     def legend(self) -> list[tuple[str, str]]:
         """Keys and what they do."""
-        return [(CAPS[name], name) for name in self.actions if name in CAPS]
+        return [(_CAPS[name], name) for name in self.actions if name in _CAPS]
 
 
 class CommandKeys:

@@ -12,7 +12,7 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class GhostCounts:
+class _GhostCounts:
     """Numbers of ghosts that drive, have finished, and have crashed, at a step."""
 
     driving: int
@@ -58,9 +58,9 @@ class GhostGroup:
         found: NDArray[np.bool_] = ~self.driving(step) & (self._finish if well else self._crash)
         return found
 
-    def count(self, step: int) -> GhostCounts:
+    def count(self, step: int) -> _GhostCounts:
         """The counts at a step."""
-        return GhostCounts(
+        return _GhostCounts(
             driving=int(self.driving(step).sum()),
             finished=int(self.ended(step, True).sum()),
             crashed=int(self.ended(step, False).sum()),

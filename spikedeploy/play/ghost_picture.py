@@ -11,12 +11,12 @@ from spikedeploy.envs.kart.scene import Scene
 from spikedeploy.play.ghost_group import GhostGroup
 from spikedeploy.play.theme import AMBER, CYAN, DIM, GREEN, RED, Colour, write
 
-FEW = 40  # more ghosts than this are drawn as dots, coloured by age
-AGES: tuple[Colour, ...] = ((150, 96, 208), (112, 118, 230), (76, 160, 240), (76, 211, 220))
+_FEW = 40  # more ghosts than this are drawn as dots, coloured by age
+_AGES: tuple[Colour, ...] = ((150, 96, 208), (112, 118, 230), (76, 160, 240), (76, 211, 220))
 
 
 @dataclass(frozen=True)
-class GroupColours:
+class _GroupColours:
     """The colours of a group.
 
     driving   of moving ghosts, from the start to the end of the training
@@ -31,18 +31,18 @@ class GroupColours:
     crashed: Colour = RED
 
 
-def colours_by_age(group: GhostGroup) -> GroupColours:
+def colours_by_age(group: GhostGroup) -> _GroupColours:
     """The colours of a single group: by outcome, and of many ghosts by age."""
-    return GroupColours(AGES if len(group.drives) > FEW else (CYAN,))
+    return _GroupColours(_AGES if len(group.drives) > _FEW else (CYAN,))
 
 
-def one_colour(colour: Colour) -> GroupColours:
+def one_colour(colour: Colour) -> _GroupColours:
     """The colours of a group among others."""
-    return GroupColours((colour,), colour, colour, colour)
+    return _GroupColours((colour,), colour, colour, colour)
 
 
 def draw_group(
-    surface: pygame.Surface, place: Scene, group: GhostGroup, step: int, colours: GroupColours
+    surface: pygame.Surface, place: Scene, group: GhostGroup, step: int, colours: _GroupColours
 ) -> None:
     """Draw moving ghosts, and where the others ended, over a track."""
     poses = group.poses(step)
@@ -53,7 +53,7 @@ def draw_group(
     driving = group.driving(step)
     for age, colour in enumerate(colours.driving):
         these = np.flatnonzero(driving & (ages == age))
-        if driving.sum() > FEW:
+        if driving.sum() > _FEW:
             _dots(surface, points[these], colour, max(3, round(9 * place.scale)), 120)
         else:
             for index in these:
@@ -72,7 +72,7 @@ def draw_leader(
     draw_kart(surface, place, _pose(group.poses(step)[group.leader]), colour)
 
 
-def draw_legend(surface: pygame.Surface, colours: GroupColours) -> None:
+def draw_legend(surface: pygame.Surface, colours: _GroupColours) -> None:
     """Draw a legend in the lower left corner."""
     x, y = 20.0, surface.get_height() - 18.0
     name = "driving" if len(colours.driving) == 1 else "driving, of early to late training"

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import pygame
 
-SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-JUMP = 1.0  # [s] of a seek
-REST = 1.0  # [s] that the end of a batch is shown
+_SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+_JUMP = 1.0  # [s] of a seek
+_REST = 1.0  # [s] that the end of a batch is shown
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Playback:
         if event.key == pygame.K_SPACE:
             self.paused = not self.paused
         elif event.key in (pygame.K_LEFT, pygame.K_RIGHT):
-            self.seek(JUMP if event.key == pygame.K_RIGHT else -JUMP)
+            self.seek(_JUMP if event.key == pygame.K_RIGHT else -_JUMP)
         elif event.key in (pygame.K_UP, pygame.K_DOWN):
             self.change_speed(1 if event.key == pygame.K_UP else -1)
         elif event.key in (pygame.K_n, pygame.K_b):
@@ -55,7 +55,7 @@ class Playback:
         if self.paused:
             return
         self.step += self.speed * seconds / self.dt
-        if self.step > self.length + REST * self.speed / self.dt:
+        if self.step > self.length + _REST * self.speed / self.dt:
             self.rounds += self.batch == self.batches - 1
             self.skip(1)
 
@@ -65,8 +65,8 @@ class Playback:
 
     def change_speed(self, notches: int) -> None:
         """Play faster or slower by steps of SPEEDS."""
-        nearest = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - self.speed))
-        self.speed = SPEEDS[min(max(nearest + notches, 0), len(SPEEDS) - 1)]
+        nearest = min(range(len(_SPEEDS)), key=lambda k: abs(_SPEEDS[k] - self.speed))
+        self.speed = _SPEEDS[min(max(nearest + notches, 0), len(_SPEEDS) - 1)]
 
     def skip(self, batches: int) -> None:
         """Skip batches, cyclically."""

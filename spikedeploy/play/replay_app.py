@@ -34,10 +34,10 @@ from spikedeploy.policies.interface import check_fit
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.errors import ConfigError
 
-HEIGHT = 800
+_HEIGHT = 800
 WIDTH = 340
-PAD = 26
-KEYS = [
+_PAD = 26
+_KEYS = [
     ("SPACE", "pause"),
     ("← →", "seek"),
     ("↑ ↓", "speed"),
@@ -46,7 +46,7 @@ KEYS = [
     ("P", "picture"),
     ("ESC", "leave"),
 ]
-MODES = ("batch", "all")
+_MODES = ("batch", "all")
 
 
 class ReplayApp:
@@ -78,7 +78,7 @@ class ReplayApp:
         )
         self._world: Any = env.unwrapped
         kart = is_kart(self._world)
-        self._size = (HEIGHT, HEIGHT) if kart else (HEIGHT * 4 // 3, HEIGHT)
+        self._size = (_HEIGHT, _HEIGHT) if kart else (_HEIGHT * 4 // 3, _HEIGHT)
         batches = max(map(len, sources.values())) if mode == "batch" else 1
         dt = float(env.get_wrapper_attr("CONTROL_DT"))
         self.playback = Playback(batches, dt, speed=speed)
@@ -158,12 +158,12 @@ class ReplayApp:
     def _draw_panel(self, surface: pygame.Surface, place: pygame.Rect) -> None:
         """Name, position in time, and the facts of the view."""
         pygame.draw.rect(surface, PANEL, place)
-        inner = place.inflate(-2 * PAD, -2 * PAD)
+        inner = place.inflate(-2 * _PAD, -2 * _PAD)
         track = f" · {self._world.track.name}" if is_kart(self._world) else ""
         write(surface, self.name + track, inner.topleft, 20, TEXT, "bold")
         write(surface, self._heading, (inner.left, inner.top + 28), 12, DIM)
         self._draw_facts(surface, inner, self._draw_time(surface, inner, inner.top + 66))
-        keycaps(surface, KEYS, (inner.left, inner.bottom - 106), inner.width)
+        keycaps(surface, _KEYS, (inner.left, inner.bottom - 106), inner.width)
 
     def _draw_facts(self, surface: pygame.Surface, inner: pygame.Rect, y: int) -> None:
         """Names and values, in smaller type where there are several sources."""
@@ -220,8 +220,8 @@ def open_replay(
     options  of the environment; they take precedence over the file
     beside   further sources of the same environment, on the same track
     """
-    if mode not in MODES:
-        raise ConfigError(f"--mode {mode}: choose {' or '.join(MODES)}")
+    if mode not in _MODES:
+        raise ConfigError(f"--mode {mode}: choose {' or '.join(_MODES)}")
     if not 0.0 < speed <= 100.0:
         raise ConfigError(f"--speed {speed:g}: choose a factor above 0, up to 100; 1 is real time")
     paths = (path, *beside)

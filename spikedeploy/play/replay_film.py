@@ -13,8 +13,8 @@ from spikedeploy.play.replay_app import ReplayApp
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import mp4
 
-FPS = {".mp4": 30, ".gif": 20}  # frame times of a GIF are whole hundredths of a second
-GIF_SCALE = 0.6
+_FPS = {".mp4": 30, ".gif": 20}  # frame times of a GIF are whole hundredths of a second
+_GIF_SCALE = 0.6
 
 
 def save_film(app: ReplayApp, path: Path, seconds: float) -> Path:
@@ -23,9 +23,9 @@ def save_film(app: ReplayApp, path: Path, seconds: float) -> Path:
     .mp4  as large as the window, 30 frames per second
     .gif  smaller, 20 frames per second
     """
-    if path.suffix not in FPS:
-        raise ConfigError(f"--video {path}: choose a name that ends in {' or '.join(FPS)}")
-    fps = FPS[path.suffix]
+    if path.suffix not in _FPS:
+        raise ConfigError(f"--video {path}: choose a name that ends in {' or '.join(_FPS)}")
+    fps = _FPS[path.suffix]
     frames = islice(_frames(app, round(app.fps / fps)), max(1, round(seconds * fps)))
     if path.suffix == ".gif":
         return _gif(frames, path, fps)
@@ -51,7 +51,7 @@ def _pixels(frame: pygame.Surface) -> NDArray[np.uint8]:
 def _gif(frames: Iterator[pygame.Surface], path: Path, fps: int) -> Path:
     from PIL import Image
 
-    small = (pygame.transform.smoothscale_by(frame, GIF_SCALE) for frame in frames)
+    small = (pygame.transform.smoothscale_by(frame, _GIF_SCALE) for frame in frames)
     method = Image.Quantize.MAXCOVERAGE  # keeps the colours of small objects
     pictures = (Image.fromarray(np.ascontiguousarray(_pixels(frame))) for frame in small)
     images = (picture.quantize(method=method) for picture in pictures)

@@ -20,7 +20,7 @@ from spikedeploy.play.ghost_group import GhostGroup
 from spikedeploy.play.theme import Colour
 
 Floats = NDArray[np.float64]
-RADIUS = 19.2  # [px] of a kart
+_RADIUS = 19.2  # [px] of a kart
 
 
 def ghost_observations(ghost: Ghost, world: Any) -> Floats:  # noqa: ANN401
@@ -44,7 +44,7 @@ def gates_passed(path: Floats, gates: Floats) -> NDArray[np.int64]:
     passed = np.zeros(len(path), np.int64)
     start = 0
     for number, (a, b) in enumerate(gates, 1):
-        touches = np.flatnonzero(_distance(path[start:], a, b) <= RADIUS)
+        touches = np.flatnonzero(_distance(path[start:], a, b) <= _RADIUS)
         if not len(touches):
             break
         start += int(touches[0])

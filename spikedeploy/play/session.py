@@ -11,11 +11,11 @@ import gymnasium
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.play.drivers import Driver
 
-PAUSE = 1.5  # [s] that the end of an episode stays on the screen
+_PAUSE = 1.5  # [s] that the end of an episode stays on the screen
 
 
 @dataclass(frozen=True)
-class Outcome:
+class _Outcome:
     """How an episode ended.
 
     word     "finish", "crash", "stalled", "fall" or "time is up"
@@ -58,7 +58,7 @@ class Session:
     ) -> None:
         self.env, self.driver, self._record = env, driver, record
         self.world: Any = env.unwrapped
-        self.outcomes: list[Outcome] = []
+        self.outcomes: list[_Outcome] = []
         self.files: list[Path] = []
         self.sums: Counter[str] = Counter()
         self._seed, self._wait = seed - 1, 0
@@ -120,7 +120,7 @@ class Session:
         played = self.episode.rollout()
         finished = bool(self.info.get("finish"))
         self.outcomes.append(
-            Outcome(
+            _Outcome(
                 word=_word(self.info),
                 good=bool(self.info.get("success")),
                 steps=played.steps,
@@ -129,7 +129,7 @@ class Session:
             )
         )
         self._keep(played)
-        self._wait = max(1, round(PAUSE / self.world.CONTROL_DT))
+        self._wait = max(1, round(_PAUSE / self.world.CONTROL_DT))
 
     def _keep(self, played: Rollout) -> None:
         """Write a rollout, if recording."""

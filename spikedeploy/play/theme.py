@@ -18,7 +18,7 @@ CYAN: Colour = (76, 201, 240)
 AMBER: Colour = (255, 209, 102)
 GREEN: Colour = (95, 211, 141)
 RED: Colour = (242, 114, 123)
-FONTS = {"plain": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf", "mono": "DejaVuSansMono.ttf"}
+_FONTS = {"plain": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf", "mono": "DejaVuSansMono.ttf"}
 
 
 @cache
@@ -28,7 +28,7 @@ def font(size: int, face: str = "plain") -> pygame.font.Font:
     spec = find_spec("matplotlib")
     if spec is None or spec.origin is None:
         return pygame.font.Font(None, size)
-    return pygame.font.Font(Path(spec.origin).parent / "mpl-data/fonts/ttf" / FONTS[face], size)
+    return pygame.font.Font(Path(spec.origin).parent / "mpl-data/fonts/ttf" / _FONTS[face], size)
 
 
 def write(

@@ -11,9 +11,9 @@ from spikedeploy.play.theme import DIM, GREEN, RED, Colour
 from spikedeploy.play.track_draft import History, Point, TrackDraft
 from spikedeploy.play.track_editor_view import HEIGHT, draw_draft, draw_panel, view_of
 
-REACH = 12.0  # [screen px] within which a click snaps to an existing point
-TURN = pi / 12  # [rad] of the start with each key press
-ZOOM = 1.15
+_REACH = 12.0  # [screen px] within which a click snaps to an existing point
+_TURN = pi / 12  # [rad] of the start with each key press
+_ZOOM = 1.15
 
 
 class TrackEditor:
@@ -72,14 +72,14 @@ class TrackEditor:
         elif event.key == pygame.K_s:
             self._change(self.draft.started(self._target(0.0)))
         elif event.key in (pygame.K_q, pygame.K_e):
-            self._change(self.draft.turned(TURN if event.key == pygame.K_e else -TURN))
+            self._change(self.draft.turned(_TURN if event.key == pygame.K_e else -_TURN))
         elif event.key == pygame.K_m:
             self.held = None if self.held else self._near()
 
     def point(self, event: pygame.Event) -> None:
         """Handle a mouse move, click or wheel event."""
         if event.type == pygame.MOUSEWHEEL:
-            self._view = self._view.zoomed(ZOOM**event.y, self._pointer)
+            self._view = self._view.zoomed(_ZOOM**event.y, self._pointer)
             return
         if self._on_track(event.pos):
             self._pointer = event.pos
@@ -135,14 +135,14 @@ class TrackEditor:
         self.saved = True
         return GREEN, f"{self.path.name} is saved: a kart can drive it."
 
-    def _target(self, reach: float = REACH) -> Point:
+    def _target(self, reach: float = _REACH) -> Point:
         """The point that a click would set."""
         rest = self.draft.without(self.held) if self.held else self.draft
         return rest.snapped(self._view.under(self._pointer), reach / self._view.scale)
 
     def _near(self) -> Point | None:
         """The point under the pointer."""
-        return self.draft.near(self._view.under(self._pointer), REACH / self._view.scale)
+        return self.draft.near(self._view.under(self._pointer), _REACH / self._view.scale)
 
     def _on_track(self, place: Point) -> bool:
         return 0 <= place[0] < HEIGHT and 0 <= place[1] < HEIGHT

@@ -26,12 +26,12 @@ from spikedeploy.play.theme import (
 from spikedeploy.play.track_draft import Line, Point, TrackDraft
 
 HEIGHT = 800
-WIDTH = 340
-PAD = 26
-GRID: Colour = (24, 28, 39)
-METRE = 100.0  # [px]
-VIEW = 1000.0  # [px] shown of an empty draft
-KEYS = [
+_WIDTH = 340
+_PAD = 26
+_GRID: Colour = (24, 28, 39)
+_METRE = 100.0  # [px]
+_VIEW = 1000.0  # [px] shown of an empty draft
+_KEYS = [
     ("CLICK", "point"),
     ("RIGHT", "remove"),
     ("WHEEL", "zoom"),
@@ -81,8 +81,8 @@ class View:
 def view_of(draft: TrackDraft) -> View:
     """A view of the whole draft with a margin of one metre."""
     if not draft.points:
-        return View((0.0, 0.0), HEIGHT / VIEW)
-    low, high = np.min(draft.points, axis=0) - METRE, np.max(draft.points, axis=0) + METRE
+        return View((0.0, 0.0), HEIGHT / _VIEW)
+    low, high = np.min(draft.points, axis=0) - _METRE, np.max(draft.points, axis=0) + _METRE
     side = float((high - low).max())
     x, y = ((low + high - side) / 2).tolist()
     return View((x, y), HEIGHT / side)
@@ -90,7 +90,7 @@ def view_of(draft: TrackDraft) -> View:
 
 def draw_draft(draft: TrackDraft, view: View, target: Point, moving: bool) -> pygame.Surface:
     """Walls, gates, start, and the line to the point that a click would set."""
-    surface = pygame.Surface((HEIGHT + WIDTH, HEIGHT))
+    surface = pygame.Surface((HEIGHT + _WIDTH, HEIGHT))
     surface.fill(NIGHT)
     _grid(surface, view)
     _start(surface, view, draft)
@@ -121,9 +121,9 @@ def draw_panel(
     message: tuple[Colour, str],
 ) -> None:
     """Draw the panel: the next click, facts, the last message, and the keys."""
-    place = pygame.Rect(HEIGHT, 0, WIDTH, HEIGHT)
+    place = pygame.Rect(HEIGHT, 0, _WIDTH, HEIGHT)
     pygame.draw.rect(surface, PANEL, place)
-    inner = place.inflate(-2 * PAD, -2 * PAD)
+    inner = place.inflate(-2 * _PAD, -2 * _PAD)
     write(surface, file, inner.topleft, 20, TEXT, "bold")
     write(surface, "draw a track", (inner.left, inner.top + 28), 12, DIM)
     y = inner.top + 66
@@ -140,7 +140,7 @@ def draw_panel(
     colour, text = message
     for row in _wrapped(text, inner.width):
         y = write(surface, row, (inner.left, y), 13, colour).bottom + 4
-    keycaps(surface, KEYS, (inner.left, inner.bottom - 134), inner.width)
+    keycaps(surface, _KEYS, (inner.left, inner.bottom - 134), inner.width)
 
 
 def _next(draft: TrackDraft) -> str:
@@ -160,7 +160,7 @@ def _facts(draft: TrackDraft, target: Point) -> list[tuple[str, str]]:
 
 
 def _metres(point: Point) -> str:
-    return f"{point[0] / METRE:.2f}, {point[1] / METRE:.2f} m"
+    return f"{point[0] / _METRE:.2f}, {point[1] / _METRE:.2f} m"
 
 
 def _wrapped(text: str, width: int) -> list[str]:
@@ -178,11 +178,11 @@ def _wrapped(text: str, width: int) -> list[str]:
 def _grid(surface: pygame.Surface, view: View) -> None:
     """A grid with a line at each metre."""
     for axis in (0, 1):
-        first = np.ceil(view.corner[axis] / METRE) * METRE
-        for value in np.arange(first, view.corner[axis] + HEIGHT / view.scale, METRE):
+        first = np.ceil(view.corner[axis] / _METRE) * _METRE
+        for value in np.arange(first, view.corner[axis] + HEIGHT / view.scale, _METRE):
             along = (value - view.corner[axis]) * view.scale
             a, b = ((along, 0), (along, HEIGHT)) if axis == 0 else ((0, along), (HEIGHT, along))
-            pygame.draw.line(surface, GRID, a, b)
+            pygame.draw.line(surface, _GRID, a, b)
 
 
 def _gate(surface: pygame.Surface, view: View, gate: Line, number: int, finish: bool) -> None:

@@ -9,12 +9,12 @@ import pygame
 from spikedeploy.play.theme import NIGHT
 from spikedeploy.runtime.errors import ConfigError
 
-SCREENSHOTS = Path("screenshots")
+_SCREENSHOTS = Path("screenshots")
 MAX_TICKS = 25.0  # ticks between two frames
-MOUSE = (pygame.MOUSEMOTION, pygame.MOUSEBUTTONDOWN, pygame.MOUSEWHEEL)
+_MOUSE = (pygame.MOUSEMOTION, pygame.MOUSEBUTTONDOWN, pygame.MOUSEWHEEL)
 
 
-class App(Protocol):
+class _App(Protocol):
     """An app that a window can show; it draws itself without one too.
 
     title   of the window
@@ -37,14 +37,14 @@ class App(Protocol):
 
 
 @runtime_checkable
-class MouseApp(Protocol):
+class _MouseApp(Protocol):
     """An app that handles the mouse as well."""
 
     def point(self, event: pygame.Event) -> None:
         """Handle a mouse move, click or wheel event; positions are those of the frame."""
 
 
-def show(app: App, screenshots: Path = SCREENSHOTS) -> None:
+def show(app: _App, screenshots: Path = _SCREENSHOTS) -> None:
     """Show the app until its window is closed or ESC is pressed; P takes a screenshot."""
     screen = _open(app)
     clock = pygame.time.Clock()
@@ -63,7 +63,7 @@ def show(app: App, screenshots: Path = SCREENSHOTS) -> None:
         pygame.display.quit()
 
 
-def screenshot(app: App, folder: Path = SCREENSHOTS) -> Path:
+def _screenshot(app: _App, folder: Path = _SCREENSHOTS) -> Path:
     """Write the current frame to the first free file name; return the path."""
     folder.mkdir(parents=True, exist_ok=True)
     names = (folder / f"{app.name}-{number}.png" for number in itertools.count(1))
@@ -72,7 +72,7 @@ def screenshot(app: App, folder: Path = SCREENSHOTS) -> Path:
     return path
 
 
-def _open(app: App) -> pygame.Surface:
+def _open(app: _App) -> pygame.Surface:
     try:
         pygame.display.init()
         screen = pygame.display.set_mode(app.draw().get_size(), pygame.RESIZABLE)
@@ -85,17 +85,17 @@ def _open(app: App) -> pygame.Surface:
     return screen
 
 
-def _handled(app: App, screenshots: Path, size: tuple[int, int]) -> bool:
+def _handled(app: _App, screenshots: Path, size: tuple[int, int]) -> bool:
     """Pass pending events to the app; return whether one of them closes the window."""
     for event in pygame.event.get():
         escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
         if event.type == pygame.QUIT or escape:
             return True
         if event.type == pygame.KEYDOWN and event.key == pygame.K_p:
-            screenshot(app, screenshots)
+            _screenshot(app, screenshots)
         elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
             app.handle(event)
-        elif event.type in MOUSE and isinstance(app, MouseApp):
+        elif event.type in _MOUSE and isinstance(app, _MouseApp):
             app.point(_on_frame(event, size))
     return False
 

@@ -21,7 +21,7 @@ def versions(run: Path) -> dict[str, str | None]:
     return _read(run / "versions.json")
 
 
-def checkpoint(run: Path) -> dict[str, Any]:
+def _checkpoint(run: Path) -> dict[str, Any]:
     """The record of the deployed checkpoint: the best, else the last."""
     best, last = (run / "checkpoints" / f"{name}.json" for name in ("best", "last"))
     return _read(best if best.is_file() else last)
@@ -34,7 +34,7 @@ def origin(run: Path) -> Provenance:
         env=env_id(config["env"]["name"]) or "",
         recipe=config["recipe"],
         seed=config["seed"],
-        steps=checkpoint(run).get("env_steps", 0),
+        steps=_checkpoint(run).get("env_steps", 0),
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
     )

@@ -9,10 +9,10 @@ from spikedeploy.runtime.compiler.compile import DesignCheck
 from spikedeploy.runtime.design_rules.mapping import Placement, of_mapping, of_placement
 from spikedeploy.runtime.design_rules.rule import RuleResult, text
 
-MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
-LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
+_MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
+_LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 # chips side by side in a table
-PER_TABLE = 8
+_PER_TABLE = 8
 
 
 def print_report(report: DesignReport) -> None:
@@ -25,15 +25,15 @@ def print_report(report: DesignReport) -> None:
 
 
 def _print_chips(checks: Sequence[DesignCheck]) -> None:
-    for first in range(0, len(checks), PER_TABLE):
-        part = checks[first : first + PER_TABLE]
+    for first in range(0, len(checks), _PER_TABLE):
+        part = checks[first : first + _PER_TABLE]
         columns = [statuses(each) for each in part]
-        rows = [(rule, *(MARKS[column[rule]] for column in columns)) for rule in columns[0]]
+        rows = [(rule, *(_MARKS[column[rule]] for column in columns)) for rule in columns[0]]
         heads = [each.chip.name.replace("-", "-\n") for each in part]
         print_table("Rules", ("rule", *heads), rows)
-    print(LEGEND)
+    print(_LEGEND)
     for each in checks:
-        print(f"{MARKS['pass' if each.passed else 'fail']} {each.chip.name}: {_summary(each)}")
+        print(f"{_MARKS['pass' if each.passed else 'fail']} {each.chip.name}: {_summary(each)}")
 
 
 def _summary(found: DesignCheck) -> str:
@@ -53,7 +53,7 @@ def _print_chip(found: DesignCheck) -> None:
         _print_layers(found, limits)
     rows = [_rule(found, rule) for rule in statuses(found)]
     print_table(f"Rules of {found.chip.name}", ("rule", "", "found", "limit", "node"), rows)
-    print(LEGEND)
+    print(_LEGEND)
     for rule in statuses(found):
         ruling = worst(found.of(rule))
         if ruling.failed:
@@ -101,7 +101,7 @@ def _percent(share: float | None) -> str:
 def _rule(found: DesignCheck, rule: str) -> tuple[str, ...]:
     rulings = found.of(rule)
     ruling = worst(rulings)
-    mark = MARKS[ruling.status]
+    mark = _MARKS[ruling.status]
     node = "" if ruling.status == "not applicable" else ruling.node or ""
     if ruling.status == "pass" and ruling.node and isinstance(ruling.found, str):
         same = {each.found for each in rulings if each.status == "pass"}

@@ -29,7 +29,7 @@ def label(row: Row) -> str:
     return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
 
 
-def number(field: str, form: str) -> Cell:
+def _number(field: str, form: str) -> Cell:
     """A cell that formats the field, or a dash where the row lacks it."""
 
     def cell(row: Row) -> str:
@@ -95,13 +95,13 @@ def _digits(row: Row) -> int:
     return 1 if drives(row) else 0
 
 
-def share(row: Row) -> str:
+def _share(row: Row) -> str:
     """The success rate with its interval: `97% [92, 99]`."""
     low, high = row["success_ci95"]
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
-def points(row: Row) -> str:
+def _points(row: Row) -> str:
     """The paired difference of the success rate in percentage points: `+1.0 [-1.0, +3.0]`."""
     if row["success_difference_mean"] is None or not drives(row):
         return ABSENT
@@ -123,51 +123,51 @@ def divergence(row: Row) -> str:
     return "never" if step is None else f"{step:,.0f}"
 
 
-NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
+_NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
-WALK = (
+_WALK = (
     Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
-    Column("success", "episodes that succeed", number("success_rate", ".0%")),
-    Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
+    Column("success", "episodes that succeed", _number("success_rate", ".0%")),
+    Column("of ANN", "mean return / that of the float ANN", _number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
-    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in WALKING),
+    *(Column(m.title, m.meaning, _number(m.name, m.form)) for m in WALKING),
 )
-DRIVE = (
-    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", share),
-    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
+_DRIVE = (
+    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", _share),
+    *(Column(m.title, m.meaning, _number(m.name, m.form)) for m in DRIVING),
     Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
     Column("score", "normalised return: random actions are 0, the float ANN 100", score),
 )
-AGREEMENT = (
+_AGREEMENT = (
     Column(
         "reference",
         "whom the row is measured against: on a chip its float twin, else the float ANN",
-        number("reference", ""),
+        _number("reference", ""),
     ),
     Column(
         "difference",
         "paired difference of return on the same seeds, with its 95% bootstrap interval",
         difference,
     ),
-    Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
+    Column("ratio", "mean return / that of the reference", _number("ratio_to_reference", ".1%")),
     Column(
         "finished",
         "paired difference of the finish rate on the same seeds, in percentage points, with its "
         "95% bootstrap interval",
-        points,
+        _points,
     ),
     Column(
         "same action",
         "share of equal actions, both asked on the observations that the reference recorded",
-        number("actions_equal", ".1%"),
+        _number("actions_equal", ".1%"),
     ),
-    Column("as ANN", "the same, with the float ANN", number("actions_equal_to_ann", ".1%")),
+    Column("as ANN", "the same, with the float ANN", _number("actions_equal_to_ann", ".1%")),
     Column(
         "action RMSE",
         "RMSE over all actions, both asked on the observations that the reference recorded",
-        number("action_rmse", ".4f"),
+        _number("action_rmse", ".4f"),
     ),
-    Column("to ANN", "the same, with the float ANN", number("rmse_to_ann", ".4f")),
+    Column("to ANN", "the same, with the float ANN", _number("rmse_to_ann", ".4f")),
     Column(
         "diverges",
         "median first control step at which an action differs from the reference's by more than "
@@ -175,59 +175,59 @@ AGREEMENT = (
         divergence,
     ),
 )
-OPERATIONS = (
-    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", number("sparsity", ".1%")),
-    Column("spikes", "spikes of the spiking layers", number("spikes_per_inference", ",.0f")),
-    Column("input", "spikes of the encoder", number("input_spikes_per_inference", ",.0f")),
+_OPERATIONS = (
+    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", _number("sparsity", ".1%")),
+    Column("spikes", "spikes of the spiking layers", _number("spikes_per_inference", ",.0f")),
+    Column("input", "spikes of the encoder", _number("input_spikes_per_inference", ",.0f")),
     Column(
         "SOPs",
         "synaptic operations: spikes × non-zero fan-out, from the encoder on",
-        number("sops_per_inference", ",.0f"),
+        _number("sops_per_inference", ",.0f"),
     ),
     Column(
         "+ bias",
         "synaptic operations of the always-on axon that carries the biases",
-        number("bias_sops_per_inference", ",.0f"),
+        _number("bias_sops_per_inference", ",.0f"),
     ),
     Column(
         "ACs",
         "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
         "readout included",
-        number("effective_acs", ",.0f"),
+        _number("effective_acs", ",.0f"),
     ),
     Column(
         "MACs",
         "NeuroBench Effective_MACs: the same where inputs are numbers",
-        number("effective_macs", ",.0f"),
+        _number("effective_macs", ",.0f"),
     ),
     Column(
         "dense",
         "NeuroBench Dense: all inputs × all weights, in all T timesteps",
-        number("macs_dense", ",.0f"),
+        _number("macs_dense", ",.0f"),
     ),
     Column(
         "sat.",
         "numbers that did not fit a register of the chip, in all episodes",
-        number("saturations", ",.0f"),
+        _number("saturations", ",.0f"),
     ),
 )
 
 
-SIZE = (
+_SIZE = (
     Column(
         "bytes",
         "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
-        number("footprint", ",.0f"),
+        _number("footprint", ",.0f"),
     ),
     Column(
         "packed",
         "bytes of all weights and biases on the chip, in its widths",
-        number("footprint_packed", ",.0f"),
+        _number("footprint_packed", ",.0f"),
     ),
     Column(
         "zero weights",
         "NeuroBench ConnectionSparsity: weights of the file that are 0",
-        number("connection_sparsity", ".1%"),
+        _number("connection_sparsity", ".1%"),
     ),
 )
 
@@ -236,16 +236,16 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
     found = {
         **(
-            {"Does the kart still finish?": _filled(DRIVE, rows)}
+            {"Does the kart still finish?": _filled(_DRIVE, rows)}
             if any(map(drives, rows))
-            else {"Does the robot still walk?": _filled(WALK, rows)}
+            else {"Does the robot still walk?": _filled(_WALK, rows)}
         ),
-        "Does it act like its reference?": _filled(AGREEMENT, rows),
-        "How large is the network?": _filled(SIZE, rows),
-        "What does an inference take?": _filled(OPERATIONS, rows),
+        "Does it act like its reference?": _filled(_AGREEMENT, rows),
+        "How large is the network?": _filled(_SIZE, rows),
+        "What does an inference take?": _filled(_OPERATIONS, rows),
         COST: _filled(_prices(rows), rows),
     }
-    return {title: [NAME, *columns] for title, columns in found.items() if columns}
+    return {title: [_NAME, *columns] for title, columns in found.items() if columns}
 
 
 def _prices(rows: Sequence[Row]) -> list[Column]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.metrics import read
 
-SIGNALS = {
+_SIGNALS = {
     "eval_return": "validation",
     "episode_return": "training",
 }  # in this order
@@ -34,7 +34,7 @@ def curve(metrics: Path, name: str) -> Curve:
     """The learning curve in a run's metrics.csv, whose first column counts its steps."""
     rows = read(metrics)
     unit = next(iter(rows[0])) if rows else ""
-    for column, signal in SIGNALS.items():
+    for column, signal in _SIGNALS.items():
         points = [(row[unit], row[column]) for row in rows if column in row]
         if points:
             steps, returns = zip(*points, strict=True)

@@ -21,7 +21,7 @@ def tables(report: DriftReport) -> Iterator[Table]:
     """Summary, layers, the contribution of each rounding, and dead or saturated layers."""
     drift = report.drift
     yield f"Drift of {report.policy} on {drift.chip}", ("what", "found"), _summary(report)
-    yield "Layers", LAYER_HEADS, _layers(drift)
+    yield "Layers", _LAYER_HEADS, _layers(drift)
     if drift.rungs:
         yield (
             "Which rounding costs what",
@@ -40,7 +40,7 @@ def tables(report: DriftReport) -> Iterator[Table]:
         yield "Dead and saturated layers", ("layer", "is", "cause", "detail"), rows
 
 
-LAYER_HEADS = (
+_LAYER_HEADS = (
     "layer",
     "neurons",
     "rate, float",

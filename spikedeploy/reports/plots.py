@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # distinguishable with colour blindness (Okabe and Ito 2008)
-BLUE, ORANGE, VERMILION, GREY = "#0072B2", "#E69F00", "#D55E00", "#8A939E"
-MARKERS = "osD^vP"
+BLUE, _ORANGE, VERMILION, _GREY = "#0072B2", "#E69F00", "#D55E00", "#8A939E"
+_MARKERS = "osD^vP"
 
 
-def colour(row: Row) -> str:
+def _colour(row: Row) -> str:
     """The colour of a row: float ANN, float SNN, SNN on a chip, or any other kind."""
     if row["kind"] == "snn":
-        return ORANGE if row["chip"] == "float" else VERMILION
-    return BLUE if row["kind"] == "ann" else GREY
+        return _ORANGE if row["chip"] == "float" else VERMILION
+    return BLUE if row["kind"] == "ann" else _GREY
 
 
 def draw_returns(rows: Sequence[Row], path: Path) -> Path:
     """Returns as dots, their mean with its 95 % interval as a bar, one line for each row."""
     figure, axes = _figure(len(rows))
     for place, row in enumerate(rows):
-        paint = colour(row)
+        paint = _colour(row)
         returns = np.asarray(row["returns"], np.float64)
         axes.scatter(returns, _spread(returns, place), s=15, color=paint, alpha=0.45, linewidths=0)
         axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
@@ -55,11 +55,11 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
     rows = [row for row in rows if row["energy_per_inference_j"]]
     tables = list(dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"]))
     figure, axes = _figure(len(rows))
-    for marker, table in zip(MARKERS, tables, strict=False):
+    for marker, table in zip(_MARKERS, tables, strict=False):
         places = [i for i, row in enumerate(rows) if table in row["energy_per_inference_j"]]
         joules = [rows[i]["energy_per_inference_j"][table] for i in places]
         axes.scatter(
-            joules, places, s=60, marker=marker, c=[colour(rows[i]) for i in places], zorder=3
+            joules, places, s=60, marker=marker, c=[_colour(rows[i]) for i in places], zorder=3
         )
         axes.scatter([], [], s=60, marker=marker, color="#555555", label=table)
     axes.set_xscale("log")

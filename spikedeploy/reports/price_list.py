@@ -11,7 +11,7 @@ from spikedeploy.runtime.metrics.energy import (
     describe_certainty,
 )
 
-PICO, NANO = 1e-12, 1e-9
+_PICO, _NANO = 1e-12, 1e-9
 HEADS = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
 
 
@@ -21,7 +21,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
         "tables": [
             {
                 "name": table.name,
-                "chips": chips(table),
+                "chips": _chips(table),
                 "source": table.source,
                 "provenance": table.provenance,
                 "joules": dict(table.joules),
@@ -46,7 +46,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def chips(table: EnergyTable) -> list[str]:
+def _chips(table: EnergyTable) -> list[str]:
     """Chips whose datasheets name the table."""
     return [name for name in CHIPS if table.name in chip(name).energy_tables]
 
@@ -56,7 +56,7 @@ def rows() -> list[tuple[str, ...]]:
     return [
         (
             table.name,
-            ", ".join(chips(table)) or "–",
+            ", ".join(_chips(table)) or "–",
             _energies(table),
             f"{describe_certainty(table)}: {table.uncertainty.why}",
             _times(table),
@@ -86,15 +86,15 @@ def markdown() -> list[str]:
 
 
 def _energies(table: EnergyTable) -> str:
-    prices = {event: f"{joules / PICO:.4g}" for event, joules in table.joules.items()}
+    prices = {event: f"{joules / _PICO:.4g}" for event, joules in table.joules.items()}
     for event, joules in table.upper_joules.items():
-        prices[event] += f" to {joules / PICO:.4g}"
+        prices[event] += f" to {joules / _PICO:.4g}"
     return ", ".join(f"{event} {price}" for event, price in prices.items())
 
 
 def _times(table: EnergyTable) -> str:
-    events = [f"{event} {seconds / NANO:.4g}" for event, seconds in table.seconds.items()]
-    return ", ".join([*events, f"timestep {table.step / NANO:,.10g}"]) if table.timed else "–"
+    events = [f"{event} {seconds / _NANO:.4g}" for event, seconds in table.seconds.items()]
+    return ", ".join([*events, f"timestep {table.step / _NANO:,.10g}"]) if table.timed else "–"
 
 
 def _uncertain(uncertainty: Uncertainty) -> dict[str, Any]:

@@ -78,27 +78,27 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
     if COST in shown:
         pictures[COST] = draw_energy(rows, folder / "energy.png")
     numbers = write_text(folder / "report.json", as_text(document))
-    page = write_text(folder / "report.html", html(document, pictures, video))
-    text = write_text(folder / "report.md", page_of_text(document))
+    page = write_text(folder / "report.html", _html(document, pictures, video))
+    text = write_text(folder / "report.md", _page_of_text(document))
     return [page, numbers, text, *pictures.values(), *([video] if video else [])]
 
 
-def page_of_text(document: Document) -> str:
+def _page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
-    steps = [f"* {name}: {said}" for name, said in stepped(document)]
+    steps = [f"* {name}: {said}" for name, said in _stepped(document)]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
     if steps:
         lines += ["How the networks are stepped:", "", *steps, ""]
     return "\n".join(lines)
 
 
-def stepped(document: Document) -> list[tuple[str, str]]:
+def _stepped(document: Document) -> list[tuple[str, str]]:
     """How the networks are stepped: conventions, then remarks on chips."""
     remarks = [(label, said) for label, each in document["remarks"].items() for said in each]
     return [*document["conventions"].items(), *remarks]
 
 
-def html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
+def _html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
     """The page as one file, pictures and video embedded.
 
     pictures  title of a table -> PNG below it
@@ -119,7 +119,7 @@ def html(document: Document, pictures: Mapping[str, Path], video: Path | None = 
         facts=_facts(document),
         definitions=_definitions([column for columns in shown.values() for column in columns]),
         sources=_list(document["energy_tables"].items()),
-        conventions=_list(stepped(document)),
+        conventions=_list(_stepped(document)),
     )
 
 

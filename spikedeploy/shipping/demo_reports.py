@@ -19,11 +19,11 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.video import Frame, Pace, captioned, mp4, side_by_side
 
 FOLDER = Path("reports/demo")
-KINDS = {"ann": "float ANN", "snn": "spiking network"}
+_KINDS = {"ann": "float ANN", "snn": "spiking network"}
 
 
 @dataclass(frozen=True)
-class DemoTask:
+class _DemoTask:
     """What the demo shows of a task.
 
     episodes  of its report
@@ -34,10 +34,10 @@ class DemoTask:
     seconds: float = 0.0
 
 
-TASKS = {
-    "hexapod": DemoTask(episodes=4, seconds=5.0),
-    "hexapod-command": DemoTask(episodes=3),
-    "kart-steer": DemoTask(episodes=10, seconds=15.0),
+_TASKS = {
+    "hexapod": _DemoTask(episodes=4, seconds=5.0),
+    "hexapod-command": _DemoTask(episodes=3),
+    "kart-steer": _DemoTask(episodes=10, seconds=15.0),
 }
 
 
@@ -49,7 +49,7 @@ def write_demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any
     quiet   write nothing to stdout
     """
     documents: list[dict[str, Any]] = []
-    for env, task in TASKS.items():
+    for env, task in _TASKS.items():
         if not zoo.policies(env):
             say(f"{env}: no policies are shipped yet")
             continue
@@ -110,7 +110,7 @@ def _frames(env: str, entry: Entry) -> Iterator[Frame]:
     """Frames of one episode of an entry."""
     world: Any = envs.make(env, render_mode="rgb_array")
     player = open_policy(entry.candidate, entry.chip, world)
-    pace, caption = _pace(env), f"{KINDS[entry.candidate.kind]}: {entry.label}"
+    pace, caption = _pace(env), f"{_KINDS[entry.candidate.kind]}: {entry.label}"
     observation, _ = world.reset(seed=EVALUATION)
     player.reset(EVALUATION)
     for step in range(world.unwrapped.max_steps):

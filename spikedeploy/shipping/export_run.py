@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from spikedeploy.runtime.convention import State
     from spikedeploy.trainers.policies import Policy
 
-OBSERVATIONS = 1000
+_OBSERVATIONS = 1000
 SPIKING = ("popsan", "spiking-mlp")  # kinds of policies that are exported as NIR
 
 
@@ -49,7 +49,7 @@ def export_run(
     run: str,
     to: str,
     path: Path | None = None,
-    observations: int = OBSERVATIONS,
+    observations: int = _OBSERVATIONS,
     control: bool = False,
     state: "State" = "reset",
 ) -> ExportedPolicy:

@@ -24,7 +24,7 @@ from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import algorithm
 
-KINDS = {
+_KINDS = {
     "ann": "float network (ONNX)",
     "snn": "spiking network (NIR)",
     "control": "control: a float policy that is kept simple, to see what a network is worth (ONNX)",
@@ -35,9 +35,9 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
     """The page: provenance, evaluation, parity, learning curve."""
     rows = record["evaluation"]
     facts = {
-        "what": KINDS[record["kind"]],
+        "what": _KINDS[record["kind"]],
         "environment": record["env"],
-        "made by": f"`{command(record)}`",
+        "made by": f"`{_command(record)}`",
         "environment steps": f"{record['steps']:,}",
         "commit": record["commit"] or "unknown",
         "exported": record["created"],
@@ -67,7 +67,7 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
     )
 
 
-def command(record: Mapping[str, Any]) -> str:
+def _command(record: Mapping[str, Any]) -> str:
     """The command that trained the policy."""
     options = [f"--set {shlex.quote(change)}" for change in record["overrides"]]
     return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])
@@ -95,7 +95,7 @@ def publish_run(
     target = folder / envs.spec(run_record.settings(source)["env"]["name"]).short
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
         exported = _exported(source, Path(stage) / name, control)
-        record = describe(source, exported, episodes, processes) | {"note": note}
+        record = _describe(source, exported, episodes, processes) | {"note": note}
         file = _copied(exported.path, target / exported.path.name)
     return [
         file,
@@ -106,7 +106,7 @@ def publish_run(
     ]
 
 
-def describe(
+def _describe(
     source: Path, exported: ExportedPolicy, episodes: int, processes: int | None
 ) -> dict[str, Any]:
     """The card as data: training, parity and evaluation."""

@@ -49,7 +49,7 @@ class DaggerDataset:
 
 
 @dataclass(frozen=True)
-class Collected:
+class _Collected:
     """Labelled states of one iteration.
 
     observation: (n, obs) of every state
@@ -73,7 +73,7 @@ def collect(
     teacher: Teacher,
     student: Teacher,
     stopped: Callable[[], bool],
-) -> Collected | None:
+) -> _Collected | None:
     """Collect the labelled states of an iteration; None if stopped before its end."""
     envs = iteration_envs(config, iteration)
     visited: list[FloatArray] = []
@@ -90,4 +90,4 @@ def collect(
         action = np.where(taught[:, None], labels[-1], action)
         noise = config.noise * rng.standard_normal(action.shape)
         envs.step(np.clip(action + noise, -1.0, 1.0))
-    return Collected(np.concatenate(visited), np.concatenate(labels), envs.returns)
+    return _Collected(np.concatenate(visited), np.concatenate(labels), envs.returns)

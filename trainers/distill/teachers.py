@@ -49,7 +49,7 @@ def teacher(path: str, env: str) -> Teacher:
             "distillation needs a teacher: --set teacher=PATH, where PATH is a run folder or an "
             ".onnx or .nir file"
         )
-    read = FILES.get(Path(path).suffix, _from_run)
+    read = _FILES.get(Path(path).suffix, _from_run)
     if read is not _from_run and not Path(path).is_file():
         raise ConfigError(f"there is no teacher at {path}")
     found = read(path)
@@ -115,4 +115,4 @@ def _from_nir(path: str) -> Teacher:
     return Teacher(act_all, codec.encoder.observed, actions, env)
 
 
-FILES: dict[str, Callable[[str], Teacher]] = {".onnx": _from_onnx, ".nir": _from_nir}
+_FILES: dict[str, Callable[[str], Teacher]] = {".onnx": _from_onnx, ".nir": _from_nir}

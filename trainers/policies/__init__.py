@@ -36,7 +36,7 @@ __all__ = [
     "from_config",
 ]
 
-POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy] | type[SpikingMlpPolicy]] = {
+_POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy] | type[SpikingMlpPolicy]] = {
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
@@ -46,7 +46,7 @@ POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy] | type[SpikingMlpPolicy
 def build(spec: Mapping[str, Any]) -> Policy:
     """Return an untrained policy from the result of `Policy.spec`."""
     settings = dict(spec)
-    policy = POLICIES[known(settings.pop("kind"), POLICIES, "kind of policy")]
+    policy = _POLICIES[known(settings.pop("kind"), _POLICIES, "kind of policy")]
     if "features" in settings:
         settings["features"] = Features(
             observations=settings["observations"], **settings["features"]

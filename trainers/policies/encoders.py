@@ -8,10 +8,10 @@ from torch import Tensor, nn
 
 from spikedeploy.trainers.policies.neurons import integrate_and_fire
 
-REACH = 3.0  # initial centres are spaced evenly within +-3 standard deviations (Tang et al. 2020)
-INITIAL_STD = math.sqrt(0.15)  # (Tang et al. 2020)
-THRESHOLD = 0.999  # (Tang et al. 2020); below one, so that a drive of one fires at every timestep
-LEVELS = 256  # of a rate: an 8-bit register that also holds one
+_REACH = 3.0  # initial centres are spaced evenly within +-3 standard deviations (Tang et al. 2020)
+_INITIAL_STD = math.sqrt(0.15)  # (Tang et al. 2020)
+_THRESHOLD = 0.999  # (Tang et al. 2020); below one, so that a drive of one fires at every timestep
+_LEVELS = 256  # of a rate: an 8-bit register that also holds one
 Mode = Literal["regular", "bernoulli"]
 
 
@@ -22,13 +22,13 @@ class TorchPopulationEncoder(nn.Module):
     threshold: membrane above which an encoding neuron spikes
     """
 
-    def __init__(self, observations: int, populations: int, reach: float = REACH) -> None:
+    def __init__(self, observations: int, populations: int, reach: float = _REACH) -> None:
         super().__init__()
         spread = torch.linspace(-reach, reach, populations) if populations > 1 else torch.zeros(1)
         self.mean = nn.Parameter(spread.repeat(observations, 1))
         # widths are learned as logarithms, so that they stay positive
-        self.log_std = nn.Parameter(torch.full_like(self.mean, math.log(INITIAL_STD)))
-        self.threshold = THRESHOLD
+        self.log_std = nn.Parameter(torch.full_like(self.mean, math.log(_INITIAL_STD)))
+        self.threshold = _THRESHOLD
 
     @property
     def std(self) -> Tensor:
@@ -62,20 +62,20 @@ class TorchRateEncoder(nn.Module):
         """Return the rates (B, obs) of normalised observations (B, obs) [1/256 per timestep]."""
         # n = round(256 clip((x - low) / (high - low), 0, 1)), halves to even
         share = ((observation - self.low) / (self.high - self.low)).clamp(0.0, 1.0)
-        return (share * LEVELS).round_()
+        return (share * _LEVELS).round_()
 
     def forward(self, observation: Tensor, timesteps: int) -> Tensor:
         """Return spikes (T, B, obs) of normalised observations (B, obs)."""
         levels = self.levels(observation)
         if self.mode == "bernoulli":
-            drawn = torch.randint(LEVELS, (timesteps, *levels.shape))
+            drawn = torch.randint(_LEVELS, (timesteps, *levels.shape))
             return (drawn < levels).to(observation.dtype)
-        return regular(levels, timesteps).to(observation.dtype)
+        return _regular(levels, timesteps).to(observation.dtype)
 
 
-def regular(levels: Tensor, timesteps: int) -> Tensor:
+def _regular(levels: Tensor, timesteps: int) -> Tensor:
     """Return the spikes (T, B, obs): carries of an 8-bit accumulator that starts half full."""
     clock = torch.arange(timesteps + 1, dtype=levels.dtype)[:, None, None]
     # c[t] = floor((n t + 128) / 256) ; s[t] = c[t + 1] - c[t]
-    carried = ((clock * levels + LEVELS // 2) / LEVELS).floor_()
+    carried = ((clock * levels + _LEVELS // 2) / _LEVELS).floor_()
     return carried[1:] - carried[:-1]

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import known
 
-FEATURES = ("all", "phase", "bilinear")
+_FEATURES = ("all", "phase", "bilinear")
 
 
 class Features(nn.Module):
@@ -25,7 +25,7 @@ class Features(nn.Module):
 
     def __init__(self, name: str, observations: int, phase: list[int], command: list[int]) -> None:
         super().__init__()
-        self.name = known(name, FEATURES, "features")
+        self.name = known(name, _FEATURES, "features")
         self.phase, self.command = list(phase), list(command)
         if name != "all" and len(self.phase) != 2:
             raise ConfigError(f"features '{name}' need the columns of sine and cosine of the phase")

@@ -17,11 +17,11 @@ from torch.nn import functional
 
 from spikedeploy.runtime.errors import ConfigError
 
-LOW_PRECISION = (torch.bfloat16, torch.float16)
+_LOW_PRECISION = (torch.bfloat16, torch.float16)
 
 
 @dataclass(frozen=True)
-class Surrogate:
+class _Surrogate:
     """Surrogate derivative of a spike, as a function of membrane minus threshold.
 
     name: key of `SURROGATES`
@@ -34,43 +34,43 @@ class Surrogate:
 
     def __call__(self, excess: Tensor) -> Tensor:
         """Return d spike / d membrane."""
-        return SURROGATES[self.name][0](excess, self.width)
+        return _SURROGATES[self.name][0](excess, self.width)
 
 
-def atan(excess: Tensor, alpha: float) -> Tensor:
+def _atan(excess: Tensor, alpha: float) -> Tensor:
     """Return the derivative of a scaled arctangent (Fang et al. 2021), as snnTorch's `atan`."""
     # ds/dv = (alpha / 2) / (1 + (pi / 2 * alpha * (v - threshold))^2)
     return (excess * (math.pi / 2 * alpha)).square_().add_(1).reciprocal_().mul_(alpha / 2)
 
 
-def rectangular(excess: Tensor, width: float) -> Tensor:
+def _rectangular(excess: Tensor, width: float) -> Tensor:
     """Return one near the threshold, zero elsewhere (Tang et al. 2020)."""
     # ds/dv = |v - threshold| < width
     return (excess.abs() < width).to(excess.dtype)
 
 
-def fast_sigmoid(excess: Tensor, slope: float) -> Tensor:
+def _fast_sigmoid(excess: Tensor, slope: float) -> Tensor:
     """Return the derivative of x / (1 + k |x|) (Zenke and Ganguli 2018), as snnTorch's."""
     # ds/dv = 1 / (1 + k |v - threshold|)^2
     return excess.abs().mul_(slope).add_(1).square_().reciprocal_()
 
 
-SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
-    "atan": (atan, 2.0),
-    "fast-sigmoid": (fast_sigmoid, 25.0),
-    "rectangular": (rectangular, 0.5),
+_SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
+    "atan": (_atan, 2.0),
+    "fast-sigmoid": (_fast_sigmoid, 25.0),
+    "rectangular": (_rectangular, 0.5),
 }
 
 
-def surrogate(name: str, width: float | None = None) -> Surrogate:
+def surrogate(name: str, width: float | None = None) -> _Surrogate:
     """Return a surrogate by name; width None takes that of its paper."""
-    if name not in SURROGATES:
-        raise ConfigError(f"unknown surrogate '{name}': known: {', '.join(SURROGATES)}")
-    return Surrogate(name, SURROGATES[name][1] if width is None else width)
+    if name not in _SURROGATES:
+        raise ConfigError(f"unknown surrogate '{name}': known: {', '.join(_SURROGATES)}")
+    return _Surrogate(name, _SURROGATES[name][1] if width is None else width)
 
 
 def cuba_lif(
-    drive: Tensor, alpha: float, beta: float, threshold: float, gradient: Surrogate
+    drive: Tensor, alpha: float, beta: float, threshold: float, gradient: _Surrogate
 ) -> Tensor:
     """Return the spikes (T, B, N) of a current-based leaky integrate-and-fire layer at rest.
 
@@ -82,7 +82,7 @@ def cuba_lif(
     return spikes
 
 
-def lif(drive: Tensor, beta: float, threshold: float, gradient: Surrogate) -> Tensor:
+def lif(drive: Tensor, beta: float, threshold: float, gradient: _Surrogate) -> Tensor:
     """Return the spikes (T, B, N) of a leaky integrate-and-fire layer at rest; see `cuba_lif`."""
     return cuba_lif(drive, 0.0, beta, threshold, gradient)
 
@@ -95,9 +95,9 @@ class _CubaLif(torch.autograd.Function):
         alpha: float,
         beta: float,
         threshold: float,
-        gradient: Surrogate,
+        gradient: _Surrogate,
     ) -> Tensor:
-        state = torch.float32 if drive.dtype in LOW_PRECISION else drive.dtype
+        state = torch.float32 if drive.dtype in _LOW_PRECISION else drive.dtype
         membrane = torch.empty(drive.shape, dtype=state)  # before the reset, of every timestep
         current = torch.zeros(drive.shape[1:], dtype=state)
         previous = torch.zeros(drive.shape[1:], dtype=state)  # membrane after the reset

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-SMALLEST_STD = 0.01  # observations are of order one; a constant one must not be amplified
+_SMALLEST_STD = 0.01  # observations are of order one; a constant one must not be amplified
 
 
 class TorchNormaliser(nn.Module):
@@ -72,7 +72,7 @@ class Moments:
         """Standard deviation (obs,), at least SMALLEST_STD; 1 before there are data."""
         if self.count < 2:
             return np.ones_like(self.mean)
-        return np.maximum(np.sqrt(self.square / self.count), SMALLEST_STD)
+        return np.maximum(np.sqrt(self.square / self.count), _SMALLEST_STD)
 
     def add(self, batch: NDArray[np.float64]) -> None:
         """Add a batch of observations (B, obs)."""

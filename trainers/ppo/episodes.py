@@ -11,8 +11,8 @@ from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import EnvBatch, Steps
 from spikedeploy.trainers.metrics import Metrics
 
-OUTCOMES = ("finish", "crash", "gates", "lap_time")  # of the last info, if it has them
-COLUMNS = ("env_steps", "steps", "return", "success", *OUTCOMES)
+_OUTCOMES = ("finish", "crash", "gates", "lap_time")  # of the last info, if it has them
+_COLUMNS = ("env_steps", "steps", "return", "success", *_OUTCOMES)
 
 
 class EpisodeLog:
@@ -22,7 +22,7 @@ class EpisodeLog:
     """
 
     def __init__(self, path: Path, copies: int, finishes: int = 0) -> None:
-        self._file = Metrics(path, COLUMNS)
+        self._file = Metrics(path, _COLUMNS)
         self._steps, self._totals = np.zeros(copies, np.int64), np.zeros(copies)
         self.finishes = finishes
 
@@ -44,7 +44,7 @@ class EpisodeLog:
             "steps": int(self._steps[k]),
             "return": float(self._totals[k]),
             "success": float(info.get("success", False)),
-            **{name: float(info[name]) for name in OUTCOMES if name in info},
+            **{name: float(info[name]) for name in _OUTCOMES if name in info},
         }
         self._file.add(row)
         self.finishes += int(row.get("finish", 0.0))

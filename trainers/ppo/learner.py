@@ -14,7 +14,7 @@ from spikedeploy.trainers.policies.neurons import excess_rate
 from spikedeploy.trainers.ppo.batch import RolloutBatch, Transition, advantages, stacked
 from spikedeploy.trainers.ppo.config import PpoConfig
 
-HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+_HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 class CategoricalHead(nn.Module):
@@ -70,24 +70,24 @@ class GaussianHead(nn.Module):
         """Return the log-probability (B,) of drawn actions."""
         # log p = sum(-1/2 ((u - mean) / std)^2 - log std - 1/2 log 2 pi)
         noise = (drawn - mean) / self.log_std.exp()
-        return (-0.5 * noise.square() - self.log_std - HALF_LOG_2_PI).sum(-1)
+        return (-0.5 * noise.square() - self.log_std - _HALF_LOG_2_PI).sum(-1)
 
     def entropy(self, mean: Tensor) -> Tensor:
         """Return the entropy (B,)."""
         # H = sum(1/2 + 1/2 log 2 pi + log std)
-        return (0.5 + HALF_LOG_2_PI + self.log_std).sum().expand(len(mean))
+        return (0.5 + _HALF_LOG_2_PI + self.log_std).sum().expand(len(mean))
 
     def action(self, drawn: Tensor) -> Tensor:
         """Return the action of the environment (B, act) in [-1, 1]."""
         return torch.tanh(drawn).double()
 
 
-def exploration(head: Head, actions: int, spread: float) -> CategoricalHead | GaussianHead:
+def _exploration(head: Head, actions: int, spread: float) -> CategoricalHead | GaussianHead:
     """Return the distribution for a policy's head."""
     return CategoricalHead() if head == "discrete" else GaussianHead(actions, spread)
 
 
-SMALL = 0.01  # initial scale of the last layer: nearly equal actions (Andrychowicz et al. 2021)
+_SMALL = 0.01  # initial scale of the last layer: nearly equal actions (Andrychowicz et al. 2021)
 
 
 class PpoLearner:
@@ -102,7 +102,7 @@ class PpoLearner:
         self._config = config
         self.policy = policy
         _shrink(policy)
-        self.head = exploration(policy.head, policy.actions, config.spread)
+        self.head = _exploration(policy.head, policy.actions, config.spread)
         self.critic = Critic(policy.observations, config.critic_hidden)
         self.actor = nn.ModuleList([policy, self.head])
         self._actor_adam = adam.adam(self.actor, config.actor_rate.start)
@@ -222,7 +222,7 @@ class PpoLearner:
 def _shrink(policy: Policy) -> None:
     """Scale down the policy's last layer."""
     last = [module for module in policy.modules() if isinstance(module, nn.Linear)][-1]
-    last.weight.mul_(SMALL)
+    last.weight.mul_(_SMALL)
     last.bias.zero_()
 
 

@@ -21,8 +21,8 @@ from spikedeploy.trainers.runner import EnvRunner
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.replay import ReplayBatch, ReplayBuffer
 
-AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
-LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
+_AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
+_LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
 
 
 class GaussianActor(nn.Module):
@@ -41,7 +41,7 @@ class GaussianActor(nn.Module):
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor, Latent]:
         """Return a sampled action (B, act), its log-probability (B,) and the policy's output."""
         latent: Latent = self.policy.latent(observation)
-        log_std = full_precision(self.log_std, latent.hidden).clamp(*LOG_STD)
+        log_std = full_precision(self.log_std, latent.hidden).clamp(*_LOG_STD)
         noise = torch.randn_like(latent.mean)
         action = torch.tanh(latent.mean + log_std.exp() * noise)
         # log p = sum(log N(noise) - log std - log(1 - a^2 + eps))
@@ -74,7 +74,7 @@ class SacLearner:
     def average(self, updates: int) -> None:
         """Update the averaged policy (Polyak and Juditsky 1992)."""
         # spans the last tenth of the updates at first, later the last 1 / averaging of them
-        share = max(self._config.averaging, AVERAGED / (updates + AVERAGED - 1))
+        share = max(self._config.averaging, _AVERAGED / (updates + _AVERAGED - 1))
         move_towards(self.policy, self.actor.policy, share)
 
     def update(self, batch: ReplayBatch, temperature: float) -> dict[str, Tensor]:

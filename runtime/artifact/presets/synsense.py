@@ -17,7 +17,7 @@ from spikedeploy.runtime.artifact.presets.preset import (
 from spikedeploy.runtime.convention import Convention, Floor
 from spikedeploy.runtime.errors import ConventionError
 
-ROCKPOOL_TOOL = "Rockpool 3.1.0"
+_ROCKPOOL_TOOL = "Rockpool 3.1.0"
 
 
 def _timestep(node: nir.CubaLIF) -> float:
@@ -29,18 +29,18 @@ def _convention_rockpool(nodes: Nodes, _: float | None) -> Convention:
     layers = {n: node for n, node in sorted(nodes.items()) if isinstance(node, nir.CubaLIF)}
     if not layers:
         raise ConventionError(
-            f"{ROCKPOOL_TOOL} takes its timestep from r of CubaLIF nodes, and there are none. "
+            f"{_ROCKPOOL_TOOL} takes its timestep from r of CubaLIF nodes, and there are none. "
             "Read the file without the preset."
         )
     for name, node in layers.items():
         require(
             _timestep(node) > 0,
             name,
-            ROCKPOOL_TOOL,
+            _ROCKPOOL_TOOL,
             "takes dt = tau_mem/(1 + r), which is not above 0",
         )
     dt = min(_timestep(node) for node in layers.values())
-    source = f"as {ROCKPOOL_TOOL} reads it: dt = tau_mem/(1 + r) of each layer"
+    source = f"as {_ROCKPOOL_TOOL} reads it: dt = tau_mem/(1 + r) of each layer"
     return Convention(dt, "subtract", "exponential", source=source, spikes="many")
 
 
@@ -63,7 +63,7 @@ def _neuron(node: nir.CubaLIF, convention: Convention) -> nir.NIRNode:
 
 
 ROCKPOOL = Preset(
-    tool=ROCKPOOL_TOOL,
+    tool=_ROCKPOOL_TOOL,
     kinds=(nir.Affine, nir.Linear, nir.CubaLIF),
     convention=_convention_rockpool,
     options=(),
@@ -72,7 +72,7 @@ ROCKPOOL = Preset(
 )
 
 
-SINABS_TOOL = "sinabs 3.1.3"
+_SINABS_TOOL = "sinabs 3.1.3"
 
 
 def _convention_sinabs(nodes: Nodes, _: float | None) -> Convention:
@@ -82,10 +82,10 @@ def _convention_sinabs(nodes: Nodes, _: float | None) -> Convention:
     require(
         len(kinds) < 2,
         first,
-        SINABS_TOOL,
+        _SINABS_TOOL,
         "floors the membranes of IF and not those of LIF, and the graph has both",
     )
-    source = f"as {SINABS_TOOL} reads it: tau in timesteps"
+    source = f"as {_SINABS_TOOL} reads it: tau in timesteps"
     floor: Floor = "threshold" if nir.IF in kinds else "none"
     return Convention(1.0, "subtract", "exponential", source=source, spikes="many", floor=floor)
 
@@ -95,9 +95,9 @@ def _translate_sinabs(nodes: Nodes, edges: Edges, convention: Convention) -> Non
         if isinstance(node, nir.SumPool2d):
             nodes[name] = with_parameters(node, padding=np.zeros(2, int))
         if isinstance(node, (nir.LIF, nir.LI)):
-            require(node.v_leak == 0, name, SINABS_TOOL, "needs v_leak = 0")
+            require(node.v_leak == 0, name, _SINABS_TOOL, "needs v_leak = 0")
         if isinstance(node, nir.LI):
-            require(node.r == 1, name, SINABS_TOOL, "needs r = 1")
+            require(node.r == 1, name, _SINABS_TOOL, "needs r = 1")
         if isinstance(node, (nir.IF, nir.LIF, nir.LI)):
             # norm_input is False: the input has gain 1, and r is ignored
             unit = with_gain(node, convention)
@@ -105,7 +105,7 @@ def _translate_sinabs(nodes: Nodes, edges: Edges, convention: Convention) -> Non
 
 
 SINABS = Preset(
-    tool=SINABS_TOOL,
+    tool=_SINABS_TOOL,
     kinds=(
         nir.Affine,
         nir.Conv1d,

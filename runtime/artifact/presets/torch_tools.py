@@ -20,7 +20,7 @@ from spikedeploy.runtime.artifact.presets.preset import (
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.neurons import SPIKING
 
-NORSE_TOOL = "Norse 1.1.0"
+_NORSE_TOOL = "Norse 1.1.0"
 
 
 def _translate_norse(nodes: Nodes, edges: Edges, convention: Convention) -> None:
@@ -33,19 +33,19 @@ def _translate_norse(nodes: Nodes, edges: Edges, convention: Convention) -> None
             require(
                 convention.reset == "zero",
                 name,
-                NORSE_TOOL,
+                _NORSE_TOOL,
                 "subtracts after spikes of CubaLIF only",
             )
             # it ignores r, with a warning; an IF adds its input whatever dt is
             r = np.full(node.r.shape, 1 / convention.dt if isinstance(node, nir.IF) else 1.0)
             nodes[name] = with_zero_reset(with_parameters(node, r=r))
         if isinstance(node, nir.CubaLIF):
-            require(node.v_leak == 0, name, NORSE_TOOL, "would add v_leak to the synapse as well")
+            require(node.v_leak == 0, name, _NORSE_TOOL, "would add v_leak to the synapse as well")
             nodes[name] = with_zero_reset(node)
 
 
 NORSE = Preset(
-    tool=NORSE_TOOL,
+    tool=_NORSE_TOOL,
     kinds=(
         nir.Affine,
         nir.Linear,
@@ -56,14 +56,14 @@ NORSE = Preset(
         nir.LIF,
         nir.CubaLIF,
     ),
-    convention=default_convention(NORSE_TOOL, 1e-3),
+    convention=default_convention(_NORSE_TOOL, 1e-3),
     options=("dt", "reset"),
     translate=_translate_norse,
     source="norse 1.1.0, torch/utils/import_nir.py and torch/functional/lif_box.py",
 )
 
 
-SNNTORCH_TOOL = "snnTorch 1.0.0"
+_SNNTORCH_TOOL = "snnTorch 1.0.0"
 
 
 def _translate_snntorch(nodes: Nodes, edges: Edges, convention: Convention) -> None:
@@ -74,7 +74,7 @@ def _translate_snntorch(nodes: Nodes, edges: Edges, convention: Convention) -> N
             require(
                 False,
                 name,
-                SNNTORCH_TOOL,
+                _SNNTORCH_TOOL,
                 "reads IF as a leaky neuron of decay factor 0.9 (its issue 416)",
             )
         if isinstance(node, (nir.LIF, nir.CubaLIF)):
@@ -83,30 +83,33 @@ def _translate_snntorch(nodes: Nodes, edges: Edges, convention: Convention) -> N
 
 def _neuron(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
     """The neuron with a gain of 1; another gain of the file divides the threshold instead."""
-    require(node.v_leak == 0, name, SNNTORCH_TOOL, "needs v_leak = 0")
+    require(node.v_leak == 0, name, _SNNTORCH_TOOL, "needs v_leak = 0")
     if isinstance(node, nir.CubaLIF):
         close = is_close(node.r, float64(node.tau_mem) / convention.dt)
         require(
-            close, name, SNNTORCH_TOOL, f"needs r = tau_mem/dt, dt being {convention.dt:g} s always"
+            close,
+            name,
+            _SNNTORCH_TOOL,
+            f"needs r = tau_mem/dt, dt being {convention.dt:g} s always",
         )
         scale = float64(node.w_in) * convention.dt / float64(node.tau_syn)
     else:
         scale = float64(node.r) * convention.dt / float64(node.tau)
     threshold = float64(node.v_threshold)
     if not is_close(scale, 1.0).all():
-        require(scale > 0, name, SNNTORCH_TOOL, "needs gains above 0")
+        require(scale > 0, name, _SNNTORCH_TOOL, "needs gains above 0")
         threshold = threshold / scale
     require(
         is_uniform(np.round(threshold, 12)),
         name,
-        SNNTORCH_TOOL,
+        _SNNTORCH_TOOL,
         "needs one threshold for all neurons",
     )
     return with_zero_reset(with_parameters(with_gain(node, convention), v_threshold=threshold))
 
 
 SNNTORCH = Preset(
-    tool=SNNTORCH_TOOL,
+    tool=_SNNTORCH_TOOL,
     kinds=(
         nir.Affine,
         nir.Linear,
@@ -117,26 +120,26 @@ SNNTORCH = Preset(
         nir.LIF,
         nir.CubaLIF,
     ),
-    convention=default_convention(SNNTORCH_TOOL, 1e-4),
+    convention=default_convention(_SNNTORCH_TOOL, 1e-4),
     options=(),
     translate=_translate_snntorch,
     source="snntorch 1.0.0, import_nir.py: dt, reset_mechanism and reset_delay are constants there",
 )
 
 
-SPIKINGJELLY_TOOL = "SpikingJelly 2.0.0"
+_SPIKINGJELLY_TOOL = "SpikingJelly 2.0.0"
 
 
 def _translate_spikingjelly(nodes: Nodes, edges: Edges, convention: Convention) -> None:
     for name, node in nodes.items():
         if isinstance(node, (nir.Conv1d, nir.Conv2d)):
-            require(node.groups == 1, name, SPIKINGJELLY_TOOL, "reads no grouped convolution")
+            require(node.groups == 1, name, _SPIKINGJELLY_TOOL, "reads no grouped convolution")
         if isinstance(node, SPIKING):
             for field in set(vars(node)) - {"input_type", "output_type", "metadata"}:
                 require(
                     is_uniform(getattr(node, field)),
                     name,
-                    SPIKINGJELLY_TOOL,
+                    _SPIKINGJELLY_TOOL,
                     f"needs one {field} for all neurons",
                 )
             _check(name, node, convention.dt)
@@ -146,31 +149,31 @@ def _check(name: str, node: nir.NIRNode, dt: float) -> None:
     """It refuses every node that it would compute differently, so nothing is translated."""
     if isinstance(node, nir.IF):
         require(
-            is_close(node.r, 1 / dt, 1e-6), name, SPIKINGJELLY_TOOL, f"needs r = 1/dt = {1 / dt:g}"
+            is_close(node.r, 1 / dt, 1e-6), name, _SPIKINGJELLY_TOOL, f"needs r = 1/dt = {1 / dt:g}"
         )
     if isinstance(node, nir.LIF):
         unit = is_close(node.r, float64(node.tau) / dt, 1e-6) | is_close(node.r, 1.0, 1e-6)
-        require(unit, name, SPIKINGJELLY_TOOL, "needs r = 1 or tau/dt")
+        require(unit, name, _SPIKINGJELLY_TOOL, "needs r = 1 or tau/dt")
         require(
             is_close(node.v_leak, float64(node.v_reset), 1e-6),
             name,
-            SPIKINGJELLY_TOOL,
+            _SPIKINGJELLY_TOOL,
             "needs v_leak = v_reset",
         )
     if isinstance(node, nir.CubaLIF):
         require(
             is_close(node.r, float64(node.tau_mem) / dt, 1e-6),
             name,
-            SPIKINGJELLY_TOOL,
+            _SPIKINGJELLY_TOOL,
             "needs r = tau_mem/dt",
         )
         unit = is_close(node.w_in, float64(node.tau_syn) / dt, 1e-6)
-        require(unit, name, SPIKINGJELLY_TOOL, "needs w_in = tau_syn/dt")
-        require(is_close(node.v_leak, 0.0, 1e-6), name, SPIKINGJELLY_TOOL, "needs v_leak = 0")
+        require(unit, name, _SPIKINGJELLY_TOOL, "needs w_in = tau_syn/dt")
+        require(is_close(node.v_leak, 0.0, 1e-6), name, _SPIKINGJELLY_TOOL, "needs v_leak = 0")
 
 
 SPIKINGJELLY = Preset(
-    tool=SPIKINGJELLY_TOOL,
+    tool=_SPIKINGJELLY_TOOL,
     kinds=(
         nir.Affine,
         nir.Linear,
@@ -182,7 +185,7 @@ SPIKINGJELLY = Preset(
         nir.LIF,
         nir.CubaLIF,
     ),
-    convention=default_convention(SPIKINGJELLY_TOOL, 1e-4, spikes="reached"),
+    convention=default_convention(_SPIKINGJELLY_TOOL, 1e-4, spikes="reached"),
     options=("dt",),
     translate=_translate_spikingjelly,
     source="spikingjelly 2.0.0, activation_based/nir_exchange/from_nir.py and surrogate.heaviside",

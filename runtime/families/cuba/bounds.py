@@ -21,13 +21,13 @@ from spikedeploy.runtime.families.cuba.quantise import quantise
 Floats = NDArray[np.float64]
 
 # largest magnitude for which float64 decays exactly: 2**53 less 12 decay bits, with one to spare
-EXACT = 1 << 40
+_EXACT = 1 << 40
 
 # every whole number up to this is held by float32
-SINGLE = 1 << 24
+_SINGLE = 1 << 24
 
 # from here on a window is as good as endless
-LONG = 100
+_LONG = 100
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Bounds:
 def room(register: Register) -> int:
     """Largest magnitude that a register holds, and that float64 decays exactly."""
     unbounded = register.overflow == "none" and register.between is None
-    return EXACT if unbounded else register.limit
+    return _EXACT if unbounded else register.limit
 
 
 def bounds(
@@ -93,12 +93,12 @@ def harmless(layer: Layer, registers: CubaRegisters, timesteps: int, most: int) 
 def single(layer: Layer, registers: CubaRegisters) -> int:
     """Largest state that float32 decays exactly, and holds even if another is added to it."""
     thresholds = layer.threshold.astype(np.int64)
-    if _largest(thresholds) >= SINGLE or _largest(layer.voltage_bias) >= SINGLE:
+    if _largest(thresholds) >= _SINGLE or _largest(layer.voltage_bias) >= _SINGLE:
         return 0
     factors = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
     # the odd part of a decay is what makes a product longer
     odd = factors // np.maximum(factors & -factors, 1)
-    return SINGLE // max(int(odd.max(initial=0)), 2)
+    return _SINGLE // max(int(odd.max(initial=0)), 2)
 
 
 def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
@@ -111,12 +111,12 @@ def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
     shift = min(_trailing(int(value)) for value in added)
     factors = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
     bits = max(max(registers.decay_bits - _trailing(int(factor)), 0) for factor in factors)
-    return shift // bits if bits else LONG
+    return shift // bits if bits else _LONG
 
 
 def _trailing(value: int) -> int:
     """Zeros at the end of a binary number; of 0 there is no end."""
-    return (value & -value).bit_length() - 1 if value else LONG
+    return (value & -value).bit_length() - 1 if value else _LONG
 
 
 def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
@@ -143,7 +143,7 @@ def _leaky(
     current_factor = layer.current_decay / float(registers.decay_one)
     membrane_factor = layer.membrane_decay / float(registers.decay_one)
     push = bias.clip(min=0).astype(np.float64)
-    if timesteps is None or timesteps > LONG:
+    if timesteps is None or timesteps > _LONG:
         current = _endless(drive, current_factor)
         return current, _endless(current + push, membrane_factor)
     current = membrane = np.zeros(layer.size)
@@ -160,8 +160,8 @@ def _endless(drive: Floats, factor: Floats) -> Floats:
 
 
 # rounding may lift a bound a little over its register again; each round takes away the excess
-ROUNDS = 50
-SLACK = 1e-3
+_ROUNDS = 50
+_SLACK = 1e-3
 
 
 def with_headroom(
@@ -174,7 +174,7 @@ def with_headroom(
     return [_proven(network, a, registers, quantisation, timesteps) for a in network.layers]
 
 
-def overflow_ratio(
+def _overflow_ratio(
     network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
 ) -> float:
     """How many times the largest that fits its register a number of the layer can become."""
@@ -198,15 +198,15 @@ def _proven(
 ) -> Layer:
     each = quantisation.granularity == "channel"
     share = np.ones(layer.size if each else 1)
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))
         parts = [_alone(quantised, n) for n in range(layer.size)] if each else [quantised]
-        over = np.array([overflow_ratio(network, part, registers, timesteps) for part in parts])
+        over = np.array([_overflow_ratio(network, part, registers, timesteps) for part in parts])
         if (over <= 1).all():
             return quantised
         if not np.isfinite(over).all():
             break
-        share = np.where(over > 1, share / over * (1 - SLACK), share)
+        share = np.where(over > 1, share / over * (1 - _SLACK), share)
     raise RuleError(
         f"rule headroom: layer {layer.name!r}: no scale keeps its membranes from overflowing for "
         "ever, since they do not leak. Choose headroom 'none', or calibrate it on recorded inputs."

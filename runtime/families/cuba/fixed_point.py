@@ -17,7 +17,7 @@ from spikedeploy.runtime.families.cuba.neurons import CubaRegisters, arriving, u
 from spikedeploy.runtime.families.cuba.quantise import quantise
 
 # from rounded weights to the chip, each with those before it
-ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
+_ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         "tuned",
     )
     spikes_and_floor: ClassVar[tuple[str, str] | None] = ("above", "none")
-    ablation_steps: ClassVar[tuple[str, ...]] = ROUNDING_STEPS
+    ablation_steps: ClassVar[tuple[str, ...]] = _ROUNDING_STEPS
 
     @property
     def state_bits(self) -> tuple[int, ...]:
@@ -106,7 +106,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         # v = b v + (u + bias)      each as its register holds it
         push = self.push.fit(current + layer.voltage_bias)
         factor = layer.membrane_decay.astype(np.int64)
-        return self.membrane.fit(decay(one_step_later(membrane), factor, self.decay_bits) + push)
+        return self.membrane.fit(decay(_one_step_later(membrane), factor, self.decay_bits) + push)
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
@@ -114,6 +114,6 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         return Description("CuBa-LIF", f"{self.weight_bits} bits {signs}", self.membrane.describe())
 
 
-def one_step_later(states: NDArray[Any]) -> NDArray[Any]:
+def _one_step_later(states: NDArray[Any]) -> NDArray[Any]:
     """States (B, T, N) of the timestep before, from zero."""
     return np.concatenate([np.zeros_like(states[:, :1]), states[:, :-1]], axis=1)

@@ -24,7 +24,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.neurons import arriving, float_update
 
-LARGEST = float(np.finfo(np.float32).max)
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -160,11 +160,11 @@ def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
     """(N,) the layer's numbers of that name, scaled, in float32."""
     values = np.asarray(getattr(layer, name), np.float64)
     largest = float(np.abs(values).max(initial=0.0))
-    if largest * scale > LARGEST:
+    if largest * scale > _LARGEST:
         rule = "threshold-range" if name == "threshold" else "bias"
         raise RuleError(
             f"rule {rule}: layer {layer.name!r}: {name} {largest:g} is {largest * scale:g} beside "
-            f"weights that are whole; float32 holds {LARGEST:.3g}. Rescale the layer."
+            f"weights that are whole; float32 holds {_LARGEST:.3g}. Rescale the layer."
         )
     return (values * scale).astype(np.float32)
 
@@ -187,24 +187,24 @@ IDEAL = Chip(
 )
 
 
-S2_NIR = "py-spinnaker2, s2_nir (source read)"
-PY = "py-spinnaker2's reading of NIR (source read)"
-SURVEY = "secondary: surveys of the chip"
+_S2_NIR = "py-spinnaker2, s2_nir (source read)"
+_PY = "py-spinnaker2's reading of NIR (source read)"
+_SURVEY = "secondary: surveys of the chip"
 
-LIMITS = Limits(
+_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, "Conv2d", "Flatten", "SumPool2d", "Scale", "IF", "LIF", "CubaLIF"),
     cores=152,
     memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=8),
     recurrence=True,
     alone=False,
     sources={
-        "primitives": f"{PY}: models lif, lif_curr_exp and lif_conv2d; IF is a lif "
+        "primitives": f"{_PY}: models lif, lif_curr_exp and lif_conv2d; IF is a lif "
         "without a leak (derived)",
-        "cores": SURVEY,
-        "memory": f"{SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
+        "cores": _SURVEY,
+        "memory": f"{_SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
         "cores is the least that it can be (derived)",
-        "recurrence": f"{PY}: a population can hear itself",
-        "alone": f"{SURVEY}: chips are joined on boards",
+        "recurrence": f"{_PY}: a population can hear itself",
+        "alone": f"{_SURVEY}: chips are joined on boards",
     },
 )
 
@@ -216,12 +216,12 @@ SPINNAKER2 = Chip(
     delay=1,
     delay_max=1,
     energy_tables=("spinnaker2",),  # two secondary sources that disagree: an interval
-    limits=LIMITS,
+    limits=_LIMITS,
     sources={
-        "weight_bits": f"{S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
-        "resets": f"{S2_NIR}: subtraction is its default",
-        "delay": f"{S2_NIR}: conn_delay, 1 unless given; models without delay exist",
-        "delay_max": f"{S2_NIR}: longer ones were not found there",
+        "weight_bits": f"{_S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
+        "resets": f"{_S2_NIR}: subtraction is its default",
+        "delay": f"{_S2_NIR}: conn_delay, 1 unless given; models without delay exist",
+        "delay_max": f"{_S2_NIR}: longer ones were not found there",
     },
     evidence="approximate: the firmware's order of operations is not published; compared with "
     "nothing",

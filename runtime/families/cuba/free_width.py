@@ -17,10 +17,10 @@ from spikedeploy.runtime.errors import ChipError
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 
 # float64, which the kernels compute in, holds every product of such a state and such a decay
-WIDEST_STATE = 36
-WIDEST_DECAY = 16
+_WIDEST_STATE = 36
+_WIDEST_DECAY = 16
 # what a synapse is stored in
-WIDEST_WEIGHT = 16
+_WIDEST_WEIGHT = 16
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class CubaFreeWidth(CubaFixedPoint):
 
     def __post_init__(self) -> None:
         mixed = self.sign_mode == "mixed"
-        widths = range(2, WIDEST_WEIGHT + 1) if mixed else range(1, WIDEST_WEIGHT)
+        widths = range(2, _WIDEST_WEIGHT + 1) if mixed else range(1, _WIDEST_WEIGHT)
         largest = (self.membrane.limit - 1) >> self.mantissa_shift
         # a frozen dataclass is written on in no other way
         object.__setattr__(self, "weight_bits_allowed", tuple(widths))
@@ -65,14 +65,16 @@ class CubaFreeWidth(CubaFixedPoint):
         return Description("CuBa-LIF, free widths", f"{weights}, free", f"{membrane}, free")
 
     def _check_widths(self) -> None:
-        if not 1 <= self.decay_bits <= WIDEST_DECAY:
-            raise ChipError(f"decay_bits is {self.decay_bits}; choose 1 to {WIDEST_DECAY}.")
-        if not 0 <= self.mantissa_shift <= WIDEST_DECAY:
-            raise ChipError(f"mantissa_shift is {self.mantissa_shift}; choose 0 to {WIDEST_DECAY}.")
+        if not 1 <= self.decay_bits <= _WIDEST_DECAY:
+            raise ChipError(f"decay_bits is {self.decay_bits}; choose 1 to {_WIDEST_DECAY}.")
+        if not 0 <= self.mantissa_shift <= _WIDEST_DECAY:
+            raise ChipError(
+                f"mantissa_shift is {self.mantissa_shift}; choose 0 to {_WIDEST_DECAY}."
+            )
         for name in ("accumulator", "current", "push", "membrane"):
             register = getattr(self, name)
-            if register.bits > WIDEST_STATE:
-                raise ChipError(f"{name} has {register.bits} bits; choose at most {WIDEST_STATE}.")
+            if register.bits > _WIDEST_STATE:
+                raise ChipError(f"{name} has {register.bits} bits; choose at most {_WIDEST_STATE}.")
             if register.overflow == "none" and name in ("current", "membrane"):
                 raise ChipError(f"{name} must end somewhere. Choose what an overflow does.")
         if self.threshold_max < 1:
@@ -83,9 +85,9 @@ class CubaFreeWidth(CubaFixedPoint):
             )
 
 
-DEFINED = "by definition"
-FREE = f"{DEFINED}; free"
-FOLLOWS = f"{DEFINED}; follows from the others"
+_DEFINED = "by definition"
+_FREE = f"{_DEFINED}; free"
+_FOLLOWS = f"{_DEFINED}; follows from the others"
 
 INT = Chip(
     name="int",
@@ -113,28 +115,28 @@ INT = Chip(
     delay_max=63,
     energy_tables=(),
     sources={
-        "weight_bits": f"{FREE}, 1 to 16",
-        "weight_bits_allowed": DEFINED,
-        "sign_mode": FREE,
-        "step_rounding": f"{DEFINED}: weights have a step of 1, so nothing is rounded",
-        "exponents": f"{DEFINED}: there are none",
-        "mantissa_shift": f"{FREE}, 0 to 16: fraction bits of the states",
-        "threshold_max": FOLLOWS,
-        "threshold_bits": FREE,
-        "bias_mantissa_max": FREE,
-        "bias_exponent_max": FREE,
-        "decay_bits": f"{FREE}, 1 to 16",
-        "decay_max": FOLLOWS,
-        "current_decay_offset": FREE,
-        "membrane_decay_offset": FREE,
-        "accumulator": f"{FREE}, 2 to 36 bits",
-        "current": f"{FREE}, 2 to 36 bits",
-        "push": f"{FREE}; {DEFINED} it is no register: the membrane takes it in at once",
-        "membrane": f"{FREE}, 2 to 36 bits",
-        "refractory": FREE,
-        "resets": f"{DEFINED}: both that a convention can name",
-        "delay": f"{FREE}; 0 leaves it to the convention",
-        "delay_max": FREE,
+        "weight_bits": f"{_FREE}, 1 to 16",
+        "weight_bits_allowed": _DEFINED,
+        "sign_mode": _FREE,
+        "step_rounding": f"{_DEFINED}: weights have a step of 1, so nothing is rounded",
+        "exponents": f"{_DEFINED}: there are none",
+        "mantissa_shift": f"{_FREE}, 0 to 16: fraction bits of the states",
+        "threshold_max": _FOLLOWS,
+        "threshold_bits": _FREE,
+        "bias_mantissa_max": _FREE,
+        "bias_exponent_max": _FREE,
+        "decay_bits": f"{_FREE}, 1 to 16",
+        "decay_max": _FOLLOWS,
+        "current_decay_offset": _FREE,
+        "membrane_decay_offset": _FREE,
+        "accumulator": f"{_FREE}, 2 to 36 bits",
+        "current": f"{_FREE}, 2 to 36 bits",
+        "push": f"{_FREE}; {_DEFINED} it is no register: the membrane takes it in at once",
+        "membrane": f"{_FREE}, 2 to 36 bits",
+        "refractory": _FREE,
+        "resets": f"{_DEFINED}: both that a convention can name",
+        "delay": f"{_FREE}; 0 leaves it to the convention",
+        "delay_max": _FREE,
     },
     evidence="nothing to compare with: a definition",
 )

@@ -20,7 +20,7 @@ from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 LAVA = "lava-nc 0.10.0, bit-accurate LIF and Dense models (source read, traces equal)"
 NENGO = "nengo-loihi 1.1.0, emulator and discretisation (source read)"
 BRIAN2 = "brian2-loihi 0.5.2, neurons and synapses (source read, traces equal)"
-DAVIES = "Davies et al. 2018, IEEE Micro 38(1)"
+_DAVIES = "Davies et al. 2018, IEEE Micro 38(1)"
 
 _LAVA = CubaFixedPoint(
     weight_bits=8,
@@ -43,10 +43,10 @@ _LAVA = CubaFixedPoint(
     refractory=1,
 )
 
-DOSSIER = "Davies et al. 2018, pp. 86-92 (secondary: a public transcription)"
-BLOCK = "nengo-loihi 1.1.0, its block of a core (source read)"
+_DOSSIER = "Davies et al. 2018, pp. 86-92 (secondary: a public transcription)"
+_BLOCK = "nengo-loihi 1.1.0, its block of a core (source read)"
 
-LIMITS = Limits(
+_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, *SPACE, "Scale", "Delay", "IF", "LIF", "CubaLIF"),
     cores=128,
     neurons_per_core=1024,
@@ -65,14 +65,14 @@ LIMITS = Limits(
     sources={
         "primitives": "IF, LIF and CuBa-LIF are one equation with other decays; maps without a "
         "state are synapses, delays theirs (derived)",
-        "cores": DOSSIER,
-        "neurons_per_core": f"{DOSSIER}; {BLOCK}",
-        "memory": f"{DOSSIER}: 16384 words of 64 bits; what a synapse takes: {BLOCK}",
-        "axons_in": f"{DOSSIER}; {BLOCK}",
-        "axons_out": f"{DOSSIER}; {BLOCK}",
+        "cores": _DOSSIER,
+        "neurons_per_core": f"{_DOSSIER}; {_BLOCK}",
+        "memory": f"{_DOSSIER}: 16384 words of 64 bits; what a synapse takes: {_BLOCK}",
+        "axons_in": f"{_DOSSIER}; {_BLOCK}",
+        "axons_out": f"{_DOSSIER}; {_BLOCK}",
         "decays": "nengo-loihi 1.1.0: 32 compartment configurations, with its own 'TODO: check'",
         "thresholds": "nengo-loihi 1.1.0: 16 threshold configurations, with its own 'TODO: check'",
-        "weight_max": f"{DAVIES}, p. 87: 8 bits and the sign of the list",
+        "weight_max": f"{_DAVIES}, p. 87: 8 bits and the sign of the list",
         "threshold_max": f"{LAVA}: 17 bits unsigned; all emulators agree",
         "current_loss": f"{LAVA} and {NENGO}: a register of 0 to 4095, and 1 that is added",
         "membrane_loss": f"{LAVA} and {NENGO}: a register of 0 to 4095",
@@ -91,9 +91,9 @@ LOIHI1 = Chip(
     delay_max=62,
     energy_tables=("davies2018", "sanafe"),
     sources={
-        "weight_bits": f"{DAVIES}, p. 87: 1 to 9 bits with the sign",
+        "weight_bits": f"{_DAVIES}, p. 87: 1 to 9 bits with the sign",
         "weight_bits_allowed": f"{NENGO}: 7 is not encodable",
-        "sign_mode": f"{DAVIES}, p. 87; split as PopSAN was mapped (Tang et al. 2020)",
+        "sign_mode": f"{_DAVIES}, p. 87; split as PopSAN was mapped (Tang et al. 2020)",
         "step_rounding": f"{LAVA}; brian2_loihi 0.5.2 rounds toward zero",
         "exponents": f"{LAVA}: its Dense shifts the sum; brian2_loihi each weight",
         "mantissa_shift": f"{LAVA}; all emulators agree",
@@ -111,9 +111,9 @@ LOIHI1 = Chip(
         "refractory": "none in lava's bit-accurate model; 1 to 64 on the chip (nengo-loihi)",
         "resets": "all emulators agree: to zero, the current stays",
         "delay": f"{LAVA}: a spike arrives one timestep after it was emitted",
-        "delay_max": f"{DAVIES}, p. 92: 6 bits",
+        "delay_max": f"{_DAVIES}, p. 92: 6 bits",
     },
-    limits=LIMITS,
+    limits=_LIMITS,
     evidence=f"equal to traces of {LAVA.partition(',')[0]}, `spikedeploy verify`",
 )
 
@@ -134,7 +134,7 @@ LOIHI1_BRIAN2 = replace(
         membrane=Register(24, "none"),
     ),
     delay=0,
-    limits=replace(LIMITS, current_loss=(0.0, 1.0), membrane_loss=(0.0, 1.0)),
+    limits=replace(_LIMITS, current_loss=(0.0, 1.0), membrane_loss=(0.0, 1.0)),
     sources={
         **LOIHI1.sources,
         "step_rounding": f"{BRIAN2}: odd mixed weights go toward zero",
@@ -182,29 +182,29 @@ LOIHI1_NENGO = replace(
 )
 
 
-BOARD = (
+_BOARD = (
     "one LIF neuron on a board, NIR paper 01_lif: the rule gives its spikes in 1000 timesteps and "
     "all membranes but those at 4 spikes, where the probe reads 128"
 )
-GUESS = "taken from Loihi 1; no public source for Loihi 2"
+_GUESS = "taken from Loihi 1; no public source for Loihi 2"
 
-AGGREGATORS = "secondary: sites that collect datasheets; not verified in Intel's own"
+_AGGREGATORS = "secondary: sites that collect datasheets; not verified in Intel's own"
 
-LIMITS2 = replace(
-    LIMITS,
+_LIMITS2 = replace(
+    _LIMITS,
     cores=120,
     neurons_per_core=8192,
     memory=SynapticMemory(size=192 * 1024 * 8, cost="words", weight_bits=8),
     decays=None,
     thresholds=None,
     sources={
-        **{field: f"{source}; {GUESS}" for field, source in LIMITS.sources.items()},
-        "cores": f"120 or 128, sources differ ({AGGREGATORS})",
-        "neurons_per_core": f"at most, with the smallest neurons ({AGGREGATORS})",
-        "memory": f"about 192 KB a core, neurons included ({AGGREGATORS}); the words of Loihi 1",
+        **{field: f"{source}; {_GUESS}" for field, source in _LIMITS.sources.items()},
+        "cores": f"120 or 128, sources differ ({_AGGREGATORS})",
+        "neurons_per_core": f"at most, with the smallest neurons ({_AGGREGATORS})",
+        "memory": f"about 192 KB a core, neurons included ({_AGGREGATORS}); the words of Loihi 1",
         "axons_in": "a user's report in a public issue (secondary)",
         "axons_out": "a user's report in a public issue (secondary)",
-        "input_cores": f"as PopSAN's on Loihi 1; {GUESS}",
+        "input_cores": f"as PopSAN's on Loihi 1; {_GUESS}",
     },
 )
 
@@ -213,15 +213,15 @@ LOIHI2 = replace(
     name="loihi2",
     summary="Loihi 2 with its default neuron, which computes as Loihi 1's does",
     energy_tables=(),  # no public energy per operation
-    limits=LIMITS2,
+    limits=_LIMITS2,
     sources={
-        **{field: f"{LAVA}, as on Loihi 1; {GUESS}" for field in LOIHI1.sources},
-        "mantissa_shift": BOARD,
-        "decay_bits": BOARD,
-        "membrane_decay_offset": BOARD,
-        "resets": f"{BOARD}; microcode could do others",
-        "delay": BOARD,
-        "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {GUESS}",
+        **{field: f"{LAVA}, as on Loihi 1; {_GUESS}" for field in LOIHI1.sources},
+        "mantissa_shift": _BOARD,
+        "decay_bits": _BOARD,
+        "membrane_decay_offset": _BOARD,
+        "resets": f"{_BOARD}; microcode could do others",
+        "delay": _BOARD,
+        "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {_GUESS}",
     },
     evidence="spikes of one neuron on a board, 1000 timesteps, `spikedeploy verify`",
 )

@@ -16,24 +16,24 @@ from spikedeploy.runtime.families.cuba.quantise import stored
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
 
-WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
-EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")
-THRESHOLDS = ("vth", "vth_mant", "v_th", "threshold")
+_WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
+_EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")
+_THRESHOLDS = ("vth", "vth_mant", "v_th", "threshold")
 # in units of the states, not of the mantissas
-WEIGHTS_EFFECTIVE = ("weights_effective", "weight_effective", "w_effective", "w_eff")
-REFRACTORY = ("refractory", "refract_delay", "refractory_period")
-THRESHOLDS_EFFECTIVE = ("vth_effective", "vth_eff")
-EFFECTIVE = {*WEIGHTS_EFFECTIVE, *THRESHOLDS_EFFECTIVE}
+_WEIGHTS_EFFECTIVE = ("weights_effective", "weight_effective", "w_effective", "w_eff")
+_REFRACTORY = ("refractory", "refract_delay", "refractory_period")
+_THRESHOLDS_EFFECTIVE = ("vth_effective", "vth_eff")
+EFFECTIVE = {*_WEIGHTS_EFFECTIVE, *_THRESHOLDS_EFFECTIVE}
 
 # mantissas are shifted by so much to become states; thresholds always are
-SHIFT = 6
+_SHIFT = 6
 
 # states beyond this are no chip's
-STATE = 1 << 40
+_STATE = 1 << 40
 
 
 @dataclass(frozen=True, eq=False)
-class LoihiLayer:
+class _LoihiLayer:
     """A layer, and the chip with the options that the layer asks for."""
 
     layer: Layer
@@ -54,7 +54,7 @@ class _Weights:
     exponent: int
 
 
-def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer:
+def _loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> _LoihiLayer:
     """The layer at a place of a chain, as the fields describe it."""
     arithmetic = chip.arithmetic
     if not isinstance(arithmetic, CubaFixedPoint):
@@ -76,21 +76,21 @@ def loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> LoihiLayer
         scale=1.0,
         start=0,
     )
-    return LoihiLayer(layer, replace(chip, arithmetic=arithmetic))
+    return _LoihiLayer(layer, replace(chip, arithmetic=arithmetic))
 
 
 def _weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
-    exponent = spec.whole(*EXPONENTS, default=0, least=-8, most=7)
+    exponent = spec.whole(*_EXPONENTS, default=0, least=-8, most=7)
     lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
     if lists:
         tables = [_matrix(spec, name, fan_in) for name in lists]
         if tables[0].shape != tables[-1].shape:
             raise spec.wrong(lists[1], f"has shape {tables[1].shape}", f"Match {lists[0]}.")
         return _Weights(np.asarray(sum(tables)), False, exponent)
-    effective = spec.name(*WEIGHTS_EFFECTIVE)
-    if effective and spec.name(*WEIGHTS) is None:
-        return _Weights(_matrix(spec, effective, fan_in, 1 << SHIFT) >> SHIFT, False, 0)
-    name = spec.name(*WEIGHTS) or WEIGHTS[0]
+    effective = spec.name(*_WEIGHTS_EFFECTIVE)
+    if effective and spec.name(*_WEIGHTS) is None:
+        return _Weights(_matrix(spec, effective, fan_in, 1 << _SHIFT) >> _SHIFT, False, 0)
+    name = spec.name(*_WEIGHTS) or _WEIGHTS[0]
     mantissa = _matrix(spec, name, fan_in)
     mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False or _said_mixed(spec)
     # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
@@ -117,7 +117,7 @@ def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
 
 
 def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
-    refractory = spec.whole(*REFRACTORY, default=arithmetic.refractory, least=1, most=64)
+    refractory = spec.whole(*_REFRACTORY, default=arithmetic.refractory, least=1, most=64)
     return replace(
         arithmetic,
         sign_mode="mixed" if weights.mixed else "split",
@@ -130,17 +130,17 @@ def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -
 
 def _mantissa_shift(spec: Fields, arithmetic: CubaFixedPoint, exponent: int) -> int:
     """Where nothing is rounded, a negative exponent moves the weights by fewer bits."""
-    shift = SHIFT + min(exponent, 0) * (arithmetic.exponents == "exact")
+    shift = _SHIFT + min(exponent, 0) * (arithmetic.exponents == "exact")
     if shift < 0:
-        raise spec.wrong("weight_exp", f"is {exponent}", f"This reading goes down to {-SHIFT}.")
+        raise spec.wrong("weight_exp", f"is {exponent}", f"This reading goes down to {-_SHIFT}.")
     return shift
 
 
 def _membrane(spec: Fields, register: Register) -> Register:
     if spec.name("vmin", "vmax") is None:
         return register
-    least = spec.whole("vmin", default=-register.limit, least=-STATE, most=0)
-    most = spec.whole("vmax", default=register.limit, least=0, most=STATE)
+    least = spec.whole("vmin", default=-register.limit, least=-_STATE, most=0)
+    most = spec.whole("vmax", default=register.limit, least=0, most=_STATE)
     return replace(register, between=(least, most))
 
 
@@ -157,9 +157,9 @@ def _lists(weights: _Weights, arithmetic: CubaFixedPoint) -> list[tuple[NDArray[
 
 def _threshold(spec: Fields, arithmetic: CubaFixedPoint, size: int) -> Integers:
     """(N,) [state units]."""
-    if spec.name(*THRESHOLDS) is None and spec.name(*THRESHOLDS_EFFECTIVE):
-        return spec.row(*THRESHOLDS_EFFECTIVE, size=size, least=0, most=STATE)
-    return spec.row(*THRESHOLDS, size=size, least=0, most=arithmetic.threshold_max) << SHIFT
+    if spec.name(*_THRESHOLDS) is None and spec.name(*_THRESHOLDS_EFFECTIVE):
+        return spec.row(*_THRESHOLDS_EFFECTIVE, size=size, least=0, most=_STATE)
+    return spec.row(*_THRESHOLDS, size=size, least=0, most=arithmetic.threshold_max) << _SHIFT
 
 
 def _bias(spec: Fields, size: int) -> Integers:
@@ -169,7 +169,7 @@ def _bias(spec: Fields, size: int) -> Integers:
     made = np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
     if (name := spec.name("bias", "bias_effective")) is None:
         return made
-    bias = spec.row(name, size=size, least=-STATE, most=STATE)
+    bias = spec.row(name, size=size, least=-_STATE, most=_STATE)
     if spec.name("bias_mant") and spec.name("bias_exp") and (bias != made).any():
         raise spec.wrong(name, "is not bias_mant times 2^bias_exp", "Leave the wrong one out.")
     return bias
@@ -189,38 +189,38 @@ def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: in
     return arithmetic.decay_one - offset - found
 
 
-INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
+_INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
 # quantity -> what emulators call it
-RECORDED = {
+_RECORDED = {
     "current": ("u", "current", "I", "i"),
     "membrane": ("v", "voltage", "membrane", "v_mem"),
     "spikes": ("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"),
 }
 # and what boards' probes are called, with one of these before or after
-PROBES = ("hw", "chip", "board", "probe")
+_PROBES = ("hw", "chip", "board", "probe")
 # what the files say twice, or the reading says
-REPEATED = {
+_REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
     "weights_exc", "weights_inh", "weights_mixed", "weight_effective", "weights_effective",
     "effective_decay_u", "effective_decay_v", "vth_effective", "bias_effective", "du", "decay_u",
-    *EFFECTIVE, *INPUT,
+    *EFFECTIVE, *_INPUT,
 }  # fmt: skip
 
 
 def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields; one layer at the top, or a list of them under `layers`."""
     specs = _layers_of(fields)
-    rows = table_of(specs[0], INPUT, 0, 1, index="input_spikes_index")
+    rows = table_of(specs[0], _INPUT, 0, 1, index="input_spikes_index")
     parts, size = [], rows.shape[1]
     for place, spec in enumerate(specs):
-        parts.append(loihi_layer(spec, datasheet(chip), place, size))
+        parts.append(_loihi_layer(spec, datasheet(chip), place, size))
         size = parts[-1].layer.size
     _check_alike(fields, parts)
     recorded = {
         part.layer.name: _recorded(spec, (len(rows), part.layer.size))
         for part, spec in zip(parts, specs, strict=True)
     }
-    unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - REPEATED
+    unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - _REPEATED
     if not any(recorded.values()):
         raise nothing_to_compare(fields, unread, "u, v or s")
     return TraceFile(
@@ -246,17 +246,17 @@ def _layers_of(fields: Fields) -> list[Fields]:
 
 def _probed(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names, and those with the mark of a board's probe."""
-    marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in PROBES)
+    marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in _PROBES)
     return (*names, *(each for pair in marked for each in pair))
 
 
 def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
     """The tables (T, N) that are there, by quantity."""
     recorded = {}
-    for quantity, names in RECORDED.items():
+    for quantity, names in _RECORDED.items():
         if (name := spec.name(*_probed(names))) is None:
             continue
-        limits = (0, 1) if quantity == "spikes" else (-STATE, STATE)
+        limits = (0, 1) if quantity == "spikes" else (-_STATE, _STATE)
         recorded[quantity] = table = table_of(spec, (name,), *limits, index="trace_index")
         if table.shape != shape:
             remedy = f"The input and the weights ask for {shape}."
@@ -264,14 +264,14 @@ def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
     return recorded
 
 
-def _check_alike(fields: Fields, parts: list[LoihiLayer]) -> None:
+def _check_alike(fields: Fields, parts: list[_LoihiLayer]) -> None:
     """What belongs to the chip and not to a layer must be the same for all layers."""
     for option in ("refractory", "membrane", "mantissa_shift"):
         if len({getattr(part.chip.arithmetic, option) for part in parts}) > 1:
             raise fields.wrong(option, "differs from layer to layer", "Split the trace in two.")
 
 
-def _program(parts: list[LoihiLayer], width: int) -> Program:
+def _program(parts: list[_LoihiLayer], width: int) -> Program:
     chip, layers = parts[0].chip, tuple(part.layer for part in parts)
     convention = Convention(1e-3, delay=chip.delay, source="the trace")
     return Program(chip, convention, "input", width, layers, layers[-1].name, None)

@@ -18,7 +18,7 @@ from spikedeploy.runtime.errors import ChipError
 SignMode = Literal["split", "mixed"]
 StepRounding = Literal["floor", "zero"]
 Exponents = Literal["sum", "weight", "exact"]
-CHOICES = {
+_CHOICES = {
     "sign_mode": get_args(SignMode),
     "step_rounding": get_args(StepRounding),
     "exponents": get_args(Exponents),
@@ -75,7 +75,7 @@ class CubaRegisters:
                 f"weight_bits is {self.weight_bits}; the chip stores one of "
                 f"{', '.join(map(str, self.weight_bits_allowed))}."
             )
-        for option, allowed in CHOICES.items():
+        for option, allowed in _CHOICES.items():
             if (found := getattr(self, option)) not in allowed:
                 choices = " or ".join(map(repr, allowed))
                 raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
@@ -130,7 +130,7 @@ def update(
     kept = decay(state.membrane, layer.membrane_decay, registers.decay_bits)
     membrane, clipped = registers.membrane.fit_counted(kept + push)
     overflows = lost + wrapped + turned + clipped
-    return fire(convention, layer, state, current, membrane, registers.refractory, overflows)
+    return _fire(convention, layer, state, current, membrane, registers.refractory, overflows)
 
 
 def float_update(
@@ -141,10 +141,10 @@ def float_update(
     current = layer.current_decay * state.current + weights
     membrane = layer.membrane_decay * state.membrane + current + layer.voltage_bias
     none = np.zeros(membrane.shape, np.int64)
-    return fire(convention, layer, state, current, membrane, 1, none)
+    return _fire(convention, layer, state, current, membrane, 1, none)
 
 
-def fire(
+def _fire(
     convention: Convention,
     layer: Layer,
     state: LayerState,

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 Scale: TypeAlias = float | Floats
 
 
-def mantissas_per_unit(
+def _mantissas_per_unit(
     layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float = 1.0
 ) -> Scale:
     """As many as the weights, the threshold and the bias allow.
@@ -62,7 +62,7 @@ def _largest(arrays: Sequence[Floats]) -> Floats:
     return np.asarray(np.max(columns, axis=0))
 
 
-ROUNDS = 60
+_ROUNDS = 60
 
 
 def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
@@ -86,7 +86,7 @@ def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
 def _least_ratio(used: Floats, most: int) -> float:
     """Smallest ratio of the largest to the smallest of a group with which so many groups do."""
     low, high = 1.0, float(used[-1] / used[0]) * (1 + 1e-9)
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         middle = (low * high) ** 0.5
         low, high = (low, middle) if len(_starts(used, middle)) <= most else (middle, high)
     return high
@@ -115,7 +115,7 @@ def quantise(
     tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
     scale = (
-        mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio) * share
+        _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio) * share
     )
     if quantisation.thresholds is not None:
         scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)

@@ -28,10 +28,10 @@ from spikedeploy.runtime.families.cuba_numpy.sums import EXACT_INT16
 
 Integers = NDArray[np.int64]
 
-EXACT_INT8 = (1 << 7) - 1
-EXACT_INT32 = (1 << 31) - 1
+_EXACT_INT8 = (1 << 7) - 1
+_EXACT_INT32 = (1 << 31) - 1
 # bits of every whole number that float64 holds
-EXACT_BITS = 53
+_EXACT_BITS = 53
 
 # what registers may do when a number does not fit, of all that a Register can
 OVERFLOWS = {
@@ -69,11 +69,11 @@ def _weights(program: Program) -> NDArray[Any]:
     weights = [s.weight.ravel() for layer in program.layers for s in layer.synapses]
     all_ = np.concatenate([*weights, *(layer.bias for layer in program.layers)])
     largest = int(np.abs(all_.astype(np.int64)).max(initial=0))
-    return as_aligned(all_, np.int8 if largest <= EXACT_INT8 else _whole_type(largest))
+    return as_aligned(all_, np.int8 if largest <= _EXACT_INT8 else _whole_type(largest))
 
 
 def _whole_type(largest: int) -> Any:  # noqa: ANN401
-    return np.int16 if largest <= EXACT_INT16 else np.int32 if largest <= EXACT_INT32 else np.int64
+    return np.int16 if largest <= EXACT_INT16 else np.int32 if largest <= _EXACT_INT32 else np.int64
 
 
 def _wires(program: Program, delays: tuple[tuple[int, ...], ...]) -> Integers:
@@ -161,7 +161,7 @@ def _rooms(fixed: CubaFixedPoint) -> tuple[float, float, float]:
 
 def _exact(fixed: CubaFixedPoint) -> int:
     """Largest magnitude of three that are added, so that float64 decays their sum exactly."""
-    return 1 << (EXACT_BITS - 2 - fixed.decay_bits)
+    return 1 << (_EXACT_BITS - 2 - fixed.decay_bits)
 
 
 class WindowMemory:

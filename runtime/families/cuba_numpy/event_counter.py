@@ -77,7 +77,7 @@ class EventCounter:
         self.steps = steps
         self.timesteps, self.batch, _ = kernels[0].spikes.shape
         self._program, self._kernels = program, kernels
-        self._active = [ActiveCount(kernel) for kernel in kernels]
+        self._active = [_ActiveCount(kernel) for kernel in kernels]
 
     def observe(self, output_spikes: Mapping[str, Raster]) -> WindowStats:
         """The windows that have just run, with the spikes of the input and of each layer."""
@@ -135,7 +135,7 @@ class EventCounter:
         return np.asarray(shaped.swapaxes(1, 2).reshape(-1, layers))
 
 
-class ActiveCount:
+class _ActiveCount:
     """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
 
     def __init__(self, kernel: LayerWindow) -> None:

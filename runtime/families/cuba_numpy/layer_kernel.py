@@ -28,7 +28,7 @@ from spikedeploy.runtime.families.cuba_numpy.sums import summing
 Floats = NDArray[np.floating]
 
 
-class OverflowCheck:
+class _OverflowCheck:
     """Whether every number of a window fitted its register.
 
     What the bounds prove costs nothing; where they leave something open, so few spikes may not be
@@ -92,11 +92,11 @@ class OverflowCheck:
 def proven(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int) -> bool:
     """Whether no spikes in a window from zero can make a number of the layer that does not fit."""
     limits = bounds(program, layer, fixed, timesteps)
-    return OverflowCheck(layer, fixed, limits, timesteps).proven
+    return _OverflowCheck(layer, fixed, limits, timesteps).proven
 
 
 # copies from which on the numbers, and not the calls, take the time
-MANY = 4
+_MANY = 4
 
 
 class LayerKernel:
@@ -176,14 +176,14 @@ class LayerKernel:
         if not fixed or single(self.layer, fixed) <= 4 * self.layer.threshold.max():
             return False
         check = self._checked(np.dtype(np.float64))
-        return batch >= MANY or not (check and check.proven)
+        return batch >= _MANY or not (check and check.proven)
 
-    def _checked(self, dtype: np.dtype[Any]) -> OverflowCheck | None:
+    def _checked(self, dtype: np.dtype[Any]) -> _OverflowCheck | None:
         """What looks for overflows in states of this type; None where nothing is rounded."""
         if not self._fixed or not self._limits:
             return None
         most = single(self.layer, self._fixed) if dtype == np.float32 else None
-        return OverflowCheck(self.layer, self._fixed, self._limits, self._window, most)
+        return _OverflowCheck(self.layer, self._fixed, self._limits, self._window, most)
 
     def _prepare(self, dtype: np.dtype[Any]) -> None:
         """Memory for states of this type, and what runs in it."""
@@ -191,7 +191,7 @@ class LayerKernel:
         timesteps, batch, neurons = self.spikes.shape
         self.states = aligned((timesteps + 1, 2, batch, neurons), dtype)
         sums = aligned(self.spikes.shape, dtype)
-        self._input = SynapticInput(layer, fixed, self._limits, sums, self._scratch)
+        self._input = _SynapticInput(layer, fixed, self._limits, sums, self._scratch)
         subtract = self._program.convention.reset == "subtract"
         self._update = NeuronUpdate(layer, fixed, self.states, sums, self.spikes, kept, subtract)
         self._check = self._checked(dtype)
@@ -223,7 +223,7 @@ class LayerKernel:
             self._refractory = state.refractory
 
 
-class SynapticInput:
+class _SynapticInput:
     """What arrives at a layer in each timestep of a window: all synapses and the bias.
 
     sums: (T, B, N) [state units].

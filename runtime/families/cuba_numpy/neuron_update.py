@@ -13,7 +13,7 @@ Floats = NDArray[np.floating]
 Bits = NDArray[np.bool_]
 
 # from so many neurons on two calls without a branch are faster than putmask
-WIDE = 4096
+_WIDE = 4096
 
 
 class NeuronUpdate:
@@ -65,7 +65,7 @@ class NeuronUpdate:
         self._to = np.zeros(1, states.dtype)
         if subtract:
             self._reset, self._to = _subtract, self._threshold
-        elif spikes[0].size >= WIDE and fixed:
+        elif spikes[0].size >= _WIDE and fixed:
             self._reset = self._silence
 
     def __call__(self) -> None:

@@ -26,10 +26,10 @@ from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
 from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch
 from spikedeploy.runtime.families.cuba_numpy.wave import Wave, suits
 
-IDLE = EVENTS.index("neuron_idle")
+_IDLE = EVENTS.index("neuron_idle")
 
 
-class DelayBuffer:
+class _DelayBuffer:
     """Spikes that were emitted in earlier timesteps and have not arrived yet.
 
     sizes: neurons of each source.
@@ -97,7 +97,7 @@ class NumpyPipeline:
             for kernel, delays in zip(self._kernels, schedule.delays, strict=False)
         ]
         longest = max(self._lag, *(max(delays) for delays in schedule.delays))
-        self._buffer = DelayBuffer(program.sizes, longest, batch)
+        self._buffer = _DelayBuffer(program.sizes, longest, batch)
         # of each row, where rows run one by one
         self._observed: list[WindowStats] = []
         self._recorded: list[dict[str, Recording]] = []
@@ -135,7 +135,7 @@ class NumpyPipeline:
         timesteps, steps = self.schedule.timesteps, self.schedule.steps
         counts = self._counter.count(self._observed)
         total = counts.reshape(timesteps, self._batch, -1, len(EVENTS)).sum(axis=0)
-        total[:, :, IDLE] += [(steps - timesteps) * a.size for a in self._program.layers]
+        total[:, :, _IDLE] += [(steps - timesteps) * a.size for a in self._program.layers]
         ledger.add(total, timesteps, steps)
 
     def recordings(self) -> dict[str, Recording]:

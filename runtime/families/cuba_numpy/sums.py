@@ -27,10 +27,10 @@ SMALL = 1 << 15
 FEW = 0.4
 # or rows are added one by one, in matrices of at least so many weights, while such an axon spikes
 # no more often in the mean
-LARGE, SELDOM = 1 << 17, 2.5
+LARGE, _SELDOM = 1 << 17, 2.5
 
 
-class Sum(Protocol):
+class _Sum(Protocol):
     """What turns spikes into sums of weights, those of an axon that always spikes included."""
 
     def __call__(self, raster: Raster) -> None:
@@ -39,7 +39,7 @@ class Sum(Protocol):
 
 def summing(
     weight: Weights, bias: Weights, partial: int | None, unit: int, out: Floats, scratch: Scratch
-) -> Sum:
+) -> _Sum:
     """The exact way for a layer, or the choice among them.
 
     weight: (M, N).
@@ -161,7 +161,7 @@ class AutoSum:
         axons = len(raster.axons())
         if axons <= self._few:
             self.union(raster)
-        elif self.gather is not None and raster.spikes() <= SELDOM * axons:
+        elif self.gather is not None and raster.spikes() <= _SELDOM * axons:
             self.gather(raster)
         else:
             self.dense(raster)

@@ -37,7 +37,7 @@ SHORTEST = 4 * CHUNK
 
 
 @dataclass(frozen=True, eq=False)
-class Strip:
+class _Strip:
     """The window of one layer, a view of the stack; as in LayerWindow.
 
     states: (T + 1, 2, 1, N).
@@ -89,7 +89,7 @@ class Wave:
             stack, fixed, self._states, self._drive, spikes, False, subtract
         )
         self.windows = [
-            Strip(
+            _Strip(
                 layer,
                 self._states[start : start + timesteps + 1, :, :, place],
                 spikes[start : start + timesteps, :, place],

@@ -11,7 +11,7 @@ from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
 from spikedeploy.runtime.families.integrate_and_fire.quantise import check_axons, quantise
 
-LEAKS = {
+_LEAKS = {
     "none": "IF",
     "linear": "IF, linear leak",
     "crossing": "IF, linear leak",
@@ -68,7 +68,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         signs = "and the axon's sign" if self.signs == "axon" else "with the sign"
         types = f", {self.axon_types} a neuron" if self.axon_types else ""
         return Description(
-            f"{LEAKS[self.leak]}{each}",
+            f"{_LEAKS[self.leak]}{each}",
             f"{self.weight_bits} bits {signs}{types}",
             self._membrane(),
         )

@@ -14,14 +14,14 @@ from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 
-CASSIDY = "Cassidy et al. 2013, IJCNN"
-CORE = "the order of a tick as published: synapses, leak, threshold, reset"
-SANAFE = "SANA-FE, models.cpp (source read)"
-REVIEW = "IEEE Circuits and Systems Magazine 22(2), 2022, Table II, secondary"
-ASSUMED = "assumed, not confirmed by any source that was read; an option"
-MEROLLA = "Merolla et al. 2014 (secondary)"
+_CASSIDY = "Cassidy et al. 2013, IJCNN"
+_CORE = "the order of a tick as published: synapses, leak, threshold, reset"
+_SANAFE = "SANA-FE, models.cpp (source read)"
+_REVIEW = "IEEE Circuits and Systems Magazine 22(2), 2022, Table II, secondary"
+_ASSUMED = "assumed, not confirmed by any source that was read; an option"
+_MEROLLA = "Merolla et al. 2014 (secondary)"
 
-TRUENORTH_LIMITS = Limits(
+_TRUENORTH_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
     fan_in=256,
     cores=4096,
@@ -32,15 +32,15 @@ TRUENORTH_LIMITS = Limits(
     recurrence=True,
     alone=False,
     sources={
-        "primitives": f"{CASSIDY}: its leak is a constant, so no LIF, and no synaptic current",
-        "fan_in": f"{MEROLLA}: a neuron hears the axons of its core alone",
-        "cores": MEROLLA,
-        "neurons_per_core": MEROLLA,
-        "axons_in": MEROLLA,
-        "weight_values": f"{CASSIDY}: four types of axons, a weight of each neuron for each",
-        "membrane_loss": f"{CASSIDY}: its leak is a constant",
-        "recurrence": f"{MEROLLA}: a spike can go to any axon",
-        "alone": f"{MEROLLA}: chips tile",
+        "primitives": f"{_CASSIDY}: its leak is a constant, so no LIF, and no synaptic current",
+        "fan_in": f"{_MEROLLA}: a neuron hears the axons of its core alone",
+        "cores": _MEROLLA,
+        "neurons_per_core": _MEROLLA,
+        "axons_in": _MEROLLA,
+        "weight_values": f"{_CASSIDY}: four types of axons, a weight of each neuron for each",
+        "membrane_loss": f"{_CASSIDY}: its leak is a constant",
+        "recurrence": f"{_MEROLLA}: a spike can go to any axon",
+        "alone": f"{_MEROLLA}: chips tile",
     },
 )
 
@@ -70,36 +70,36 @@ TRUENORTH = Chip(
     delay=1,
     delay_max=15,
     energy_tables=("truenorth",),  # all-in: energy of the whole chip per synaptic event
-    limits=TRUENORTH_LIMITS,
+    limits=_TRUENORTH_LIMITS,
     sources={
-        "weight_bits": f"{ASSUMED}; a review says 8 ({REVIEW})",
-        "signs": f"{CASSIDY}, secondary: a signed weight for each type",
-        "axon_types": f"{CASSIDY}, secondary: types 0 to 3",
-        "bias_bits": f"{ASSUMED}: the leak, used as a constant that is added",
-        "leak": f"{CASSIDY}, abstract: four leak modes; toward 0, and over it: {SANAFE}",
-        "leak_bits": ASSUMED,
-        "leak_order": f"{CORE}; {SANAFE} has the leak first",
-        "membrane": f"{ASSUMED}, and so is that it saturates",
+        "weight_bits": f"{_ASSUMED}; a review says 8 ({_REVIEW})",
+        "signs": f"{_CASSIDY}, secondary: a signed weight for each type",
+        "axon_types": f"{_CASSIDY}, secondary: types 0 to 3",
+        "bias_bits": f"{_ASSUMED}: the leak, used as a constant that is added",
+        "leak": f"{_CASSIDY}, abstract: four leak modes; toward 0, and over it: {_SANAFE}",
+        "leak_bits": _ASSUMED,
+        "leak_order": f"{_CORE}; {_SANAFE} has the leak first",
+        "membrane": f"{_ASSUMED}, and so is that it saturates",
         "floor": "the negative threshold; none unless given",
-        "floors": f"{CASSIDY}, secondary: a negative threshold at which membranes may stop",
-        "adds": f"{CORE}; saturation within a tick is assumed to wait for its end",
-        "checks": CORE,
-        "fires": f"{SANAFE}: at or above the threshold",
-        "threshold_bits": ASSUMED,
-        "spikes_max": CORE,
+        "floors": f"{_CASSIDY}, secondary: a negative threshold at which membranes may stop",
+        "adds": f"{_CORE}; saturation within a tick is assumed to wait for its end",
+        "checks": _CORE,
+        "fires": f"{_SANAFE}: at or above the threshold",
+        "threshold_bits": _ASSUMED,
+        "spikes_max": _CORE,
         "scaling": "by definition: TrueNorth's tools train with its weights and scale nothing",
         "rounding": "by definition",
-        "resets": f"{SANAFE}: hard, linear (subtract), none; none is not emulated",
+        "resets": f"{_SANAFE}: hard, linear (subtract), none; none is not emulated",
         "delay": "2.2.9 of SANA-FE (run): a spike is delivered in the next tick",
-        "delay_max": ASSUMED,
+        "delay_max": _ASSUMED,
     },
     evidence="equal to neurons of SANA-FE 2.2.9, but for the order of the leak; widths assumed",
 )
 
 
-VERILOG = "ODIN's Verilog, commit 17819318 (source read)"
-ORDER = "by definition: the chip takes events in the order in which they are sent"
-ODIN_LIMITS = Limits(
+_VERILOG = "ODIN's Verilog, commit 17819318 (source read)"
+_ORDER = "by definition: the chip takes events in the order in which they are sent"
+_ODIN_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
     inputs=256,
     neurons=256,
@@ -111,16 +111,16 @@ ODIN_LIMITS = Limits(
     membrane_loss=(0.0, 0.0),
     recurrence=True,
     sources={
-        "primitives": f"{VERILOG}: its leak is a constant, so no LIF, and no synaptic current",
-        "inputs": f"{VERILOG}: events name one of 256 rows of the crossbar",
-        "neurons": VERILOG,
-        "fan_in": f"{VERILOG}: 256 x 256 synapses",
-        "fan_out": f"{VERILOG}: 256 x 256 synapses",
-        "axon_signs": f"{VERILOG}: one sign for each neuron that sends",
-        "weight_max": f"{VERILOG}: 3 bits",
-        "threshold_max": f"{VERILOG}: 8 bits unsigned",
-        "membrane_loss": f"{VERILOG}: its leak is a constant",
-        "recurrence": f"{VERILOG}: spikes go back into the crossbar",
+        "primitives": f"{_VERILOG}: its leak is a constant, so no LIF, and no synaptic current",
+        "inputs": f"{_VERILOG}: events name one of 256 rows of the crossbar",
+        "neurons": _VERILOG,
+        "fan_in": f"{_VERILOG}: 256 x 256 synapses",
+        "fan_out": f"{_VERILOG}: 256 x 256 synapses",
+        "axon_signs": f"{_VERILOG}: one sign for each neuron that sends",
+        "weight_max": f"{_VERILOG}: 3 bits",
+        "threshold_max": f"{_VERILOG}: 8 bits unsigned",
+        "membrane_loss": f"{_VERILOG}: its leak is a constant",
+        "recurrence": f"{_VERILOG}: spikes go back into the crossbar",
         "alone": "no way to join two is published",
     },
 )
@@ -151,26 +151,26 @@ ODIN = Chip(
     delay=0,
     delay_max=1,
     energy_tables=("odin",),  # one number for everything, at one voltage
-    limits=ODIN_LIMITS,
+    limits=_ODIN_LIMITS,
     sources={
-        "weight_bits": f"{VERILOG}: magnitude",
-        "signs": f"{VERILOG}: one sign for each neuron that sends",
-        "axon_types": f"{VERILOG}: every synapse has a weight",
-        "bias_bits": f"{VERILOG}: none; an axon that is sent an event in every timestep",
-        "leak": f"{VERILOG}: at the time reference, not below 0",
-        "leak_bits": VERILOG,
+        "weight_bits": f"{_VERILOG}: magnitude",
+        "signs": f"{_VERILOG}: one sign for each neuron that sends",
+        "axon_types": f"{_VERILOG}: every synapse has a weight",
+        "bias_bits": f"{_VERILOG}: none; an axon that is sent an event in every timestep",
+        "leak": f"{_VERILOG}: at the time reference, not below 0",
+        "leak_bits": _VERILOG,
         "leak_order": "by definition: a timestep begins with the time reference",
-        "membrane": f"{VERILOG}: 8 bits unsigned, which are 9 with a floor of 0; saturates",
-        "floor": f"{VERILOG}: unsigned",
-        "floors": f"{VERILOG}: always 0",
-        "adds": f"{VERILOG}; {ORDER}",
-        "checks": f"{VERILOG}: after every synaptic event, and after the time reference",
-        "fires": f"{VERILOG}: at or above the threshold",
-        "threshold_bits": VERILOG,
+        "membrane": f"{_VERILOG}: 8 bits unsigned, which are 9 with a floor of 0; saturates",
+        "floor": f"{_VERILOG}: unsigned",
+        "floors": f"{_VERILOG}: always 0",
+        "adds": f"{_VERILOG}; {_ORDER}",
+        "checks": f"{_VERILOG}: after every synaptic event, and after the time reference",
+        "fires": f"{_VERILOG}: at or above the threshold",
+        "threshold_bits": _VERILOG,
         "spikes_max": "by definition: a count of the emulator",
         "scaling": "by definition: ODIN's tools scale nothing",
         "rounding": "by definition",
-        "resets": f"{VERILOG}: to 0",
+        "resets": f"{_VERILOG}: to 0",
         "delay": "by definition: a layer's spikes are taken in before the next time reference",
         "delay_max": "by definition: recurrent connections take one timestep",
     },

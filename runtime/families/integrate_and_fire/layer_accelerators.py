@@ -15,30 +15,30 @@ from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Convolutions,
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 
-SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
+_SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
 IAF = "sinabs, IAF layer (source read)"
-TIMELESS = "the chip has no timesteps; as sinabs steps it"
-KI = 1024
-CORES = ((16, 64), (16, 64), (16, 64), (32, 32), (32, 32), (64, 16), (64, 16), (16, 16), (16, 16))
+_TIMELESS = "the chip has no timesteps; as sinabs steps it"
+_KI = 1024
+_CORES = ((16, 64), (16, 64), (16, 64), (32, 32), (32, 32), (64, 16), (64, 16), (16, 16), (16, 16))
 
-SPECK2F_LIMITS = Limits(
+_SPECK2F_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, *SPACE, "IF"),
     inputs=2 * 128 * 128,
-    layer_cores=tuple(LayerCore(kernel * KI, neurons * KI) for kernel, neurons in CORES),
+    layer_cores=tuple(LayerCore(kernel * _KI, neurons * _KI) for kernel, neurons in _CORES),
     convolutions=Convolutions(kernel=16, strides=(1, 2, 4, 8), channels=1024, extent=64),
     destinations=2,
     weight_max=127,
     threshold_max=(1 << 15) - 1,
     membrane_loss=(0.0, 0.0),
     sources={
-        "primitives": f"{SINABS}: convolution or linear map, IAF neurons, sum pool",
-        "inputs": f"{SINABS}: 128 x 128 pixels of two polarities",
-        "layer_cores": f"{SINABS}: kernel and neuron memory of each core",
-        "convolutions": f"{SINABS}: limits of its layers",
-        "destinations": SINABS,
-        "weight_max": f"{SINABS}: 8 bits with the sign",
-        "threshold_max": f"{SINABS}: 16 bits with the sign",
-        "membrane_loss": f"{SINABS}: no leak that depends on the membrane",
+        "primitives": f"{_SINABS}: convolution or linear map, IAF neurons, sum pool",
+        "inputs": f"{_SINABS}: 128 x 128 pixels of two polarities",
+        "layer_cores": f"{_SINABS}: kernel and neuron memory of each core",
+        "convolutions": f"{_SINABS}: limits of its layers",
+        "destinations": _SINABS,
+        "weight_max": f"{_SINABS}: 8 bits with the sign",
+        "threshold_max": f"{_SINABS}: 16 bits with the sign",
+        "membrane_loss": f"{_SINABS}: no leak that depends on the membrane",
         "alone": "no way to join two is published",
     },
 )
@@ -69,27 +69,27 @@ SPECK2F = Chip(
     delay=0,
     delay_max=1,
     energy_tables=(),  # published for whole tasks only
-    limits=SPECK2F_LIMITS,
+    limits=_SPECK2F_LIMITS,
     sources={
-        "weight_bits": f"{SINABS}: DYNAPCNN_WEIGHT_PRECISION_BITS",
-        "signs": f"{SINABS}: two's complement",
-        "axon_types": f"{SINABS}: every synapse of a kernel has a weight",
-        "bias_bits": f"{SINABS}: biases are quantised as weights are",
+        "weight_bits": f"{_SINABS}: DYNAPCNN_WEIGHT_PRECISION_BITS",
+        "signs": f"{_SINABS}: two's complement",
+        "axon_types": f"{_SINABS}: every synapse of a kernel has a weight",
+        "bias_bits": f"{_SINABS}: biases are quantised as weights are",
         "leak": f"{IAF}: what the chip calls leak is the bias, on an external clock",
         "leak_bits": "there is no leak",
         "leak_order": "there is no leak",
-        "membrane": f"{SINABS}: DYNAPCNN_STATE_PRECISION_BITS; that it saturates is assumed",
-        "floor": f"{SINABS}: lower threshold, -2**15 unless given",
-        "floors": f"{SINABS}: the lower threshold is free",
-        "adds": f"{IAF}; {TIMELESS}",
-        "checks": f"{IAF}; {TIMELESS}",
+        "membrane": f"{_SINABS}: DYNAPCNN_STATE_PRECISION_BITS; that it saturates is assumed",
+        "floor": f"{_SINABS}: lower threshold, -2**15 unless given",
+        "floors": f"{_SINABS}: the lower threshold is free",
+        "adds": f"{IAF}; {_TIMELESS}",
+        "checks": f"{IAF}; {_TIMELESS}",
         "fires": f"{IAF}: membrane at or above the threshold",
-        "threshold_bits": f"{SINABS}: signed 16 bits, so that 15 are used",
-        "spikes_max": f"by definition: a count of the emulator; {TIMELESS}",
-        "scaling": f"{SINABS}: the smallest of the scales that fit weights, biases, threshold",
-        "rounding": f"{SINABS}: torch.round, half to even",
-        "resets": f"{SINABS}: subtracts the threshold, or return_to_zero",
-        "delay": f"a spike is passed on at once; {TIMELESS}",
+        "threshold_bits": f"{_SINABS}: signed 16 bits, so that 15 are used",
+        "spikes_max": f"by definition: a count of the emulator; {_TIMELESS}",
+        "scaling": f"{_SINABS}: the smallest of the scales that fit weights, biases, threshold",
+        "rounding": f"{_SINABS}: torch.round, half to even",
+        "resets": f"{_SINABS}: subtracts the threshold, or return_to_zero",
+        "delay": f"a spike is passed on at once; {_TIMELESS}",
         "delay_max": "by definition: recurrent connections take one timestep",
     },
     evidence="sinabs' IAF rule restated in a test; not run against sinabs or a board",
@@ -97,8 +97,8 @@ SPECK2F = Chip(
 
 
 VHDL = "Spiker's VHDL and generator, commit e61e5b06 (source read)"
-DATAPATH = "a parameter; the default of neuron_datapath.vhd"
-SPIKER_LIMITS = Limits(
+_DATAPATH = "a parameter; the default of neuron_datapath.vhd"
+_SPIKER_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, "Scale", "LIF"),
     sources={
         "primitives": f"{VHDL}: a leak by a shift; its other neurons were not read",
@@ -132,16 +132,16 @@ SPIKER = Chip(
     delay=1,
     delay_max=1,
     energy_tables=(),  # published for whole tasks only
-    limits=SPIKER_LIMITS,
+    limits=_SPIKER_LIMITS,
     sources={
-        "weight_bits": f"{VHDL}: {DATAPATH}; 5 to 8 are used",
+        "weight_bits": f"{VHDL}: {_DATAPATH}; 5 to 8 are used",
         "signs": f"{VHDL}: two's complement",
         "axon_types": f"{VHDL}: every synapse has a weight",
         "bias_bits": "none was found; emulated as an axon that spikes in every timestep",
         "leak": f"{VHDL}: v - (v >>> shift), an arithmetic shift, which rounds down",
         "leak_bits": "by definition: the largest shift that a membrane of 16 bits can tell",
         "leak_order": f"{VHDL}: fire and reset, leak, excite, inhibit",
-        "membrane": f"{VHDL}: saturates; width: {DATAPATH}",
+        "membrane": f"{VHDL}: saturates; width: {_DATAPATH}",
         "floor": f"{VHDL}: none but the register's",
         "floors": f"{VHDL}: none but the register's",
         "adds": f"{VHDL}: one active input after another; that this is by index is assumed",

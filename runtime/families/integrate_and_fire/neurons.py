@@ -31,7 +31,7 @@ Moment = Literal["step", "event"]
 Fires = Literal["above", "reached"]
 Scaling = Literal["full", "binary"]
 StepRounding = Literal["nearest", "truncate"]
-CHOICES = {
+_CHOICES = {
     "signs": get_args(Signs),
     "leak": get_args(Leak),
     "leak_order": get_args(LeakOrder),
@@ -93,7 +93,7 @@ class IntegrateAndFireRules:
     rounding: StepRounding
 
     def __post_init__(self) -> None:
-        for option, allowed in CHOICES.items():
+        for option, allowed in _CHOICES.items():
             if (found := getattr(self, option)) not in allowed:
                 choices = " or ".join(map(repr, allowed))
                 raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
@@ -141,7 +141,7 @@ def _signed(bits: int) -> tuple[int, int]:
 
 
 @dataclass(eq=False)
-class PartialStep:
+class _PartialStep:
     """A layer in the middle of a timestep.
 
     membrane: (B, N).
@@ -165,7 +165,7 @@ def update(
 ) -> StepResult:
     """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
     before, none = state.membrane, np.zeros_like(state.membrane)
-    now = PartialStep(before, none, none, none.astype(np.bool_))
+    now = _PartialStep(before, none, none, none.astype(np.bool_))
     if rules.leak_order == "first":
         _leak(rules, layer, now)
         if rules.checks == "event":
@@ -183,7 +183,7 @@ def update(
     return StepResult(now.spikes, (before != 0) | now.arrived, now.lost)
 
 
-def _leak(rules: IntegrateAndFireRules, layer: Layer, state: PartialStep) -> None:
+def _leak(rules: IntegrateAndFireRules, layer: Layer, state: _PartialStep) -> None:
     v, leak = state.membrane, layer.membrane_decay
     if rules.leak == "linear":
         # V = V - sign(V) min(|V|, leak)
@@ -209,7 +209,7 @@ def _each(
     convention: Convention,
     layer: Layer,
     presynaptic: Sequence[Numbers],
-    state: PartialStep,
+    state: _PartialStep,
 ) -> None:
     """Add event by event: axon by axon, synapses in their order, and the bias at last."""
     bias = (layer.bias + layer.voltage_bias).astype(np.int64)
@@ -228,7 +228,7 @@ def _add(
     convention: Convention,
     layer: Layer,
     weights: Integers,
-    state: PartialStep,
+    state: _PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
     # V = V + W s, as the register holds it, and not below the floor
@@ -252,7 +252,7 @@ def _fire(
     rules: IntegrateAndFireRules,
     convention: Convention,
     layer: Layer,
-    state: PartialStep,
+    state: _PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
     """Spikes of the membranes; several at once only where the threshold is taken off each time."""

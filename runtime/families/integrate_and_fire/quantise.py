@@ -16,21 +16,23 @@ from spikedeploy.runtime.chips.registers import Rounding, rounded
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 
-LINEAR = (
+_LINEAR = (
     "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "
     "limits off, which takes away what is lost half-way to the threshold."
 )
 # what to do where neurons leak otherwise than the chip's
-REMEDIES = {
+_REMEDIES = {
     "none": "{chip} has no leak. Train with IF neurons.",
-    "linear": LINEAR,
-    "crossing": LINEAR,
+    "linear": _LINEAR,
+    "crossing": _LINEAR,
     "shift": "every neuron on {chip} leaks by a shift; none without was found. Train with LIF "
     "neurons, or compile with limits off.",
 }
 
 
-def check_neurons(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool) -> None:
+def _check_neurons(
+    layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool
+) -> None:
     """Refuse neurons with a current, or with another leak than the chip's, in floats.
 
     limits: False lets a leak pass that the chip has something near for.
@@ -79,7 +81,7 @@ def _check_leak(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limi
     if not other.any() or (rules.leak != "none" and not limits):
         return
     found = f"{layer.membrane_decay[other].min():.3g}"
-    remedy = REMEDIES[rules.leak].format(chip=chip_name)
+    remedy = _REMEDIES[rules.leak].format(chip=chip_name)
     raise RuleError(
         f"rule decay-range: layer {layer.name!r} keeps {found} of its membrane; {remedy}"
     )
@@ -116,7 +118,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # the shift of a membrane that does not leak
-NO_LEAK = -1
+_NO_LEAK = -1
 
 
 def quantise(
@@ -131,7 +133,7 @@ def quantise(
     rounding: None is the chip's own.
     limits: False emulates a leak that the chip has not by the nearest that it has.
     """
-    check_neurons(layer, chip_name, rules, limits)
+    _check_neurons(layer, chip_name, rules, limits)
     rounding = rounding or rules.rounding
     bias = layer.bias + layer.voltage_bias
     scale = _scale(layer, bias, rules)
@@ -212,7 +214,7 @@ def _leak(layer: Layer, rules: IntegrateAndFireRules, scale: float, rounding: Ro
         with np.errstate(divide="ignore"):
             # shift = int(|log2(1 - beta)|)
             shift = np.where(lost > 0, np.abs(np.log2(lost)), 0.0)
-        return np.where(lost > 0, np.minimum(np.trunc(shift), rules.leak_max), NO_LEAK).astype(int)
+        return np.where(lost > 0, np.minimum(np.trunc(shift), rules.leak_max), _NO_LEAK).astype(int)
     # leak = (1 - beta) threshold / 2
     amount = rounded(lost * layer.threshold * scale / 2, rounding)
     return np.minimum(amount, rules.leak_max)

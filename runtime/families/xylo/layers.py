@@ -23,7 +23,7 @@ from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 Floats = NDArray[np.float64]
 
 # a time constant that is off by more than this part of it is worth a remark
-NOTABLE = 0.01
+_NOTABLE = 0.01
 
 
 def xylo_layers(
@@ -215,7 +215,7 @@ def _rounding(name: str, of: str, wanted: Floats, held: Floats) -> Iterable[str]
         return []
     ratios = np.abs(np.log(held / wanted))
     worst = int(ratios.argmax())
-    if ratios[worst] < NOTABLE:
+    if ratios[worst] < _NOTABLE:
         return []
     return [
         f"layer {name!r}: the {of}'s time constant of {wanted[worst]:.3g} timesteps becomes "

@@ -14,20 +14,20 @@ from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
 
-HIDDEN, OUTPUT = "hidden", "output"
+_HIDDEN, _OUTPUT = "hidden", "output"
 # layer -> quantity -> its name in the file
-RECORDED = {
-    HIDDEN: {
+_RECORDED = {
+    _HIDDEN: {
         "current": "i_syn",
         "current 2": "i_syn2",
         "membrane": "v_mem",
         "spikes": "hidden_spikes",
     },
-    OUTPUT: {"current": "i_syn_out", "membrane": "v_mem_out", "spikes": "out_spikes"},
+    _OUTPUT: {"current": "i_syn_out", "membrane": "v_mem_out", "spikes": "out_spikes"},
 }
-INPUT = ("input_counts", "input_spikes", "input")
-SHIFTS = ("weight_shift_in", "weight_shift_rec", "weight_shift_out")
-REPEATED = {"chip", "steps", "params"}
+_INPUT = ("input_counts", "input_spikes", "input")
+_SHIFTS = ("weight_shift_in", "weight_shift_rec", "weight_shift_out")
+_REPEATED = {"chip", "steps", "params"}
 
 
 def xylo_trace(fields: Fields, chip: str) -> TraceFile:
@@ -37,13 +37,13 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     registers = used.arithmetic
     if not isinstance(registers, XyloArithmetic):
         raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
-    counts = table_of(spec, INPUT, 0, 255, index="input_spikes_index")
+    counts = table_of(spec, _INPUT, 0, 255, index="input_spikes_index")
     hidden, output = _hidden(spec, registers, counts.shape[1]), _output(spec, registers)
     if (found := output.synapses[0].weight.shape[0]) != hidden.size:
         remedy = f"Write a row for each of the {hidden.size} hidden neurons."
         raise spec.wrong("weights_out", f"has {found} rows", remedy)
     recorded = {layer.name: _recorded(spec, layer, len(counts)) for layer in (hidden, output)}
-    unread = spec.unread - PROSE - REPEATED
+    unread = spec.unread - PROSE - _REPEATED
     if not any(recorded.values()):
         raise nothing_to_compare(fields, unread, "v_mem or out_spikes")
     return TraceFile(
@@ -58,7 +58,7 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
 
 def _program(chip: Chip, width: int, hidden: Layer, output: Layer) -> Program:
     convention = Convention(1e-3, reset="subtract", delay=chip.delay, source="the trace")
-    return Program(chip, convention, "input", width, (hidden, output), OUTPUT, None)
+    return Program(chip, convention, "input", width, (hidden, output), _OUTPUT, None)
 
 
 def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
@@ -87,9 +87,9 @@ def _hidden(spec: Fields, registers: XyloRegisters, width: int) -> Layer:
             remedy = f"Write {size} rows of {size} neurons."
             raise spec.wrong("weights_rec", f"has shape {recurrent.shape}", remedy)
         each = range(recurrent.shape[2])
-        synapses += [Synapses(HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
+        synapses += [Synapses(_HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
     dashes = [_dash(spec, name, registers, size) for name in ("dash_syn", "dash_syn_2")]
-    layer = _layer(spec, HIDDEN, tuple(synapses), dashes, registers)
+    layer = _layer(spec, _HIDDEN, tuple(synapses), dashes, registers)
     return replace(layer, aliases=_aliases(spec, size))
 
 
@@ -97,9 +97,9 @@ def _output(spec: Fields, registers: XyloRegisters) -> Layer:
     weights = _weights(spec, "weights_out", 2, registers)
     if weights.shape[2] > 1:
         raise spec.wrong("weights_out", f"has shape {weights.shape}", "Outputs have one synapse.")
-    synapses = Synapses(HIDDEN, weights[:, :, 0], 1)
+    synapses = Synapses(_HIDDEN, weights[:, :, 0], 1)
     dash = _dash(spec, "dash_syn_out", registers, weights.shape[1])
-    return _layer(spec, OUTPUT, (synapses,), [dash], registers)
+    return _layer(spec, _OUTPUT, (synapses,), [dash], registers)
 
 
 def _layer(
@@ -109,7 +109,7 @@ def _layer(
     dashes: list[Integers],
     registers: XyloRegisters,
 ) -> Layer:
-    end, size = "_out" if name == OUTPUT else "", synapses[0].weight.shape[1]
+    end, size = "_out" if name == _OUTPUT else "", synapses[0].weight.shape[1]
     limit = registers.state.limit
     bias = spec.row(f"bias{end}", size=size, default=0, least=-limit - 1, most=limit)
     return Layer(
@@ -138,7 +138,7 @@ def _weights(spec: Fields, name: str, place: int, registers: XyloRegisters) -> I
         remedy = f"A neuron has {registers.currents} synapses at most."
         raise spec.wrong(name, f"has shape {found.shape}", remedy)
     shifts = spec.row("weight_shift", size=3, default=0, least=0, most=registers.shift_max)
-    own = spec.row(SHIFTS[place], size=1, default=shifts[place], least=0, most=registers.shift_max)
+    own = spec.row(_SHIFTS[place], size=1, default=shifts[place], least=0, most=registers.shift_max)
     return np.asarray(found << own)
 
 
@@ -150,7 +150,7 @@ def _dash(spec: Fields, name: str, registers: XyloRegisters, size: int) -> Integ
 def _recorded(spec: Fields, layer: Layer, steps: int) -> dict[str, Integers]:
     """The tables (T, N) that are there, by quantity."""
     recorded = {}
-    for quantity, name in RECORDED[layer.name].items():
+    for quantity, name in _RECORDED[layer.name].items():
         if spec.name(name) is None:
             continue
         recorded[quantity] = table = table_of(spec, (name,), -1 << 16, 1 << 16, index="trace_index")
