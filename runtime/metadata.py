@@ -1,4 +1,4 @@
-"""Metadata of a `.nir` file: typed reading of its fields, and the provenance of a policy."""
+"""What a `.nir` file states: typed reading of its fields, and the provenance of a policy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -137,3 +137,23 @@ class Provenance:
             version=record.text("version"),
             sha256=record.text("sha256"),
         )
+
+
+def whole_numbers(name: str, field: str, value: object, axes: int, minimum: int) -> tuple[int, ...]:
+    """One integer for each axis, given for each or once for all; else ArtifactError."""
+    found = np.asarray(value)
+    if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)} or not found.size:
+        raise ArtifactError(
+            f"node {name!r}: {field} is {_short(value)}; it must be whole numbers, one or {axes}. "
+            "Correct the node."
+        )
+    if found.min() < minimum:
+        raise ArtifactError(
+            f"node {name!r}: {field} holds {found.min()}; it must be {minimum} or more. "
+            "Correct the node."
+        )
+    return tuple(int(n) for n in np.broadcast_to(found, (axes,)))
+
+
+def _short(value: object) -> str:
+    return str(value.tolist() if isinstance(value, np.ndarray) else value)[:40]

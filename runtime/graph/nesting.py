@@ -12,7 +12,7 @@ import numpy as np
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.order import Edge
 from spikedeploy.runtime.graph.validate import check_edges
-from spikedeploy.runtime.graph.windows import whole_numbers
+from spikedeploy.runtime.metadata import whole_numbers
 
 
 def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:

@@ -21,8 +21,8 @@ from spikedeploy.runtime.graph.windows import (
     checked_positions,
     convolution_window,
     pool_window,
-    whole_numbers,
 )
+from spikedeploy.runtime.metadata import whole_numbers
 
 DENSE = (nir.Affine, nir.Linear)
 

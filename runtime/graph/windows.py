@@ -14,6 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.metadata import whole_numbers
 
 Shape: TypeAlias = tuple[int, ...]
 
@@ -103,22 +104,6 @@ def checked_positions(name: str, window: ConvWindow, extents: Shape) -> Shape:
     return positions
 
 
-def whole_numbers(name: str, field: str, value: object, axes: int, minimum: int) -> Shape:
-    """One integer for each axis, given for each or once for all; else ArtifactError."""
-    found = np.asarray(value)
-    if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)} or not found.size:
-        raise ArtifactError(
-            f"node {name!r}: {field} is {_short(value)}; it must be whole numbers, one or {axes}. "
-            "Correct the node."
-        )
-    if found.min() < minimum:
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {found.min()}; it must be {minimum} or more. "
-            "Correct the node."
-        )
-    return tuple(int(n) for n in np.broadcast_to(found, (axes,)))
-
-
 def _padding(
     name: str, padding: str, kernel: Shape, stride: Shape, dilation: Shape
 ) -> tuple[tuple[int, int], ...]:
@@ -137,7 +122,3 @@ def _padding(
         )
     total = [d * (k - 1) for k, d in zip(kernel, dilation, strict=True)]
     return tuple((n // 2, n - n // 2) for n in total)
-
-
-def _short(value: object) -> str:
-    return str(value.tolist() if isinstance(value, np.ndarray) else value)[:40]

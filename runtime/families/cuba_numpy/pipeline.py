@@ -81,6 +81,7 @@ class NumpyPipeline:
         self.schedule = schedule
         self._program, self._batch = program, batch
         numbers = program.chip.arithmetic
+        self._most = program.chip.input_spikes_max
         self._fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
         # rows that a kernel runs at once
         self._rows = schedule.timesteps if schedule.mode == "window" else 1
@@ -122,7 +123,7 @@ class NumpyPipeline:
 
     def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
-        check_counts(rows, self._program.chip.input_spikes_max)
+        check_counts(rows, self._most)
         if self.schedule.mode == "row":
             return self._row_by_row(rows)
         return self._window(rows, step)
