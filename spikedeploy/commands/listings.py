@@ -41,8 +41,7 @@ def chips(
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
     """
     from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports.datasheets import COLUMNS, rows
-    from spikedeploy.reports.datasheets import markdown as as_markdown
+    from spikedeploy.reports.listings import CHIP_COLUMNS, chip_markdown, chip_rows
     from spikedeploy.runtime.chips.chip import CHIPS, chip
 
     known = [chip(name) for name in CHIPS]
@@ -50,21 +49,21 @@ def chips(
         print_json(
             [
                 {
-                    **dict(zip((c.replace(" ", "_") for c in COLUMNS), row, strict=True)),
+                    **dict(zip((c.replace(" ", "_") for c in CHIP_COLUMNS), row, strict=True)),
                     "resets": each.resets,
                     "summary": each.summary,
                     "energy_tables": each.energy_tables,
                     "sources": each.sources,
                 }
-                for each, row in zip(known, rows(known), strict=True)
+                for each, row in zip(known, chip_rows(known), strict=True)
             ]
         )
     elif markdown:
-        typer.echo(as_markdown(known), nl=False)
+        typer.echo(chip_markdown(known), nl=False)
     else:
         lines = [(c.name, c.summary, ", ".join(c.energy_tables) or "none") for c in known]
         print_table("Chips", ("name", "what it is", "energy tables"), lines)
-        print_table("What they compute with", COLUMNS, rows(known))
+        print_table("What they compute with", CHIP_COLUMNS, chip_rows(known))
 
 
 def energy(
@@ -75,15 +74,15 @@ def energy(
 ) -> None:
     """List the energy tables: prices of events, sources, uncertainty."""
     from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports import price_list
+    from spikedeploy.reports import listings
 
     if json:
-        print_json(price_list.price_list())
+        print_json(listings.price_list())
     elif markdown:
-        typer.echo("\n".join(price_list.markdown()))
+        typer.echo("\n".join(listings.energy_markdown()))
     else:
-        print_table("Energy tables", price_list.HEADS, price_list.rows())
-        print_table("Where the numbers come from", ("table", "source"), price_list.sources())
+        print_table("Energy tables", listings.ENERGY_COLUMNS, listings.energy_rows())
+        print_table("Where the numbers come from", ("table", "source"), listings.energy_sources())
 
 
 def envs(json: Json = False) -> None:

@@ -9,6 +9,5 @@ curves        the learning curve in a run's metrics
 terminal      what commands print of comparisons, emulations, drifts, files and traces
 check_tables  a network against the design rules: by chip, by layer, by rule
 drift_tables  drift by layer and by rounding
-datasheets    the chips' arithmetic side by side
-price_list    the energy tables, their sources and their uncertainty
+listings      the chips side by side; the energy tables, their sources and their uncertainty
 """

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spikedeploy.reports.datasheets import COLUMNS, markdown, rows
+from spikedeploy.reports.listings import CHIP_COLUMNS, chip_markdown, chip_rows
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from tests.paths import ROOT
 
@@ -12,13 +12,13 @@ PAGE = ROOT / "docs" / "chips.md"
 def test_the_documentation_has_the_table_that_the_command_prints(command):
     code, out, err = command("chips", "--markdown")
     assert (code, err) == (0, "")
-    assert out == markdown([chip(name) for name in CHIPS])
+    assert out == chip_markdown([chip(name) for name in CHIPS])
     assert f"\n\n{out}\n" in PAGE.read_text("utf-8")
 
 
 @pytest.mark.parametrize("name", sorted(CHIPS))
 def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
-    row = dict(zip(COLUMNS, rows([chip(name)])[0], strict=True))
+    row = dict(zip(CHIP_COLUMNS, chip_rows([chip(name)])[0], strict=True))
     assert row["compared with"] == chip(name).evidence
     assert all(row.values())
     assert name in command("chips")[1]
@@ -36,5 +36,5 @@ def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
     ],
 )
 def test_a_row_says_what_the_datasheet_says(used, weights, membrane):
-    row = dict(zip(COLUMNS, rows([used])[0], strict=True))
+    row = dict(zip(CHIP_COLUMNS, chip_rows([used])[0], strict=True))
     assert (row["weights"], row["membrane"]) == (weights, membrane)

@@ -1,8 +1,9 @@
-"""The energy tables: prices, sources, uncertainty."""
+"""The chips side by side, and the energy tables: what the listings of commands show."""
 
+from collections.abc import Iterable
 from typing import Any
 
-from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
     TABLES,
@@ -11,8 +12,25 @@ from spikedeploy.runtime.metrics.energy import (
     describe_certainty,
 )
 
+CHIP_COLUMNS = ("name", "neurons", "weights", "membrane", "resets", "compared with")
+
+
+def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
+    """A row of COLUMNS for each chip."""
+    return [
+        (chip.name, *chip.arithmetic.describe(), ", ".join(chip.resets), chip.evidence)
+        for chip in chips
+    ]
+
+
+def chip_markdown(chips: Iterable[Chip]) -> str:
+    """The same as a table of Markdown."""
+    lines = [CHIP_COLUMNS, ("---",) * len(CHIP_COLUMNS), *chip_rows(chips)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
 _PICO, _NANO = 1e-12, 1e-9
-HEADS = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
+ENERGY_COLUMNS = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
 
 
 def price_list() -> dict[str, list[dict[str, Any]]]:
@@ -51,7 +69,7 @@ def _chips(table: EnergyTable) -> list[str]:
     return [name for name in CHIPS if table.name in chip(name).energy_tables]
 
 
-def rows() -> list[tuple[str, ...]]:
+def energy_rows() -> list[tuple[str, ...]]:
     """A row of HEADS for each table."""
     return [
         (
@@ -68,7 +86,7 @@ def rows() -> list[tuple[str, ...]]:
     ]
 
 
-def sources() -> list[tuple[str, str]]:
+def energy_sources() -> list[tuple[str, str]]:
     """Table or static power, and its source."""
     tables = [(table.name, f"{table.source}: {table.provenance}") for table in TABLES.values()]
     powers = [
@@ -78,11 +96,11 @@ def sources() -> list[tuple[str, str]]:
     return [*tables, *powers]
 
 
-def markdown() -> list[str]:
+def energy_markdown() -> list[str]:
     """Tables and sources as lines of Markdown, for docs/energy.md."""
-    lines = [HEADS, ("---",) * len(HEADS), *rows()]
+    lines = [ENERGY_COLUMNS, ("---",) * len(ENERGY_COLUMNS), *energy_rows()]
     table = [f"| {' | '.join(line)} |" for line in lines]
-    return [*table, "", *[f"* `{name}` – {source}." for name, source in sources()]]
+    return [*table, "", *[f"* `{name}` – {source}." for name, source in energy_sources()]]
 
 
 def _energies(table: EnergyTable) -> str:
