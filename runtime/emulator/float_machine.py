@@ -12,7 +12,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows, count
-from spikedeploy.runtime.emulator.machine import Machine, SerialCalls
+from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, by_port
@@ -41,6 +41,12 @@ class FloatMachine:
         else:
             self._ledger = LedgerBuilder(self._program, ledger)
         self._calls = SerialCalls()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything between two calls, so that a copy made during one is whole."""
+        with self._calls.lock:
+            program = self._program if isinstance(self._program, Program) else None
+            return snapshot(self.__dict__, program)
 
     def reset(self) -> None:
         """Forget every current, membrane and spike; the ledger stays."""

@@ -1,7 +1,8 @@
 """A chip with a program on it, running."""
 
+from copy import deepcopy
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 Floats = NDArray[np.float64]
+T = TypeVar("T")
 
 
 class SerialCalls:
@@ -37,6 +39,11 @@ class SerialCalls:
 
     def __reduce__(self) -> "tuple[type[SerialCalls], tuple[()]]":
         return SerialCalls, ()
+
+
+def snapshot(state: T, program: Program | None) -> T:
+    """A copy of what changes; the program, which does not, is shared."""
+    return deepcopy(state, {id(program): program})
 
 
 class Machine:
@@ -138,10 +145,9 @@ class Machine:
         return {name: membrane for name, (_, membrane) in self._states().items()}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Memory of a backend is full of views of itself, so copies build it anew."""
+        """Everything between two calls, so that a copy made during one is whole."""
         with self._calls.lock:
-            saved = self._backend.saved() if self._backend else None
-            return {**self.__dict__, "_backend": saved}
+            return {**self._snapshot(), "_ledger": snapshot(self._ledger, self.program)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         saved: SavedState | None = state["_backend"]
@@ -149,6 +155,16 @@ class Machine:
         if saved is not None:
             self._backend = self._built(*self._prepared_for)
             self._backend.restore(saved)
+
+    def without_ledger(self) -> dict[str, Any]:
+        """State for a copy that another object gives the copy of a shared ledger."""
+        with self._calls.lock:
+            return {**self._snapshot(), "_ledger": None}
+
+    def _snapshot(self) -> dict[str, Any]:
+        """Memory of a backend is full of views of itself, so copies build it anew."""
+        saved = self._backend.saved() if self._backend else None
+        return {**self.__dict__, "_backend": saved}
 
     def _reset(self) -> None:
         if self._backend is not None:

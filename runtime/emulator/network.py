@@ -14,7 +14,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName, Recording, joined
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
-from spikedeploy.runtime.emulator.machine import Machine, SerialCalls
+from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.graph.ports import Port
 
@@ -85,6 +85,20 @@ class MachinePool:
         self._ledger = LedgerBuilder(program, ledger)
         self._machines: dict[int, Machine] = {}
         self._calls = SerialCalls()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything between two calls, so that a copy made during one is whole."""
+        with self._calls.lock:
+            machines = {size: each.without_ledger() for size, each in self._machines.items()}
+            ledger = snapshot(self._ledger, self.program)
+            return {**self.__dict__, "_machines": machines, "_ledger": ledger}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _machines={})
+        for size, saved in state["_machines"].items():
+            machine = Machine.__new__(Machine)
+            machine.__setstate__({**saved, "_ledger": self._ledger})
+            self._machines[size] = machine
 
     def reset(self) -> None:
         """Forget every current, membrane and spike; the ledger stays."""

@@ -176,3 +176,26 @@ def test_threads_on_one_machine_get_what_one_thread_gets(name, backend):
     for k, output in enumerate(found):
         np.testing.assert_array_equal(output, expected[k % 30])
     np.testing.assert_array_equal(shared.ledger.counts, 10 * alone.ledger.counts)
+
+
+@copied
+@pytest.mark.parametrize("make", [FloatMachine, MachinePool])
+def test_a_copy_made_while_threads_run_holds_whole_inferences(copied, make):
+    artifact = popsan()
+    of = artifact if make is FloatMachine else compile_program(artifact, chip("loihi1"))
+    machine = make(of)
+    spikes = rasters(machine.program, 1, 5, 0.3, seed=0)[0]
+    machine.infer(spikes)
+    one = machine.ledger.counts.sum(axis=0)
+
+    def work(size):
+        for _ in range(40):
+            machine.infer(np.repeat(spikes, size, axis=0))
+
+    with ThreadPoolExecutor(3) as pool:
+        done = [pool.submit(work, size) for size in (1, 2, 5)]
+        while not all(each.done() for each in done):
+            other = copied(machine)
+            ledger = other.ledger
+            np.testing.assert_array_equal(ledger.counts.sum(axis=0), ledger.inferences * one)
+    assert machine.ledger.inferences == 1 + 40 * (1 + 2 + 5)
