@@ -2,7 +2,7 @@
 
 import sys
 
-# package -> the extra of pyproject.toml that installs it
+# package that a command may need -> the extra of pyproject.toml that installs it
 EXTRAS = {
     "torch": "train",
     "snntorch": "train",
@@ -11,13 +11,6 @@ EXTRAS = {
     "onnx": "train",
     "tomli": "train",
     "numba": "fast",
-    "nengo": "peers",
-    "nirtorch": "peers",
-    "norse": "peers",
-    "spikingjelly": "peers",
-    "xylosim": "peers",
-    "neurobench": "neurobench",
-    "sanafe": "sanafe",
 }
 _EXPECTED = (
     ("spikedeploy.runtime.errors", "SpikedeployError"),
@@ -39,7 +32,10 @@ def _missing(module: str) -> str | None:
     """How to install a missing module; None where no extra has it."""
     package = module.partition(".")[0]
     extra = EXTRAS.get(package)
-    return extra and f'this needs {package}, which is not installed: pip install ".[{extra}]"'
+    return extra and (
+        f"this needs {package}, which is not installed: in the checkout of spikedeploy, "
+        f'pip install ".[{extra}]"'
+    )
 
 
 def _expected(error: Exception) -> bool:

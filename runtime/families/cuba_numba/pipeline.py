@@ -59,7 +59,7 @@ class NumbaPipeline:
                 "that saturates, has a narrower range, or holds the push."
             )
         if find_spec("numba") is None:
-            return "Numba is not installed. Install it with pip install 'spikedeploy[fast]'."
+            return "Numba is not installed. In the checkout of spikedeploy: pip install '.[fast]'."
         return None
 
     def reset(self) -> None:
