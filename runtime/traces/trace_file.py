@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.traces.fields import Fields, Integers, read_json
+from spikedeploy.runtime.traces.fields import Fields, Integers
 
 # who wrote a trace, by what its name, source and kind say -> the chip in that reading
 _MAKERS = (
@@ -68,11 +67,6 @@ class TraceFile:
 
 
 Reader: TypeAlias = Callable[[Fields, str], TraceFile]
-
-
-def read_trace(path: Path) -> TraceFile:
-    """The trace in a file, checked."""
-    return trace_in(read_json(path), path.stem)
 
 
 def trace_in(fields: Fields, stem: str) -> TraceFile:

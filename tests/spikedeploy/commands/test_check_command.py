@@ -14,7 +14,7 @@ from spikedeploy.policies.registry import find
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.design_rules.table import RULES
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import chain, cuba, popsan
 
 RULING = {
@@ -205,7 +205,7 @@ def crowded(monkeypatch, tmp_path):
     """A shipped policy for the stroll whose layers no core of Loihi holds."""
     from spikedeploy.runtime.families.cuba import loihi1
 
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     none = replace(loihi1.LOIHI1.limits, axons_in=1)
     monkeypatch.setattr(loihi1, "LOIHI1", replace(loihi1.LOIHI1, limits=none))
@@ -227,7 +227,7 @@ def test_run_and_compare_refuse_what_does_not_fit_and_play_it_without_limits(com
 
 
 def test_a_line_up_says_that_limits_are_off(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     labels = [entry.label for entry in line_up("stroll", (), ["loihi1"], limits=False)]
     assert "popsan · loihi1, limits off" in labels
     assert "popsan · float" in labels

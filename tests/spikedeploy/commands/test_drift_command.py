@@ -12,14 +12,14 @@ from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import popsan
 from tests.runtime.families.test_headroom import crowd
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
