@@ -154,8 +154,8 @@ def _ways_out(
         return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
     if convention.state == "kept" and any(tap.lag for tap in taps):
         raise RuleError(
-            f"rule delay: node {outlet.port.name!r}: it hears several layers, some of them late, "
-            "while states are kept. Remove the delay before it, or choose state 'reset'."
+            f"rule delay: node {outlet.port.name!r}: it receives several layers, some of "
+            "them late, while states are kept. Remove the delay before it, or choose state 'reset'."
         )
     return first.layer, None, graph.outlets
 

@@ -77,7 +77,7 @@ def merged(fans: Sequence[SynapseCounts]) -> SynapseCounts:
 
 
 def through(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts:
-    """The fan with one more node on its way."""
+    """The fan after one more node."""
     fan = replace(fan, maps=(*fan.maps, name))
     if isinstance(node, nir.Delay):
         return replace(fan, delayed=fan.delayed or bool(node.delay.any()))

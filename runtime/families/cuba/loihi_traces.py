@@ -103,7 +103,7 @@ def _said_mixed(spec: Fields) -> bool:
 
 
 def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
-    """(N, M) weights, whichever way the file says that they stand."""
+    """(N, M) weights, in either orientation."""
     found = spec.array(name, axes=2, least=-256 * unit, most=255 * unit)
     if found.ndim < 2:
         # one neuron with several axons, or one axon onto several neurons
@@ -198,7 +198,7 @@ _RECORDED = {
 }
 # and what boards' probes are called, with one of these before or after
 _PROBES = ("hw", "chip", "board", "probe")
-# what the files say twice, or the reading says
+# given twice in the file, or by the reading
 _REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
     "weights_exc", "weights_inh", "weights_mixed", "weight_effective", "weights_effective",

@@ -41,7 +41,7 @@ class _DelayBuffer:
         self._tails = {name: np.zeros((longest, batch, n), np.uint8) for name, n in sizes.items()}
 
     def reset(self) -> None:
-        """Nothing is on its way."""
+        """Forget the spikes that have not arrived."""
         if self._longest:
             for tail in self._tails.values():
                 tail.fill(0)
@@ -109,7 +109,7 @@ class NumpyPipeline:
             if any(synapses.shift for synapses in layer.synapses):
                 return (
                     f"layer {layer.name!r}: its weights have a negative exponent, by which "
-                    f"{program.chip.name} rounds sums, which only the interpreter knows."
+                    f"{program.chip.name} rounds sums, which only the interpreter supports."
                 )
         return None
 

@@ -55,7 +55,7 @@ CHIP = {
 
 @pytest.fixture
 def wide(tmp_path):
-    """A file with more sources than a core of Loihi hears."""
+    """A file with more sources than a core of Loihi has axons."""
     artifact = popsan(obs=411)
     path = tmp_path / "wide.nir"
     save(artifact, path)

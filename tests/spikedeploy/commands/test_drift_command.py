@@ -41,7 +41,7 @@ def test_a_shipped_policy_is_compared_on_what_its_float_twin_observes(command, s
     )
     assert (found["chip"], found["inferences"], found["timesteps"]) == ("loihi1", 7, 5)
     assert found["output"]["kind"] == "action"
-    assert [rung["name"] for rung in found["rungs"]] == [
+    assert [step["name"] for step in found["rungs"]] == [
         "weights", "thresholds", "decays", "states"
     ]  # fmt: skip
 

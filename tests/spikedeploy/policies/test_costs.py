@@ -51,7 +51,7 @@ def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
     spikes = [layer.sum() / len(OBSERVATIONS) for layer in layers]
     neurons = sum(layer.shape[2] for layer in layers)
     inputs = encoded.sum() / len(OBSERVATIONS)
-    # 30 inputs -> 16 -> 12 -> 20, all weights non-zero; the readout hears each of 20 once
+    # 30 inputs -> 16 -> 12 -> 20, all weights non-zero; the readout reads each of 20 once
     assert found.sops == pytest.approx(inputs * 16 + spikes[0] * 12 + spikes[1] * 20)
     assert found.effective_acs == pytest.approx(found.sops + spikes[2])
     assert found.effective_macs == 0
