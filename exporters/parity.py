@@ -41,7 +41,7 @@ Spikes = dict[str, NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
-class _Outcome:
+class _PolicyOutput:
     """Spikes and actions of one implementation on a batch.
 
     spikes: (B, T, N) of the input and of each layer
@@ -62,7 +62,7 @@ class _ImplementationPair:
     actions: LargestDifference = field(default_factory=LargestDifference)
     choices: MismatchCounter = field(default_factory=MismatchCounter)
 
-    def add(self, one: _Outcome, other: _Outcome) -> None:
+    def add(self, one: _PolicyOutput, other: _PolicyOutput) -> None:
         self.spikes.add(one.spikes, other.spikes)
         self.actions.add(one.actions, other.actions)
         if one.choices is not None and other.choices is not None:
@@ -119,17 +119,17 @@ def _codec(artifact: Artifact, path: Path) -> Codec:
 
 
 @torch.no_grad()
-def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _Outcome:
+def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _PolicyOutput:
     if isinstance(policy, PopsanPolicy):
         spikes = policy.trace(observation)
         action = spikes.pop("action")
-        return _Outcome(_arrays(spikes), _numbers(action), None)
+        return _PolicyOutput(_arrays(spikes), _numbers(action), None)
     input_spikes = presynaptic(policy, observation, Xorshift(0, policy.observations).draw)
     spikes = policy.trace(observation, input_spikes.transpose(0, 1))
     action = spikes.pop("action")
     if policy.head == "continuous":
-        return _Outcome(_arrays(spikes), _numbers(action), None)
-    return _Outcome(
+        return _PolicyOutput(_arrays(spikes), _numbers(action), None)
+    return _PolicyOutput(
         _arrays(spikes), _numbers(policy.forward_spikes(input_spikes).mean), action.numpy()
     )
 
@@ -142,25 +142,25 @@ def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
     return tensor.double().numpy()
 
 
-def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> _Outcome:
+def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> _PolicyOutput:
     graph.reset()
     values = graph.run(raster)
     spikes = {name: values[name].astype(np.uint8) for name in graph.spiking}
     return _decoded(codec, {"input": raster, **spikes}, values["output"])
 
 
-def _by_machine(program: Program, codec: Codec, raster: NDArray[np.uint8]) -> _Outcome:
+def _by_machine(program: Program, codec: Codec, raster: NDArray[np.uint8]) -> _PolicyOutput:
     machine = Machine(program, len(raster), ledger="none", trace=True)
     output = machine.infer(raster)
     spikes = {name: recording.spikes for name, recording in machine.recordings.items()}
     return _decoded(codec, {"input": raster, **spikes}, output)
 
 
-def _decoded(codec: Codec, spikes: Spikes, output: NDArray[np.generic]) -> _Outcome:
+def _decoded(codec: Codec, spikes: Spikes, output: NDArray[np.generic]) -> _PolicyOutput:
     numbers = output.astype(np.float64)
     if not codec.chooses:
-        return _Outcome(spikes, codec.decode(numbers), None)
-    return _Outcome(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))
+        return _PolicyOutput(spikes, codec.decode(numbers), None)
+    return _PolicyOutput(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))
 
 
 # of an action in [-1, 1], or of the largest logit: float32 sums in different order
