@@ -1,7 +1,7 @@
 """Trace files: what an emulator or a chip did, with everything that is needed to do it again.
 
-The format is in docs/traces.md. It grew from what four emulators write, so quantities have several
-names, and a file says in prose who made it. A verdict is what became of a trace when replayed.
+The format is in docs/traces.md. It follows what four emulators write, so quantities have several
+names, and a file names its maker in prose. A verdict is the result of replaying a trace.
 """
 
 import re
@@ -55,7 +55,7 @@ class TraceFile:
     raster: (1, T, M) spikes that went in; counts where the chip takes several in a timestep.
     recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
     blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
-    unread: fields that mean nothing to the reader.
+    unread: fields that the reader does not use.
     """
 
     source: str
@@ -98,7 +98,7 @@ def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index:
 
 def nothing_to_compare(fields: Fields, unread: set[str], wanted: str) -> TraceError:
     """The error of a trace in which nothing is recorded under a name that is known."""
-    others = f" Nothing is known of {', '.join(sorted(unread))}." if unread else ""
+    others = f" Unknown fields: {', '.join(sorted(unread))}." if unread else ""
     return TraceError(f"{fields.where}: there is nothing to compare.{others} Record {wanted}.")
 
 
@@ -149,7 +149,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a trace.
+    """The result of replaying a trace.
 
     chip: the one that it was replayed on.
     source: who recorded it.
@@ -158,7 +158,7 @@ class Verdict:
     passed_over: recorded numbers that were not compared.
     why: they were not; empty where all were.
     difference: None where all numbers are equal.
-    unread: fields of the file that mean nothing to the reader.
+    unread: fields of the file that the reader does not use.
     """
 
     chip: str

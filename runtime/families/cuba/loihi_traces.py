@@ -183,7 +183,7 @@ def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: in
         return arithmetic.decay_one - spec.row(
             effective, size=size, least=0, most=arithmetic.decay_one
         )
-    # a neuron of which no current is known forgets it at once
+    # without a decay of the current it lasts one timestep
     default = arithmetic.decay_one - offset if state == "u" else None
     found = spec.row(*names, size=size, default=default, least=0, most=arithmetic.decay_max)
     return arithmetic.decay_one - offset - found
@@ -234,7 +234,7 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
 
 
 def _layers_of(fields: Fields) -> list[Fields]:
-    """What each layer says; what the file says of all of them goes last."""
+    """The fields of each layer, then those that the file gives for all layers."""
     shared = fields.under(fields.group("params"))
     if fields.name("layers") is None:
         return [shared]

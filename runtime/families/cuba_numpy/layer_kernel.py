@@ -3,7 +3,7 @@
 States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
 needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Where decays
 are short, float32 does the same for smaller states, and is tried first: a sixth faster in a large
-batch (docs/performance.md). Nothing is checked for overflow on the way: either the bounds prove
+batch (docs/performance.md). Overflow is not checked in every timestep: either the bounds prove
 that no number can be too large, or that so few spikes cannot make one, or the states are looked at
 afterwards. A window that did overflow, which is rare, is computed once more, in float64 or by the
 interpreter.
@@ -85,7 +85,7 @@ class _OverflowCheck:
             spikes = sum([raster.spikes() for raster in presynaptic])
             if spikes <= self._safe_spikes:
                 return True
-        # what max() and min() do, without their detour through Python
+        # what max() and min() do, without their overhead in Python
         highest = float(np.maximum.reduce(states, axis=None))
         lowest = float(np.minimum.reduce(states, axis=None))
         if self._open_above:

@@ -70,7 +70,7 @@ class _DelayBuffer:
         return {name: tail.copy() for name, tail in self._tails.items()}
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there."""
+        """Continue from there."""
         self._tails = {name: saved[name].copy() for name in self._tails}
 
 
@@ -157,7 +157,7 @@ class NumpyPipeline:
         return saved
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there."""
+        """Continue from there."""
         self._buffer.restore({name: saved[f"spikes of {name}"] for name in self._program.sizes})
         for window in self._windows:
             of = f" of {window.layer.name}"

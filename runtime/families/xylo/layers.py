@@ -22,7 +22,7 @@ from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 
 Floats = NDArray[np.float64]
 
-# a time constant that is off by more than this part of it is worth a remark
+# a time constant that is off by more than this part of it is remarked on
 _NOTABLE = 0.01
 
 

@@ -95,7 +95,7 @@ def _arrived(
         if synapses.source == network.input:
             events = events.clip(max=registers.events_max)
         if (np.abs(current[:, fed]) + events @ np.abs(weight)).max() <= registers.state.limit:
-            # none of the sums can saturate on the way, and so their order does not matter
+            # no partial sum can saturate, and so their order does not matter
             current[:, fed] += events @ weight
             continue
         for index, axon in np.argwhere(events):
