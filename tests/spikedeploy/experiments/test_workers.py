@@ -20,7 +20,7 @@ from tests.paths import ROOT
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     monkeypatch.chdir(ROOT)  # where the processes find tests.job_functions
-    monkeypatch.setattr(workers, "PAUSE", 0.05)
+    monkeypatch.setattr(workers, "_PAUSE", 0.05)
 
 
 def job(name, errand, folder):
