@@ -38,8 +38,8 @@ Written by `{command}`, which is what every number here comes from.
 Distance is van Rossum's (time constant 5 timesteps, mean over inferences and neurons), in which a
 spike more or less is 0.5; the float twin is 0. The chip is `loihi1`, with fewer stored bits of a
 weight where the table says so. Tuned ways clip the largest weights and shift thresholds as
-`runtime/analysis/calibration.py` finds best on other episodes. What was learnt stands in
-[docs/quantisation.md](../docs/quantisation.md#what-it-costs).
+`runtime/analysis/calibration.py` finds best on other episodes. What was learnt from these tables
+stands in [docs/quantisation.md](../docs/quantisation.md#what-it-costs).
 
 ## All policies
 
@@ -68,7 +68,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Subject:
-    """A policy with what it heard.
+    """A policy with its inputs.
 
     tuning, measuring  inputs
     returns            (n,) of its float twin
@@ -103,7 +103,7 @@ def section(of: Subject, outcomes: Sequence[Outcome]) -> str:
     heads = ("bits", "scale", "rounding", "tuned", *(f"distance {name}" for name in layers))
     rows = [cells(of, each) for each in outcomes]
     table = markdown((*heads, "output error", "return − float's [95 %]"), rows)
-    return f"## {of.name}\n\n{inputs} {twin}\n\n{table}\n\n{rungs(outcomes)}\n"
+    return f"## {of.name}\n\n{inputs} {twin}\n\n{table}\n\n{ablation(outcomes)}\n"
 
 
 def cells(of: Subject, each: Outcome) -> list[str]:
@@ -122,7 +122,7 @@ def cells(of: Subject, each: Outcome) -> list[str]:
     ]
 
 
-def rungs(outcomes: Iterable[Outcome]) -> str:
+def ablation(outcomes: Iterable[Outcome]) -> str:
     """Which rounding costs what, of the plainest way at each number of bits."""
     plain = [
         each.drift
@@ -131,9 +131,9 @@ def rungs(outcomes: Iterable[Outcome]) -> str:
     ]
     heads = ["rounding", *(f"distance, {bits} bits" for bits in BITS[: len(plain)])]
     rows = [
-        [drift_tables.RUNGS[rung.name]]
-        + [f"{np.mean(list(found.rungs[k].distance.values())):.5f}" for found in plain]
-        for k, rung in enumerate(plain[0].rungs)
+        [drift_tables.ABLATION_STEPS[step.name]]
+        + [f"{np.mean(list(found.ablation[k].distance.values())):.5f}" for found in plain]
+        for k, step in enumerate(plain[0].ablation)
     ]
     said = "Mean distance of all layers, one scale for each, rounded to nearest:"
     return f"{said}\n\n{markdown(heads, rows)}"

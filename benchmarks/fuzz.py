@@ -1,4 +1,4 @@
-"""Fuzz everything that reads files: only our own errors, bounded time and memory.
+"""Fuzz everything that reads files: only SpikedeployErrors, bounded time and memory.
 
     python benchmarks/fuzz.py [--files 10000] [--seed 0] [--keep FOLDER] [--json]
 
@@ -6,7 +6,7 @@ Valid files of every primitive, with and without our metadata, traces, tracks an
 mutated: bytes; values, shapes, types, links and edges of the HDF5 tree; values of JSON. Each is
 loaded, written again, read as another tool would, compiled for every chip with and without limits,
 and run for three timesteps on some; traces are verified. That happens in a process of its own with
-a memory limit; one that dies or takes too long is a violation, like any error that is not ours, and
+a memory limit; one that dies or takes too long is a violation, like any other error, and
 another takes its place. The same seed and version give the same mutations. Exits with 1 on a
 violation.
 """

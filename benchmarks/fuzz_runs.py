@@ -27,7 +27,7 @@ class Outcome:
     """The outcome of one file.
 
     read: whether it was; then a chip may still have refused it.
-    refused: names of the errors of ours.
+    refused: names of the SpikedeployErrors.
     violation: the error that is not ours, or how the process died; empty is none.
     megabytes: highest resident memory while it was tried.
     """

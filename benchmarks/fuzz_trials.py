@@ -36,7 +36,7 @@ OURS = (SpikedeployError, EnvError)
 
 
 def attempt(path: Path, rng: np.random.Generator) -> tuple[bool, tuple[str, ...]]:
-    """Whether the file was read, and names of the errors of ours that were raised.
+    """Whether the file was read, and names of the SpikedeployErrors that were raised.
 
     Anything else comes through.
     """
@@ -86,7 +86,7 @@ def _where(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
 
 @contextmanager
 def _ours(refused: list[str]) -> Iterator[None]:
-    """Note an error of ours."""
+    """Note a SpikedeployError."""
     try:
         yield
     except OURS as error:

@@ -4,7 +4,7 @@
 
 A trace holds its network and its input: both are given to the tool, and what it records must be
 what the file holds. `--out` writes the traces as they are recorded now. A tool that cannot be
-imported is named, and its traces are left out. No package of ours is needed, so that this runs in
+imported is named, and its traces are left out. spikedeploy is not needed, so that this runs in
 environments whose NumPy is older than ours allows. Exits with 1 where a number differs, and with
 77 where nothing could be recorded.
 """

@@ -19,7 +19,7 @@ PACKAGES = ("runtime", "envs", "trainers", "exporters", "spikedeploy")
 
 
 def sources() -> Iterator[Path]:
-    """Every file of ours, where it stands and not through a link."""
+    """Every file of this repository, where it stands and not through a link."""
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             if not any(parent.is_symlink() for parent in path.parents):

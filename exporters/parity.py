@@ -55,7 +55,7 @@ class _PolicyOutput:
 
 
 @dataclass
-class _ParityStep:
+class _ImplementationPair:
     """Two implementations compared: every spike, and the actions."""
 
     spikes: MismatchCounter = field(default_factory=MismatchCounter)
@@ -86,7 +86,11 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     codec = _codec(artifact, path)
     graph, program = FloatGraph(artifact), compiled(artifact, chip("ideal"))
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
-    to_numpy, to_ideal, to_single = _ParityStep(), _ParityStep(), _ParityStep()
+    to_numpy, to_ideal, to_single = (
+        _ImplementationPair(),
+        _ImplementationPair(),
+        _ImplementationPair(),
+    )
     for batch in batches(observations):
         raster = codec.encode(batch)
         by_numpy = _by_numpy(graph, codec, raster)
@@ -100,11 +104,11 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     ]
 
 
-def _report(rung: _ParityStep) -> ParityCheck:
+def _report(pair: _ImplementationPair) -> ParityCheck:
     """Report the difference of float32, for information only."""
-    detail = f"{rung.spikes}; largest difference of an action {rung.actions.largest:.1e}"
-    if rung.choices.compared:
-        detail += f"; choices: {rung.choices}"
+    detail = f"{pair.spikes}; largest difference of an action {pair.actions.largest:.1e}"
+    if pair.choices.compared:
+        detail += f"; choices: {pair.choices}"
     return ParityCheck("for information: torch float32 against NumPy float64", True, detail)
 
 

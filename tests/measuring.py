@@ -71,7 +71,7 @@ def neurons_of(weight, threshold, **options):
 
 
 def convolutions():
-    """Convolutions with strides, groups, dilation and padding, and the shapes that they hear."""
+    """Convolutions with strides, groups, dilation and padding, and their input shapes."""
     rng = np.random.default_rng(0)
 
     def drawn(*shape):

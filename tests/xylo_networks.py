@@ -30,7 +30,7 @@ def neurons(rng, size, kind):
 
 
 def network(rng, sizes, kinds, *, loops=(), biased=False, skip=False, delay=0):
-    """A chain l1, l2 … where `loops` hear themselves, and skips go back and forth."""
+    """A chain l1, l2 … where `loops` are recurrent, and skips go back and forth."""
     nodes = {"input": nir.Input(np.array(sizes[:1])), "output": nir.Output(np.array(sizes[-1:]))}
     edges, before = [], "input"
 

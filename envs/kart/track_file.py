@@ -124,7 +124,7 @@ def _numbers(value: object, shape: Sequence[int | None], where: str) -> FloatArr
     except (TypeError, ValueError, OverflowError, RecursionError):
         raise EnvError(f"{where}: must be {wanted}, found {str(value)[:60]}") from None
     fits = len(array.shape) == len(shape) and all(
-        wish in (None, size) for wish, size in zip(shape, array.shape, strict=True)
+        wanted in (None, size) for wanted, size in zip(shape, array.shape, strict=True)
     )
     if not fits or not np.isfinite(array).all():
         raise EnvError(f"{where}: must be {wanted}, all finite; found {str(value)[:60]}")

@@ -28,7 +28,7 @@ class Finding:
     health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.
     cause: "policy", it is so in float too; "input", nothing arrives; "counts", neurons send several
         spikes in a timestep, and in float one; a rounding step, the first after which it is
-        so; "rounding", of a chip that has no rungs.
+        so; "rounding", of a chip without ablation steps.
     detail: the same with numbers.
     """
 
@@ -49,18 +49,18 @@ def diagnose(
     program: Program,
     raster: NDArray[Any],
     twin: Activity,
-    rungs: Mapping[str, Activity],
+    steps: Mapping[str, Activity],
 ) -> list[Finding]:
     """Findings of all layers of the program.
 
-    floats: the network on the ideal chip; None where there are no rungs but the chip.
+    floats: the network on the ideal chip; None where there are no ablation steps but the chip.
     twin: what the float twin does with the raster.
-    rungs: what the rungs do, the last of them the chip itself.
+    steps: what each ablation step does, the last of them the chip itself.
     """
     return [
-        Finding(layer.name, found, *_cause(floats, program, layer, raster, twin, rungs))
+        Finding(layer.name, found, *_cause(floats, program, layer, raster, twin, steps))
         for layer in program.layers
-        if (found := health(_last(rungs).spikes[layer.name]))
+        if (found := health(_last(steps).spikes[layer.name]))
     ]
 
 
@@ -70,9 +70,9 @@ def _cause(
     layer: Layer,
     raster: NDArray[Any],
     twin: Activity,
-    rungs: Mapping[str, Activity],
+    steps: Mapping[str, Activity],
 ) -> tuple[Cause, str]:
-    name, seen = layer.name, _last(rungs)
+    name, seen = layer.name, _last(steps)
     found = health(seen.spikes[name])
     alike = health(twin.spikes[name]) == found
     if found == "dead" and not _driven(layer, {program.input: raster, **seen.spikes}):
@@ -86,12 +86,12 @@ def _cause(
         return "counts", f"neurons send up to {most} spikes in a timestep, in float {at_most}"
     if floats is None:
         return "rounding", _unexplained(seen.saturations[name])
-    rung = next(rung for rung, ran in rungs.items() if health(ran.spikes[name]) == found)
-    return _detailed(rung, floats.layer(name), layer, program.chip.arithmetic.decay_one, seen)
+    step = next(step for step, ran in steps.items() if health(ran.spikes[name]) == found)
+    return _detailed(step, floats.layer(name), layer, program.chip.arithmetic.decay_one, seen)
 
 
-def _last(rungs: Mapping[str, Activity]) -> Activity:
-    return list(rungs.values())[-1]
+def _last(steps: Mapping[str, Activity]) -> Activity:
+    return list(steps.values())[-1]
 
 
 def _driven(layer: Layer, spikes: Mapping[str, NDArray[Any]]) -> bool:
@@ -107,13 +107,13 @@ def _unexplained(saturations: int) -> str:
 
 
 def _detailed(
-    rung: str, before: Layer, after: Layer, decay_one: int, seen: Activity
+    step: str, before: Layer, after: Layer, decay_one: int, seen: Activity
 ) -> tuple[Cause, str]:
-    if rung == "weights":
+    if step == "weights":
         return "weights", _weights(before, after)
-    if rung == "thresholds":
+    if step == "thresholds":
         return "thresholds", _thresholds(before, after)
-    if rung == "decays":
+    if step == "decays":
         return "decays", _decays(before, after, decay_one)
     saturations = seen.saturations[after.name]
     if saturations:

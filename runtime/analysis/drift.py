@@ -1,8 +1,8 @@
 """Drift: how far a chip is from the float twin, where that begins, and what causes it.
 
-The cause is found by ablation: a network on its way to the chip, one kind of rounding after
-another. Each rung is computed in float64, on the chip's scale, so that what differs between two
-rungs is the one thing that was rounded. The last rung is the chip. Distances of spike trains are
+The cause is found by ablation: the network is rounded step by step, one kind of number after
+another. Each step is computed in float64, on the chip's scale, so that what differs between two
+steps is the one thing that was rounded. The last step is the chip. Distances of spike trains are
 those of van Rossum, exact for spikes on a grid.
 """
 
@@ -23,13 +23,13 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ObservationError
 
 
-def rungs(floats: Program, program: Program) -> Iterator[tuple[str, Program]]:
+def ablation_programs(floats: Program, program: Program) -> Iterator[tuple[str, Program]]:
     """The programs from rounded weights to the chip, one kind of rounding after another.
 
     floats: the same network on the ideal chip.
     """
     arithmetic = program.chip.arithmetic
-    # delays are the chip's on every rung
+    # delays are the chip's in every step
     ideal = replace(chip("ideal"), delay_max=program.chip.delay_max)
     *steps, last = arithmetic.ablation_steps
     for step in steps:
@@ -112,7 +112,7 @@ class OutputDrift:
 
 
 @dataclass(frozen=True)
-class _Rung:
+class _AblationStep:
     """The network with some of the chip's roundings.
 
     name: of the rounding that was added last.
@@ -137,7 +137,7 @@ class Drift:
     diverged: inferences in which any spike differs.
     first: difference, None where there is none.
     output: of the whole network.
-    rungs: from rounded weights to the chip; empty where the arithmetic has none.
+    ablation: from rounded weights to the chip; empty where the arithmetic has none.
     findings: layers that are dead or saturated.
     """
 
@@ -150,12 +150,12 @@ class Drift:
     diverged: int
     first: Divergence | None
     output: OutputDrift
-    rungs: tuple[_Rung, ...]
+    ablation: tuple[_AblationStep, ...]
     findings: tuple[Finding, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """The fields, plain."""
-        return asdict(self)
+        """The fields, plain; the ablation is called rungs there."""
+        return {"rungs" if key == "ablation" else key: value for key, value in asdict(self).items()}
 
 
 def drift(
@@ -176,9 +176,9 @@ def drift(
     program = compile_program(artifact, on, quantisation, limits=limits)
     floats = compile_program(artifact, chip("ideal")) if on.arithmetic.ablation_steps else None
     twin = activity(artifact, None, raster)
-    steps = rungs(floats, program) if floats else [("chip", program)]
-    ladder = {name: activity(artifact, step, raster) for name, step in steps}
-    seen = list(ladder.values())[-1]
+    steps = ablation_programs(floats, program) if floats else [("chip", program)]
+    runs = {name: activity(artifact, step, raster) for name, step in steps}
+    seen = list(runs.values())[-1]
     names = [layer.name for layer in program.layers]
     return Drift(
         chip=on.name,
@@ -190,10 +190,10 @@ def drift(
         diverged=_diverged(twin, seen, names),
         first=first(twin, seen, names),
         output=_output_drift(artifact, twin.output, seen.output),
-        rungs=tuple(_rung(artifact, name, twin, ran, tau) for name, ran in ladder.items())
+        ablation=tuple(_step(artifact, name, twin, ran, tau) for name, ran in runs.items())
         if floats
         else (),
-        findings=tuple(diagnose(floats, program, raster, twin, ladder)),
+        findings=tuple(diagnose(floats, program, raster, twin, runs)),
     )
 
 
@@ -268,6 +268,8 @@ def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
     return int(np.any(differ, axis=0).sum())
 
 
-def _rung(artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float) -> _Rung:
+def _step(
+    artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float
+) -> _AblationStep:
     distances = _layer_distances(twin, ran, tau)
-    return _Rung(name, distances, _output_drift(artifact, twin.output, ran.output))
+    return _AblationStep(name, distances, _output_drift(artifact, twin.output, ran.output))

@@ -1,7 +1,7 @@
 """Reading the HDF5 container of a NIR file into a graph, without trusting it.
 
 HDF5 can link groups in circles, keep numbers in other files, claim arrays that no memory holds, and
-read for ever in a damaged heap of texts; `nir.read` also checks inner graphs when told not to, and
+read a damaged heap of texts without end; `nir.read` also checks inner graphs when told not to, and
 does not say which node it cannot make. So the container is checked before anything in it is read,
 and the graph is read node by node.
 """

@@ -137,7 +137,7 @@ def _threshold(name: str, neuron: DiscreteNeuron) -> NDArray[np.float64]:
 
 
 def _window(artifact: Artifact) -> int | None:
-    """T of an inference; None where it is not known or states go on from one to the next."""
+    """T of an inference; None where it is not known or states continue from one to the next."""
     reset = artifact.convention.state == "reset"
     return artifact.codec.timesteps if artifact.codec is not None and reset else None
 
@@ -154,8 +154,8 @@ def _ways_out(
         return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
     if convention.state == "kept" and any(tap.lag for tap in taps):
         raise RuleError(
-            f"rule delay: node {outlet.port.name!r}: it hears several layers, some of them late, "
-            "while states are kept. Remove the delay before it, or choose state 'reset'."
+            f"rule delay: node {outlet.port.name!r}: it receives several layers, some of "
+            "them late, while states are kept. Remove the delay before it, or choose state 'reset'."
         )
     return first.layer, None, graph.outlets
 
@@ -196,7 +196,7 @@ def check(artifact: Artifact, on: Chip) -> DesignCheck:
 
 
 def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
-    """What the compiler says; without limits where rules have said already what breaks them."""
+    """Whether it compiles; without limits where a rule has already failed."""
     try:
         compile_program(artifact, on, limits=limits)
     except SpikedeployError as error:

@@ -200,7 +200,7 @@ class Linear:
         return math.prod(self._shape(name))
 
     def _ordered(self, inside: set[str]) -> list[str]:
-        """The nodes, each after its sources; values would go round for ever in a loop of them."""
+        """The nodes, each after its sources; in a loop of them values would never settle."""
         before = {name: inside.intersection(sources(self._graph, name)) for name in inside}
         names: dict[str, None] = {}
         while len(names) < len(inside):
@@ -208,7 +208,7 @@ class Linear:
             if not ready:
                 raise RuleError(
                     f"rule recurrence: nodes {', '.join(sorted(inside - names.keys()))}: a loop "
-                    "without a spiking node, in which values go round for ever; a chip has none. "
+                    "without a spiking node, whose values would never settle; a chip has none. "
                     "Put a neuron into it, or run the graph in float."
                 )
             names.update(dict.fromkeys(ready))

@@ -124,8 +124,8 @@ def _outlet(graph: nir.NIRGraph, linear: Linear, region: LinearBlock, port: Port
         if not isinstance(graph.nodes[source], SPIKING):
             raise RuleError(
                 f"rule outputs: node {port.name!r}: the output must come from a spiking node; it "
-                f"hears the input {source!r} with none between. Put neurons there, or run the "
-                "graph in float."
+                f"is connected to the input {source!r} without neurons between. Put "
+                "some there, or run the graph in float."
             )
     taps = [
         ReadoutTerm(source, None if _is_identity(matrix) else matrix, lag)

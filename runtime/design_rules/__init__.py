@@ -1,4 +1,4 @@
-"""The design rules: what a chip has room for, and how its cores take the layers of a network.
+"""The design rules: what fits on a chip, and how its cores take the layers of a network.
 
 A rule is a function of a network that is placed on a chip; it yields what it found, the limit and a
 remedy.

@@ -1,4 +1,4 @@
-"""Design rules on capacity: what each layer takes of its cores, and the network of the chip.
+"""Design rules on capacity: of the layers on their cores, and of the network on the chip.
 
 Of a layer its neurons, synapses, memory and axons; of the network its inputs, outputs, cores, chips
 and convention.
@@ -96,7 +96,7 @@ def axons_in(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 def axons_out(design: PlacedNetwork) -> Iterator[RuleResult]:
     """Pairs of a neuron in the fullest core and a core with postsynaptic neurons."""
-    remedy = "Make the layers that hear it smaller, so that they take fewer cores."
+    remedy = "Make the layers that receive its spikes smaller, so that they take fewer cores."
     for placement in design.mapping.placements:
         if placement.kind == "bias":
             continue
@@ -134,7 +134,7 @@ def destinations(design: PlacedNetwork) -> Iterator[RuleResult]:
     """Postsynaptic layers of a layer."""
     if design.limits.destinations is None:
         return
-    remedy = "Let fewer layers hear it."
+    remedy = "Connect it to fewer layers."
     for population in design.network.populations:
         found = len({c.target for c in design.network.leaving(population.name)})
         limit = design.limits.destinations

@@ -29,12 +29,12 @@ class SynapseCounts:
     into: (N,) of each target.
     weight: (M, N) where they are listed; None where they are not (convolutions), or no longer.
     largest: greatest magnitude among their weights.
-    biased: whether a map on the way adds something in every timestep.
-    delayed: whether a Delay is on the way.
+    biased: whether a map between them adds something in every timestep.
+    delayed: whether a Delay is between them.
     late: whether the way closes a loop.
     most: whether the counts are the most that it can be: two maps in a row, whose product is not
         made.
-    maps: names of the nodes on the way.
+    maps: names of the nodes between them.
     """
 
     out: Counts
@@ -77,7 +77,7 @@ def merged(fans: Sequence[SynapseCounts]) -> SynapseCounts:
 
 
 def through(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts:
-    """The fan with one more node on its way."""
+    """The fan after one more node."""
     fan = replace(fan, maps=(*fan.maps, name))
     if isinstance(node, nir.Delay):
         return replace(fan, delayed=fan.delayed or bool(node.delay.any()))
@@ -113,7 +113,7 @@ def _composed(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts
 
 
 def _weighted(fan: SynapseCounts) -> bool:
-    """Whether a map with a fan of its own is on the way already."""
+    """Whether a map with a fan of its own is between them already."""
     same = fan.weight is None and not fan.most and fan.out.size == fan.into.size
     return not (same and (fan.out == 1).all() and (fan.into == 1).all())
 

@@ -129,7 +129,7 @@ class Backend(Protocol):
         """Copies of all states, and of the spikes that have not arrived yet."""
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there; T may be another where layers run row by row."""
+        """Continue from there; T may be another where layers run row by row."""
 
 
 def backend_class(program: Program, name: str) -> type[Backend]:
@@ -141,7 +141,7 @@ def backend_class(program: Program, name: str) -> type[Backend]:
     able = {**arithmetic.backends, "interpreter": _INTERPRETER}
     obstacle: str | None = (
         f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which only the "
-        "interpreter knows."
+        "interpreter supports."
     )
     for each in _PREFERENCES[name]:
         if each in able:

@@ -33,7 +33,7 @@ class InterpreterBackend:
 
     @staticmethod
     def obstacle(program: Program) -> str | None:
-        """It knows every arithmetic."""
+        """Supports every arithmetic."""
         return None
 
     def reset(self) -> None:

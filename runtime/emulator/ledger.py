@@ -79,8 +79,8 @@ def count(
     """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
 
     spikes: (B, T, N) of the input and of each layer.
-    busy: (B, T, N) of each layer, as in Tick; None takes every neuron-timestep for an update.
-    overflows: (B, T, N) of each layer, as in Tick; None takes none.
+    busy: (B, T, N) of each layer, as in StepResult; None takes every neuron-timestep for an update.
+    overflows: (B, T, N) of each layer, as in StepResult; None takes none.
     """
     batch, timesteps, _ = spikes[program.input].shape
     counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
@@ -149,7 +149,7 @@ class LedgerBuilder:
 
     @property
     def keeps(self) -> bool:
-        """Whether anything is to be counted."""
+        """Whether rows are recorded."""
         return self.rows != "none"
 
     def observe(self, counter: _Counter, observation: Any) -> None:  # noqa: ANN401

@@ -61,8 +61,8 @@ class Machine:
     backend: "numpy", or "numba", which computes the same several times faster, and compiles for
         half a minute when it runs for the first time after it was installed; "auto" takes it where
         it is installed and can run the program. "interpreter" computes the same slowly; "numpy" and
-        "auto" do so too where nothing faster knows the chip's arithmetic. "The same" is bit for bit
-        on chips with integers. On `ideal` it is up to the rounding of float64: backends add up the
+        "auto" do so too where nothing faster supports the arithmetic. "The same" is bit for bit on
+        chips with integers. On `ideal` it is up to the rounding of float64: backends add up the
         same products in another order, and a membrane that comes within that of its threshold may
         spike with one and not with the other.
     """
@@ -118,7 +118,7 @@ class Machine:
         if self.program.outlets:
             raise ConfigError(
                 f"{len(self.program.to_host)} layers leave the chip, and a step gives the spikes "
-                "of one. Use infer, or give the network one Output that hears one layer."
+                "of one. Use infer, or give the network one Output connected to one layer."
             )
         with self._calls.lock:
             rows = self._checked(spikes, 2)[None]
@@ -216,7 +216,7 @@ class Machine:
         return self._backend_class(self.program, prepared, self.batch)
 
     def _run(self, backend: Backend, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
-        """Spikes (T, B, N) as they reach the readout; the ledger knows of them."""
+        """Spikes (T, B, N) as they reach the readout; the ledger counts them."""
         presynaptic = backend.run(rows, step)
         self._running = True
         if self._ledger.keeps:

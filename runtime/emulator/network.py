@@ -59,7 +59,7 @@ class RunningNetwork(Protocol):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the chip does otherwise than the file says; sentences."""
+        """Deviations of the chip from the file, one sentence each."""
 
 
 class MachinePool:
@@ -148,7 +148,7 @@ class MachinePool:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the chip does otherwise than the file says; sentences."""
+        """Deviations of the chip from the file, one sentence each."""
         return self.program.remarks
 
     def _machine(self, batch: int) -> Machine:

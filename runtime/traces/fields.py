@@ -33,7 +33,7 @@ class Fields:
     Emulators call the same thing by several names, so every field is asked for by all of them.
 
     where: its place, for messages.
-    unread: names of the fields that nobody asked for.
+    unread: names of the fields that were not asked for.
     """
 
     def __init__(self, found: object, where: str) -> None:

@@ -1,4 +1,4 @@
-"""SANA-FE's energies: a network described in a sentence, and what its events add up to."""
+"""SANA-FE's energies of the network named in a trace, compared with the ledger's."""
 
 import math
 import re

@@ -1,14 +1,13 @@
 """Trace files: what an emulator or a chip did, with everything that is needed to do it again.
 
-The format is in docs/traces.md. It grew from what four emulators write, so quantities have several
-names, and a file says in prose who made it. A verdict is what became of a trace when replayed.
+The format is in docs/traces.md. It follows what four emulators write, so quantities have several
+names, and a file names its maker in prose. A verdict is the result of replaying a trace.
 """
 
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.traces.fields import Fields, Integers, read_json
+from spikedeploy.runtime.traces.fields import Fields, Integers
 
 # who wrote a trace, by what its name, source and kind say -> the chip in that reading
 _MAKERS = (
@@ -56,7 +55,7 @@ class TraceFile:
     raster: (1, T, M) spikes that went in; counts where the chip takes several in a timestep.
     recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
     blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
-    unread: fields that mean nothing to the reader.
+    unread: fields that the reader does not use.
     """
 
     source: str
@@ -68,11 +67,6 @@ class TraceFile:
 
 
 Reader: TypeAlias = Callable[[Fields, str], TraceFile]
-
-
-def read_trace(path: Path) -> TraceFile:
-    """The trace in a file, checked."""
-    return trace_in(read_json(path), path.stem)
 
 
 def trace_in(fields: Fields, stem: str) -> TraceFile:
@@ -104,7 +98,7 @@ def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index:
 
 def nothing_to_compare(fields: Fields, unread: set[str], wanted: str) -> TraceError:
     """The error of a trace in which nothing is recorded under a name that is known."""
-    others = f" Nothing is known of {', '.join(sorted(unread))}." if unread else ""
+    others = f" Unknown fields: {', '.join(sorted(unread))}." if unread else ""
     return TraceError(f"{fields.where}: there is nothing to compare.{others} Record {wanted}.")
 
 
@@ -155,7 +149,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a trace.
+    """The result of replaying a trace.
 
     chip: the one that it was replayed on.
     source: who recorded it.
@@ -164,7 +158,7 @@ class Verdict:
     passed_over: recorded numbers that were not compared.
     why: they were not; empty where all were.
     difference: None where all numbers are equal.
-    unread: fields of the file that mean nothing to the reader.
+    unread: fields of the file that the reader does not use.
     """
 
     chip: str

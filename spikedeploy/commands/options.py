@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 Switch = Literal["on", "off"]
 Granularity = Literal["layer", "channel"]
 Fraction = Literal["nearest", "truncate"]
-Room = Literal["none", "proven"]
+HeadroomChoice = Literal["none", "proven"]
 AfterSpike = Literal["zero", "subtract"]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
@@ -110,7 +110,7 @@ Rounding = Annotated[
     ),
 ]
 Headroom = Annotated[
-    Room,
+    HeadroomChoice,
     typer.Option(
         "--headroom",
         help="Fill the range of weights, or leave enough that nothing overflows.",
@@ -130,7 +130,7 @@ WeightShift = Annotated[
 def quantisation(
     quantise: Granularity,
     rounding: Fraction | None,
-    headroom: Room,
+    headroom: HeadroomChoice,
     thresholds: int | None,
     weight_shift: int,
 ) -> "Quantisation":

@@ -30,7 +30,7 @@ def train(
         ),
     ] = None,
     resume: Annotated[
-        str | None, typer.Option(metavar="RUN|last", help="Go on with a run, or with the newest.")
+        str | None, typer.Option(metavar="RUN|last", help="Resume a run, or the newest.")
     ] = None,
     runs: Annotated[Path, typer.Option(help="Folder in which the run folder is made.")] = Path(
         "runs"

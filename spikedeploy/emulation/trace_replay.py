@@ -50,7 +50,7 @@ class ReplayedTrace:
         if found.passed_over:
             remarks.append(f"{found.passed_over} {found.why}")
         if found.unread:
-            remarks.append(f"fields that mean nothing here: {', '.join(found.unread)}")
+            remarks.append(f"fields that are not used: {', '.join(found.unread)}")
         return remarks
 
 

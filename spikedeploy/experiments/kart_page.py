@@ -112,7 +112,7 @@ def _facts(design: ExperimentDesign, budgets: Mapping[tuple[str, str], int]) -> 
         f"- a training ends {ends} its budget of environment steps: {steps}",
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(
-            f"- ✗ {trial.name} was trained otherwise than its recipe says now: "
+            f"- ✗ {trial.name} was trained with other settings than its recipe has now: "
             + ", ".join(trial.changed_settings)
             for trial in design.trials()
             if trial.changed_settings

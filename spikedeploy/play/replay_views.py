@@ -215,7 +215,7 @@ class GhostView:
 class RolloutView:
     """A recorded episode, whose actions are simulated again.
 
-    Seeking back restarts the episode, which is fast because nothing is rendered on the way.
+    Seeking back restarts the episode, which is fast because nothing is rendered meanwhile.
 
     world   the environment
     newest  the last observation (obs,)

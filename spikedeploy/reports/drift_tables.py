@@ -9,7 +9,7 @@ from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
 # title, heads, rows
 Table: TypeAlias = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
-RUNGS = {
+ABLATION_STEPS = {
     "weights": "weights rounded",
     "thresholds": "+ thresholds and biases",
     "decays": "+ decays",
@@ -22,17 +22,17 @@ def tables(report: DriftReport) -> Iterator[Table]:
     drift = report.drift
     yield f"Drift of {report.policy} on {drift.chip}", ("what", "found"), _summary(report)
     yield "Layers", _LAYER_HEADS, _layers(drift)
-    if drift.rungs:
+    if drift.ablation:
         yield (
             "Which rounding costs what",
             ("rounding", *_names(drift), _unit(drift.output)),
             [
                 (
-                    RUNGS[rung.name],
-                    *(f"{rung.distance[name]:.4f}" for name in _names(drift)),
-                    _size(rung.output),
+                    ABLATION_STEPS[step.name],
+                    *(f"{step.distance[name]:.4f}" for name in _names(drift)),
+                    _size(step.output),
                 )
-                for rung in drift.rungs
+                for step in drift.ablation
             ],
         )
     if drift.findings:

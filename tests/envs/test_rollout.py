@@ -5,7 +5,7 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
-from tests.choosing import Choosing
+from tests.toy_quadrant_env import QuadrantEnv
 
 
 class Constant:
@@ -138,7 +138,7 @@ class Quadrant(Constant):
 
 
 def test_a_discrete_action_is_recorded_as_its_index(tmp_path):
-    played = rollout(Choosing(), Quadrant(0), 3)
+    played = rollout(QuadrantEnv(), Quadrant(0), 3)
     assert played.total == 10.0  # the best action at every step
     assert played.action.shape == (10,)
     assert played.action.dtype == np.int64
@@ -151,12 +151,12 @@ def test_a_discrete_action_is_recorded_as_its_index(tmp_path):
 @pytest.mark.parametrize("wrong", [4, -1, 0.5])
 def test_a_discrete_action_out_of_range_is_refused(wrong):
     with pytest.raises(EnvError, match=f"action of step 0: {wrong} is none of 0 to 3"):
-        rollout(Choosing(), Constant(wrong), 0)
+        rollout(QuadrantEnv(), Constant(wrong), 0)
 
 
 def test_continuous_actions_in_a_discrete_space_are_refused():
     with pytest.raises(EnvError, match=r"action of step 0: shape \(4,\) instead of \(\)"):
-        rollout(Choosing(), Constant(np.zeros(4)), 0)
+        rollout(QuadrantEnv(), Constant(np.zeros(4)), 0)
 
 
 def test_a_rollout_holds_the_options_of_its_environment(env, walk, tmp_path):

@@ -134,7 +134,7 @@ def test_the_modules_that_a_page_names_exist(page):
 
 
 def known(name):
-    """Whether a dotted name is a module of ours, or something defined in one."""
+    """Whether a dotted name is a module of this repository, or something defined in one."""
     where = ROOT.joinpath(*name.split("."))
     module = where.parent.with_suffix(".py")
     package = where.parent / "__init__.py"
@@ -164,7 +164,7 @@ def listed(names):
 
 def dependencies():
     """The tables of the import test, as Markdown."""
-    rows = ["| package | may import of ours | libraries |", "|---|---|---|"]
+    rows = ["| package | may import from here | libraries |", "|---|---|---|"]
     rows += [
         f"| `{p}` | {listed(near)} | {', '.join(sorted(LIBRARIES[p]))} |"
         for p, near in PACKAGES.items()

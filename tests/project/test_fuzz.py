@@ -1,4 +1,4 @@
-"""Damaged files raise only errors of ours; benchmarks/fuzz.py tries ten thousand."""
+"""Damaged files raise only SpikedeployErrors; benchmarks/fuzz.py tries ten thousand."""
 
 import json
 from pathlib import Path

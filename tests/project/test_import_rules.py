@@ -83,7 +83,7 @@ def ours(name):
 
 
 def package(name):
-    """The package of a module of ours."""
+    """The package of a module of this repository."""
     parts = name.split(".")
     return parts[1] if len(parts) > 1 and parts[1] in PACKAGES else "spikedeploy"
 

@@ -9,12 +9,12 @@ from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.shipping import demo_reports
 from spikedeploy.video import Pace, captioned, mp4, side_by_side
-from tests import stroll_env
+from tests import toy_stroll_env
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     return tmp_path
 
 
@@ -95,7 +95,7 @@ def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys
     def dark(self):
         raise EnvError("no OpenGL to draw with")
 
-    monkeypatch.setattr(stroll_env.Stroll, "render", dark)
+    monkeypatch.setattr(toy_stroll_env.StrollEnv, "render", dark)
     assert (
         demo_reports._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4", 5.0)
         is None

@@ -14,7 +14,7 @@ from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.train import train
-from tests.pointing import Pointing
+from tests.toy_pointing_env import PointingEnv
 
 TINY = [
     "steps=400", "warm_up=40", "batch=8", "policy.hidden=[8]", "critic_hidden=[8]",
@@ -26,7 +26,7 @@ TINY = [
 def world(monkeypatch):
     """A tiny environment that can send Ctrl-C at a step of its choice."""
 
-    class Interrupting(Pointing):
+    class Interrupting(PointingEnv):
         count = 0
         interrupt_at = -1
 

@@ -1,4 +1,4 @@
-"""How large the numbers of a layer can get, whatever the spikes, and scales that none overflows at.
+"""Bounds on the numbers of a layer, whatever the spikes, and scales at which none overflows.
 
 Bounds prove that fast arithmetic is exact. Headroom is the largest scale at which no register of
 the chip can overflow; widths count even where a reading of the chip does not model what happens
@@ -26,7 +26,7 @@ _EXACT = 1 << 40
 # every whole number up to this is held by float32
 _SINGLE = 1 << 24
 
-# from here on a window is as good as endless
+# [timesteps] longer windows are treated as unbounded
 _LONG = 100
 
 
@@ -48,10 +48,10 @@ class Bounds:
     below: float
 
 
-def room(register: Register) -> int:
+def register_limit(register: Register) -> int:
     """Largest magnitude that a register holds, and that float64 decays exactly."""
-    unbounded = register.overflow == "none" and register.between is None
-    return _EXACT if unbounded else register.limit
+    limitless = register.overflow == "none" and register.between is None
+    return _EXACT if limitless else register.limit
 
 
 def bounds(
@@ -77,7 +77,9 @@ def bounds(
     )
 
 
-def harmless(layer: Layer, registers: CubaRegisters, timesteps: int, most: int) -> int:
+def spikes_without_overflow(
+    layer: Layer, registers: CubaRegisters, timesteps: int, most: int
+) -> int:
     """Spikes in a window of T timesteps from zero that can take no state beyond `most`.
 
     Each adds at most the largest weight to the sum of the magnitudes that arrive, and no state
@@ -104,8 +106,9 @@ def single(layer: Layer, registers: CubaRegisters) -> int:
 def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
     """Decays after a reset that leave nothing to round, whatever the spikes.
 
-    All that is added to the states is a multiple of 2**shift, and each decay takes as many bits off
-    it as its fraction has: PopSAN's halves and quarters three times none of Loihi's six.
+    All that is added to the states is a multiple of 2**shift, and each decay divides it by as many
+    powers of two as its factor has fractional bits. PopSAN's decay factors of 1/2 and 3/4 have up
+    to two, and Loihi's states are multiples of 2**6: three decays round nothing.
     """
     added = [1 << registers.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
     shift = min(_trailing(int(value)) for value in added)
@@ -115,7 +118,7 @@ def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
 
 
 def _trailing(value: int) -> int:
-    """Zeros at the end of a binary number; of 0 there is no end."""
+    """Zeros at the end of a binary number; for 0, _LONG."""
     return (value & -value).bit_length() - 1 if value else _LONG
 
 
@@ -144,8 +147,8 @@ def _leaky(
     membrane_factor = layer.membrane_decay / float(registers.decay_one)
     push = bias.clip(min=0).astype(np.float64)
     if timesteps is None or timesteps > _LONG:
-        current = _endless(drive, current_factor)
-        return current, _endless(current + push, membrane_factor)
+        current = _unbounded(drive, current_factor)
+        return current, _unbounded(current + push, membrane_factor)
     current = membrane = np.zeros(layer.size)
     for _ in range(timesteps):
         current = current_factor * current + drive
@@ -153,10 +156,10 @@ def _leaky(
     return current, membrane
 
 
-def _endless(drive: Floats, factor: Floats) -> Floats:
-    """Limit of x = factor x + drive: drive / (1 - factor), and endless without a leak."""
-    endless = np.where(drive > 0, np.inf, 0.0)
-    return np.divide(drive, 1 - factor, out=endless, where=factor < 1)
+def _unbounded(drive: Floats, factor: Floats) -> Floats:
+    """Limit of x = factor x + drive: drive / (1 - factor), and infinite without a leak."""
+    unbounded = np.where(drive > 0, np.inf, 0.0)
+    return np.divide(drive, 1 - factor, out=unbounded, where=factor < 1)
 
 
 # rounding may lift a bound a little over its register again; each round takes away the excess

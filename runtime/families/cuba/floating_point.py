@@ -29,7 +29,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True)
 class CubaFloat64(ArithmeticDefaults):
-    """CuBa-LIF neurons in float64: the network as it was trained, on the way of a chip.
+    """CuBa-LIF neurons in float64: the network as it was trained, compiled as for a chip.
 
     Measures count its weights and states as float32, which is what hardware would hold.
     """

@@ -103,7 +103,7 @@ def _said_mixed(spec: Fields) -> bool:
 
 
 def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
-    """(N, M) weights, whichever way the file says that they stand."""
+    """(N, M) weights, in either orientation."""
     found = spec.array(name, axes=2, least=-256 * unit, most=255 * unit)
     if found.ndim < 2:
         # one neuron with several axons, or one axon onto several neurons
@@ -183,7 +183,7 @@ def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: in
         return arithmetic.decay_one - spec.row(
             effective, size=size, least=0, most=arithmetic.decay_one
         )
-    # a neuron of which no current is known forgets it at once
+    # without a decay of the current it lasts one timestep
     default = arithmetic.decay_one - offset if state == "u" else None
     found = spec.row(*names, size=size, default=default, least=0, most=arithmetic.decay_max)
     return arithmetic.decay_one - offset - found
@@ -198,7 +198,7 @@ _RECORDED = {
 }
 # and what boards' probes are called, with one of these before or after
 _PROBES = ("hw", "chip", "board", "probe")
-# what the files say twice, or the reading says
+# given twice in the file, or by the reading
 _REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
     "weights_exc", "weights_inh", "weights_mixed", "weight_effective", "weights_effective",
@@ -234,7 +234,7 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
 
 
 def _layers_of(fields: Fields) -> list[Fields]:
-    """What each layer says; what the file says of all of them goes last."""
+    """The fields of each layer, then those that the file gives for all layers."""
     shared = fields.under(fields.group("params"))
     if fields.name("layers") is None:
         return [shared]

@@ -2,8 +2,8 @@
 
 The scale of a layer is how many mantissas stand for a float unit. The largest weight or bias
 becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the threshold or the voltage
-bias would not fit then. A spike has no size, so scales never meet, neither those of layers nor
-those of neurons of a layer: threshold, bias and membrane follow the scale.
+bias would not fit then. Spikes are unit events, so layers and neurons can be scaled independently:
+threshold, bias and membrane follow the scale.
 
 A neuron that has a scale of its own has a threshold of its own, and a core stores only so many.
 Scales may shrink a little, so that neurons share thresholds; nothing else has to follow.

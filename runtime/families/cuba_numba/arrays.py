@@ -10,7 +10,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState
-from spikedeploy.runtime.families.cuba.bounds import bounds, room
+from spikedeploy.runtime.families.cuba.bounds import bounds, register_limit
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba_numba import layout
 from spikedeploy.runtime.families.cuba_numba.layout import (
@@ -110,7 +110,7 @@ def _too_much(layer: Layer, fixed: CubaFixedPoint, drive: float) -> bool:
     Where it cannot, a sum that float64 may hold was made from a decay that it computed exactly.
     """
     bias = float(np.abs(layer.voltage_bias.astype(np.int64)).max(initial=0))
-    return drive > room(fixed.accumulator) or max(drive, bias) > _exact(fixed)
+    return drive > register_limit(fixed.accumulator) or max(drive, bias) > _exact(fixed)
 
 
 def _sources(program: Program, delays: tuple[tuple[int, ...], ...]) -> Integers:
@@ -154,7 +154,7 @@ def _rooms(fixed: CubaFixedPoint) -> tuple[float, float, float]:
     """State units per weight unit, and what float64 may hold of a current and of a membrane."""
 
     def held(register: Register) -> float:
-        return float(min(room(register), _exact(fixed)))
+        return float(min(register_limit(register), _exact(fixed)))
 
     return float(1 << fixed.mantissa_shift), held(fixed.current), held(fixed.membrane)
 

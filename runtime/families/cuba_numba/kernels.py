@@ -129,7 +129,7 @@ def run(
 
 @jit
 def _forget(constants: Array, memory: Array, b: int, timesteps: int) -> None:
-    """Zero states, and no spike on its way."""
+    """Zero states, and no spike in delivery."""
     layers, sources = constants.layers, constants.sources
     for layer in range(len(layers)):
         at = layers[layer, STATE]

@@ -1,4 +1,4 @@
-"""What is where in the arrays of the kernels: their columns, and the tuples that hold them."""
+"""Array layout of the kernels."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,6 @@
-"""The NumPy kernels of CuBa-LIF neurons, equal to the interpreter bit for bit.
+"""The NumPy kernels of CuBa-LIF neurons.
+
+Equal to the interpreter bit for bit on chips with integers; on `ideal` up to float64 rounding.
 
 event_counter    the events of a window
 layer_kernel     a layer's whole window of timesteps in few NumPy calls

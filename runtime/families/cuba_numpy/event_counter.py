@@ -48,7 +48,7 @@ class LayerWindow(Protocol):
         """Copies of the states."""
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there."""
+        """Continue from there."""
 
 
 class WindowStats(NamedTuple):

@@ -3,7 +3,7 @@
 States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
 needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Where decays
 are short, float32 does the same for smaller states, and is tried first: a sixth faster in a large
-batch (docs/performance.md). Nothing is checked for overflow on the way: either the bounds prove
+batch (docs/performance.md). Overflow is not checked in every timestep: either the bounds prove
 that no number can be too large, or that so few spikes cannot make one, or the states are looked at
 afterwards. A window that did overflow, which is rare, is computed once more, in float64 or by the
 interpreter.
@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer, LayerState
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState
-from spikedeploy.runtime.families.cuba.bounds import Bounds, bounds, harmless, room, single
+from spikedeploy.runtime.families.cuba.bounds import (
+    Bounds,
+    bounds,
+    register_limit,
+    single,
+    spikes_without_overflow,
+)
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.neurons import update
 from spikedeploy.runtime.families.cuba_numpy.neuron_update import NeuronUpdate
@@ -50,21 +56,21 @@ class _OverflowCheck:
         most: int | None = None,
     ) -> None:
         self.fixed = fixed
-        current, membrane = room(fixed.current), room(fixed.membrane)
-        self._room = min(current, membrane) if most is None else min(current, membrane, most)
+        current, membrane = register_limit(fixed.current), register_limit(fixed.membrane)
+        self._limit = min(current, membrane) if most is None else min(current, membrane, most)
         self._push = float(layer.voltage_bias.max(initial=0))
-        self._open = limits.current > self._room or max(limits.above, limits.below) > self._room
-        self._open_above = limits.above > self._room
+        self._open = limits.current > self._limit or max(limits.above, limits.below) > self._limit
+        self._open_above = limits.above > self._limit
         pushed = min(limits.current, current) + np.abs(layer.voltage_bias).max(initial=0)
         # refractory, and accumulators and pushes that overflow, are left to the interpreter
         self._never = (
             fixed.refractory > 1
-            or limits.drive > room(fixed.accumulator)
-            or pushed > room(fixed.push)
+            or limits.drive > register_limit(fixed.accumulator)
+            or pushed > register_limit(fixed.push)
         )
-        self._harmless = -1
+        self._safe_spikes = -1
         if timesteps is not None:
-            self._harmless = harmless(layer, fixed, timesteps, self._room)
+            self._safe_spikes = spikes_without_overflow(layer, fixed, timesteps, self._limit)
 
     @property
     def proven(self) -> bool:
@@ -75,18 +81,18 @@ class _OverflowCheck:
         """Whether no register overflowed on the way to these states."""
         if self._never or not self._open:
             return not self._never
-        if self._harmless >= 0:
+        if self._safe_spikes >= 0:
             spikes = sum([raster.spikes() for raster in presynaptic])
-            if spikes <= self._harmless:
+            if spikes <= self._safe_spikes:
                 return True
-        # what max() and min() do, without their detour through Python
+        # what max() and min() do, without their overhead in Python
         highest = float(np.maximum.reduce(states, axis=None))
         lowest = float(np.minimum.reduce(states, axis=None))
         if self._open_above:
             # a membrane before its reset is not kept, but cannot have been higher than this: what
             # the one before left, and the current
             highest = 2 * max(highest, 0.0) + self._push
-        return -self._room <= lowest and highest <= self._room
+        return -self._limit <= lowest and highest <= self._limit
 
 
 def proven(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int) -> bool:
@@ -126,7 +132,7 @@ class LayerKernel:
         self.overflows = np.zeros(batch, np.int64)
         self.waiting = self.interpreted = False
         self._refractory = np.zeros((batch, layer.size), np.int64)
-        # of a window from zero, or of states that go on for ever
+        # of a window from zero, or of states that are kept
         self._window = None if kept else timesteps
         self._limits = bounds(program, layer, fixed, self._window) if fixed else None
         self._prepare(np.dtype(np.float32 if self._short() else np.float64))
@@ -163,7 +169,7 @@ class LayerKernel:
         return {"states": self.states[-1].copy(), "refractory": self._refractory.copy()}
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there."""
+        """Continue from there."""
         if saved["states"].dtype != self.states.dtype:
             self._prepare(saved["states"].dtype)
         self.states[-1] = saved["states"]

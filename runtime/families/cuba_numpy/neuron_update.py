@@ -100,7 +100,7 @@ class NeuronUpdate:
             reset(membrane, spikes, to)
 
     def finish(self) -> None:
-        """Write the currents, where nothing needed them on the way."""
+        """Write the currents, where nothing needed them before."""
         if self._first:
             np.copyto(self._currents, self._drive)
 

@@ -41,7 +41,7 @@ class _DelayBuffer:
         self._tails = {name: np.zeros((longest, batch, n), np.uint8) for name, n in sizes.items()}
 
     def reset(self) -> None:
-        """Nothing is on its way."""
+        """Forget the spikes that have not arrived."""
         if self._longest:
             for tail in self._tails.values():
                 tail.fill(0)
@@ -70,7 +70,7 @@ class _DelayBuffer:
         return {name: tail.copy() for name, tail in self._tails.items()}
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there."""
+        """Continue from there."""
         self._tails = {name: saved[name].copy() for name in self._tails}
 
 
@@ -110,7 +110,7 @@ class NumpyPipeline:
             if any(synapses.shift for synapses in layer.synapses):
                 return (
                     f"layer {layer.name!r}: its weights have a negative exponent, by which "
-                    f"{program.chip.name} rounds sums, which only the interpreter knows."
+                    f"{program.chip.name} rounds sums, which only the interpreter supports."
                 )
         return None
 
@@ -158,7 +158,7 @@ class NumpyPipeline:
         return saved
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there."""
+        """Continue from there."""
         self._buffer.restore({name: saved[f"spikes of {name}"] for name in self._program.sizes})
         for window in self._windows:
             of = f" of {window.layer.name}"

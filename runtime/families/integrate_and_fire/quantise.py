@@ -20,7 +20,7 @@ _LINEAR = (
     "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "
     "limits off, which takes away what is lost half-way to the threshold."
 )
-# what to do where neurons leak otherwise than the chip's
+# remedies where neurons do not leak as the chip's do
 _REMEDIES = {
     "none": "{chip} has no leak. Train with IF neurons.",
     "linear": _LINEAR,

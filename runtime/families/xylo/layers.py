@@ -22,7 +22,7 @@ from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 
 Floats = NDArray[np.float64]
 
-# a time constant that is off by more than this part of it is worth a remark
+# a time constant that is off by more than this part of it is remarked on
 _NOTABLE = 0.01
 
 
@@ -52,10 +52,10 @@ def check_output(network: Network, registers: XyloRegisters, chip_name: str) -> 
     if registers.read == "output" and not network.output_apart:
         raise RuleError(
             f"rule outputs: layer {network.output!r} is no output population of "
-            f"{chip_name}. The output is read from it, and output neurons hear hidden "
-            "neurons only: not the input, nor each other, and nobody hears them. Put a spiking "
-            "layer behind it, or read hidden neurons, as a simulator lets one, with read='any' of "
-            "the chip."
+            f"{chip_name}. The output is read from it, and output neurons are connected "
+            "to hidden neurons only, not to the input, nor to each other, and are presynaptic to "
+            "none. Put a spiking layer behind it, or read hidden neurons, as a simulator lets one, "
+            "with read='any' of the chip."
         )
 
 

@@ -26,11 +26,11 @@ class XyloRegisters:
     dash_max: a state x loses x >> dash in each timestep, and at least 1; largest dash.
     currents: synaptic currents of a neuron, each with weights and a dash of its own.
     state: every current, membrane and threshold.
-    leak: what decay adds to a membrane, on its way there.
+    leak: what decay adds to a membrane, before it is added.
     events_max: input events of a channel in a timestep; more are lost.
     spikes_max: spikes of a neuron in a timestep.
     output_spikes_max: spikes of an output neuron in a timestep.
-    read: neurons whose spikes the host hears: those of the "output" population, or "any", hidden
+    read: neurons whose spikes the host receives: those of the "output" population, or "any", hidden
         ones too, as a simulator lets one.
     """
 
@@ -95,7 +95,7 @@ def _arrived(
         if synapses.source == network.input:
             events = events.clip(max=registers.events_max)
         if (np.abs(current[:, fed]) + events @ np.abs(weight)).max() <= registers.state.limit:
-            # none of the sums can saturate on the way, and so their order does not matter
+            # no partial sum can saturate, and so their order does not matter
             current[:, fed] += events @ weight
             continue
         for index, axon in np.argwhere(events):

@@ -129,7 +129,7 @@ def _weights(spec: Fields, name: str, place: int, registers: XyloRegisters) -> I
     """(M, N, K) weights as they are added, after the shift of their matrix."""
     edge = 1 << (registers.weight_bits - 1)
     found = spec.array(name, axes=3, least=-edge, most=edge - 1)
-    if found.ndim == 1:  # a single neuron, one weight for each that it hears
+    if found.ndim == 1:  # a single neuron, one weight for each of its inputs
         found = found[:, None]
     if found.ndim < 2:
         raise spec.wrong(name, "is a single number", "Write [pre][post][synapse].")

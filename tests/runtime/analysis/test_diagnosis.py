@@ -63,7 +63,7 @@ def test_a_silent_input_is_said_to_be_silent():
 
 
 def test_weights_that_round_to_zero_are_counted_and_what_hears_them_is_not_blamed():
-    # one weight of 1000 that never hears a spike takes the whole range, and 1.9 of it are 0.48
+    # one weight of 1000 that never receives a spike takes the whole range, and 1.9 of it are 0.48
     artifact = layers([[1000.0, 1.9, 1.9]], [[4.0]], threshold=2.5)
     found = diagnosed(artifact, silent_first_axon(3))
     assert (found["n2"].health, found["n2"].cause) == ("dead", "weights")
@@ -117,7 +117,7 @@ def test_every_reading_of_the_chip_is_diagnosed(name):
 
 
 @pytest.mark.parametrize(("lost", "detail"), [(0, "numbers are rounded"), (7, "7 numbers overf")])
-def test_a_chip_without_rungs_is_said_to_round_or_to_overflow(lost, detail):
+def test_a_chip_without_ablation_is_said_to_round_or_to_overflow(lost, detail):
     artifact = layers([[1.0]])
     raster = np.ones((1, 20, 1), np.uint8)
     program = compile_program(artifact, chip("ideal"))

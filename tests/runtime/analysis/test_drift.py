@@ -80,15 +80,20 @@ def test_of_one_timestep_the_layer_that_hears_first_is_named():
     assert first(twin, ran(a=[0, 1, 0], b=[0, 0, 1]), ["b", "a"]).layer == "a"
 
 
-def test_rungs_add_one_rounding_after_another_and_end_on_the_chip():
+def test_ablation_steps_add_one_rounding_after_another_and_end_on_the_chip():
     artifact = popsan()
     raster = raster_of(artifact)
     found = drift(artifact, chip("loihi1", weight_bits=3), raster)
-    assert tuple(rung.name for rung in found.rungs) == ("weights", "thresholds", "decays", "states")
-    last = found.rungs[-1]
+    assert tuple(step.name for step in found.ablation) == (
+        "weights",
+        "thresholds",
+        "decays",
+        "states",
+    )
+    last = found.ablation[-1]
     assert last.output == found.output
     assert last.distance == {layer.name: layer.distance for layer in found.layers}
-    assert found.rungs[0].distance["n2"] > 0
+    assert found.ablation[0].distance["n2"] > 0
 
 
 def test_a_rounding_that_changes_nothing_changes_no_spike_on_its_rung():
@@ -98,14 +103,14 @@ def test_a_rounding_that_changes_nothing_changes_no_spike_on_its_rung():
     weight = rng.integers(-1, 2, (6, 8)).astype(float)
     artifact = Artifact(chain(nir.Linear(weight), neurons, width=8, act=6), None, Convention(1e-3))
     found = drift(artifact, chip("loihi1"), raster_of(artifact))
-    assert [rung.distance["n2"] for rung in found.rungs[:3]] == [0.0, 0.0, 0.0]
+    assert [step.distance["n2"] for step in found.ablation[:3]] == [0.0, 0.0, 0.0]
 
 
 def test_a_tuned_threshold_drifts_from_the_rung_of_thresholds_on():
     artifact = popsan()
     tuned = Quantisation(tuned={"n2": Tuning(threshold=3.0)})
     plain, found = (
-        drift(artifact, chip("loihi1"), raster_of(artifact), q).rungs
+        drift(artifact, chip("loihi1"), raster_of(artifact), q).ablation
         for q in (Quantisation(), tuned)
     )
     assert found[0].distance["n2"] == plain[0].distance["n2"]

@@ -35,7 +35,7 @@ def skipping():
 
 
 def recurrent():
-    """A layer that hears itself, and a second one."""
+    """A layer connected to itself, and a second one."""
     edges = "input->a, a->l1, l1->r, r->l1, l1->b, b->l2, l2->c, c->output"
     nodes = {
         "a": affine(8, 6), "r": affine(6, 6), "b": affine(6, 5), "c": affine(5, 3),

@@ -143,7 +143,7 @@ def test_a_division_fits_and_none_into_fewer_cores_does(size, fan_in, room, full
 
 
 def test_axons_out_of_a_core_divide_the_layer_that_is_heard():
-    # 8 neurons heard by 4 cores are 32 axons; 16 a core leave room for 4 neurons
+    # 8 neurons presynaptic to 4 cores are 32 axons; 16 a core leave room for 4 neurons
     limits = replace(MIXED.limits, neurons_per_core=8, axons_out=16, input_cores=False)
     found = placed(dense(2, 8, 32), replace(MIXED, limits=limits)).placements
     assert [(p.cores, p.block, p.axons_out) for p in found] == [(2, 4, 16), (4, 8, 0)]

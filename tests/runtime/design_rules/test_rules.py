@@ -59,7 +59,7 @@ def xylo(inputs=4, hidden=4, outputs=2, there=1):
 
 
 def reached(targets, sources):
-    """Hidden neurons of which so many hear inputs, and so many are heard by outputs."""
+    """Hidden neurons of which so many receive inputs, and so many project to outputs."""
     hidden = 200
     first, last = np.zeros((hidden, 2)), np.zeros((2, hidden))
     first[:targets], last[:, :sources] = 1.0, 1.0
@@ -115,7 +115,7 @@ def convolved(size, kernel, stride=1, features=2):
 
 
 def heard_by(layers):
-    """A layer that so many others hear, whose spikes meet in the last."""
+    """A layer presynaptic to so many others, whose spikes meet in the last."""
     nodes = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
     nodes |= {name: integrate(2) for name in ("a", "z")}
     edges = ["input->wa", "wa->a", "z->output", "wz->z"]
@@ -206,7 +206,7 @@ BOUNDARIES = [
     ),
     ("convention", "loihi1", one(), one(spikes="reached")),
     ("convention", "loihi1", one(), one(floor="zero")),
-    # two cores of one neuron each, heard by two cores
+    # two cores of one neuron each, presynaptic to two cores
     (
         "axons-out",
         limited(neurons_per_core=1, axons_out=2, input_cores=False),

@@ -63,7 +63,7 @@ def test_a_bias_axon_costs_its_fan_out_and_a_message_in_every_timestep():
 
 def test_a_neuron_is_updated_when_it_has_a_current_or_a_membrane():
     # the spike of row 1 arrives in row 1 of the window, and the membrane stays from then on;
-    # the second neuron hears nothing; one chip timestep passes before the window starts
+    # nothing is connected to the second neuron; one chip timestep passes before the window starts
     events = counted(program([[5, 0]]), [[0], [1], [0], [0]])
     assert events["neuron_update"] == 3
     assert events["neuron_idle"] == 2 * (4 + 1) - 3

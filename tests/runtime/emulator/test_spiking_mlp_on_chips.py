@@ -58,7 +58,7 @@ def on_every_rung(artifact, raster):
 def test_a_lif_neuron_worked_by_hand_spikes_alike_on_every_rung():
     # weights 2.55 and -1, bias 0.5, beta 1/2, threshold 3
     #
-    # t   hears      V = V / 2 + x
+    # t   input      V = V / 2 + x
     # 0   a          2.55 + 0.5              = 3.05 > 3: spike, then 0
     # 1   b          -1 + 0.5                = -0.5
     # 2   -          -0.25 + 0.5             = 0.25
@@ -78,7 +78,7 @@ def test_a_lif_neuron_worked_by_hand_spikes_alike_on_every_rung():
 def test_a_membrane_that_leaks_in_twelve_bits_worked_by_hand():
     # beta 0.9 is 3686 / 4096, and what is left is rounded toward zero; the threshold is 19200
     #
-    # t   hears   255 * 64 = 16320 at a time       -100 * 64 = -6400 at a time
+    # t   input   255 * 64 = 16320 at a time       -100 * 64 = -6400 at a time
     # 0   1       16320                            -6400
     # 1   0       14686.4 -> 14686                 -5759.4 -> -5759
     # 2   0       13215.97 -> 13215                -5182.5 -> -5182

@@ -13,7 +13,12 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import Interpreter
-from spikedeploy.runtime.families.cuba.bounds import bounds, exact_ticks, harmless, single
+from spikedeploy.runtime.families.cuba.bounds import (
+    bounds,
+    exact_ticks,
+    single,
+    spikes_without_overflow,
+)
 from tests.programs import layer, random_programs, rasters
 
 WIDE = chip("loihi1", current=Register(60, "none"), membrane=Register(60, "none"))
@@ -69,7 +74,7 @@ def test_a_membrane_cannot_be_far_above_its_threshold():
     assert limits.below == np.inf
 
 
-def test_an_endless_leak_has_a_limit():
+def test_an_unbounded_window_with_a_leak_has_a_limit():
     program = one_neuron([200, -55], decays=(2047, 1024))
     limits = bounds(program, program.layers[0], WIDE.arithmetic, None)
     assert limits.current == 2 * 200 * 64
@@ -80,19 +85,21 @@ def the_layer(**fields):
     return replace(one_neuron([200, -55], decays=(2047, 1024)).layers[0], **fields)
 
 
-def test_so_many_spikes_are_harmless_as_the_peak_of_one_allows():
+def test_so_many_spikes_cannot_overflow_as_the_peak_of_one_allows():
     # a current of 1 halves, a membrane keeps 3/4: 1, 1.25, 1.1875, … is the membrane's answer
     a = the_layer()
-    assert harmless(a, WIDE.arithmetic, 5, 10 * 200 * 64) == 8
+    assert spikes_without_overflow(a, WIDE.arithmetic, 5, 10 * 200 * 64) == 8
     # an always-on axon of 3 and a voltage bias of 64 arrive in each of the 5 timesteps
     biased = the_layer(bias=np.array([-3]), voltage_bias=np.array([64]))
-    assert harmless(biased, WIDE.arithmetic, 5, 10 * 200 * 64) == int((8 * 12800 - 5 * 256) / 12800)
-    assert harmless(biased, WIDE.arithmetic, 5, 100) == -1
+    assert spikes_without_overflow(biased, WIDE.arithmetic, 5, 10 * 200 * 64) == int(
+        (8 * 12800 - 5 * 256) / 12800
+    )
+    assert spikes_without_overflow(biased, WIDE.arithmetic, 5, 100) == -1
 
 
 @settings(max_examples=60, deadline=None)
 @given(random_programs(), st.integers(1, 9), st.integers(0, 2**32 - 1), st.integers(8, 24))
-def test_harmless_spikes_leave_every_state_within_the_limit(program, timesteps, seed, bits):
+def test_so_few_spikes_leave_every_state_within_the_limit(program, timesteps, seed, bits):
     wide = replace(program.chip, arithmetic=WIDE.arithmetic)
     program = replace(program, chip=wide, convention=replace(program.convention, state="reset"))
     raster = rasters(program, 1, timesteps, 0.1, seed)[0]
@@ -100,7 +107,7 @@ def test_harmless_spikes_leave_every_state_within_the_limit(program, timesteps, 
     spikes = {program.input: raster, **{name: ran.spikes for name, ran in traces.items()}}
     for a in program.layers:
         presynaptic = sum(int(spikes[s.source].sum()) for s in a.synapses)
-        if presynaptic <= harmless(a, WIDE.arithmetic, timesteps, 1 << bits):
+        if presynaptic <= spikes_without_overflow(a, WIDE.arithmetic, timesteps, 1 << bits):
             assert np.abs(traces[a.name].current).max() <= 1 << bits
             assert np.abs(traces[a.name].membrane).max() <= 1 << bits
 

@@ -67,7 +67,7 @@ def test_each_neuron_of_its_own_scale_has_its_own_headroom():
     artifact = crowd(size=2)
     artifact.graph.nodes["n1"].weight[1, 1:] = 0.0
     program = compile_program(artifact, chip("loihi1"), replace(PROVEN, granularity="channel"))
-    # the second neuron hears one axon only, which overflows nothing
+    # the second neuron is connected to one axon only, which overflows nothing
     assert program.layers[0].synapses[0].weight.max(axis=0).tolist() == [54, 255]
 
 

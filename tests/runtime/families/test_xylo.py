@@ -10,9 +10,9 @@ from spikedeploy.runtime.chips.registers import Register, shift_decay
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.traces.trace_file import read_trace
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
+from tests.trace_files import recorded_trace
 
 
 def network(weights, counts, **params):
@@ -49,7 +49,7 @@ def file(tmp_path):
 @pytest.fixture
 def ran(file):
     def run(record):
-        recorded = read_trace(file(record))
+        recorded = recorded_trace(file(record))
         return trace(recorded.program, recorded.raster)
 
     return run
@@ -155,7 +155,7 @@ def test_the_first_difference_names_the_second_current(file):
 def test_every_spike_of_a_timestep_is_counted_in_the_ledger(file):
     # 3 events of 10 on one of two channels: 15 of current, 3 spikes of 5; one step later 1 more
     record = network([10, 0], [[3, 0], [0, 2], [0, 0]], threshold=5)
-    machine = Machine(read_trace(file(record)).program)
+    machine = Machine(recorded_trace(file(record)).program)
     machine.infer(np.array([record["input_counts"]], np.uint8))
     ledger = machine.ledger
     assert ledger.by_layer("spike_in") == {"hidden": 5 + 5, "output": 5}

@@ -130,7 +130,7 @@ def test_a_generated_network_on_the_ideal_chip_equals_the_float_graph(network, s
         program = compile_program(artifact, chip("ideal"))
     except RuleError as error:
         # a bias before a delay, and several layers read late while states are kept
-        assert "begin late" in str(error) or "it hears several layers" in str(error)  # noqa: PT017
+        assert "begin late" in str(error) or "it receives several layers" in str(error)  # noqa: PT017
         return
     twin, machine = FloatGraph(artifact), Machine(program, 2, trace=True)
     rng = np.random.default_rng(seed)

@@ -84,7 +84,7 @@ def test_an_unknown_padding_is_refused():
         artifact(alone(node, (2, 6, 6), (4, 4, 4)))
 
 
-def test_nir_takes_height_for_width_and_a_group_for_all_and_is_not_believed():
+def test_nir_takes_height_for_width_and_a_group_for_all_so_shapes_are_computed():
     node = nir.Conv2d((10, 10), np.ones((4, 1, 3, 5)), 1, 0, 1, 2, np.zeros(4))
     assert (node.input_type["input"][0], node.output_type["output"][2]) == (1, 8)
     valid = artifact(alone(node, (2, 10, 10), (4, 8, 6)))

@@ -5,9 +5,9 @@ import pytest
 
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.traces.trace_file import read_trace
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
+from tests.trace_files import recorded_trace
 
 TRACES = sorted(path for path in GOLDEN.glob("*.json") if path.name[:6] != "sanafe")
 LOIHI = [path for path in TRACES if "xylo" not in path.name]
@@ -41,14 +41,14 @@ def test_a_trace_is_verified(path):
 
 @pytest.mark.parametrize("path", LOIHI, ids=name)
 def test_the_interpreter_equals_the_trace(path):
-    recorded = read_trace(path)
+    recorded = recorded_trace(path)
     assert all(len(quantities) == 3 for quantities in recorded.recorded.values())
     check(recorded.recorded, trace(recorded.program, recorded.raster))
 
 
 @pytest.mark.parametrize("path", FAST, ids=name)
 def test_the_machine_equals_the_trace(path):
-    recorded = read_trace(path)
+    recorded = recorded_trace(path)
     machine = Machine(recorded.program, trace=True)
     machine.infer(recorded.raster)
     check(recorded.recorded, machine.recordings)
@@ -56,7 +56,7 @@ def test_the_machine_equals_the_trace(path):
 
 @pytest.mark.parametrize("path", FAST, ids=name)
 def test_streaming_equals_the_trace(path):
-    recorded = read_trace(path)
+    recorded = recorded_trace(path)
     machine = Machine(recorded.program)
     for t in range(recorded.raster.shape[1]):
         machine.step(recorded.raster[:, t])

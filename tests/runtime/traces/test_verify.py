@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import SpikedeployError, TraceError
-from spikedeploy.runtime.traces.trace_file import read_trace
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
+from tests.trace_files import recorded_trace
 
 LAVA = GOLDEN / "lava_A_popsan_decays.json"
 
@@ -341,6 +341,6 @@ def test_junk_in_a_field_is_an_error_or_a_verdict_and_never_a_crash(
 
 
 def test_a_program_of_a_trace_runs_like_any_other():
-    recorded = read_trace(LAVA)
+    recorded = recorded_trace(LAVA)
     ran = trace(recorded.program, np.repeat(recorded.raster, 2, axis=0))
     np.testing.assert_array_equal(ran["layer0"].spikes[0], ran["layer0"].spikes[1])

@@ -14,7 +14,7 @@ from spikedeploy.policies.registry import find
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.design_rules.table import RULES
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import chain, cuba, popsan
 
 RULING = {
@@ -55,7 +55,7 @@ CHIP = {
 
 @pytest.fixture
 def wide(tmp_path):
-    """A file with more sources than a core of Loihi hears."""
+    """A file with more sources than a core of Loihi has axons."""
     artifact = popsan(obs=411)
     path = tmp_path / "wide.nir"
     save(artifact, path)
@@ -205,7 +205,7 @@ def crowded(monkeypatch, tmp_path):
     """A shipped policy for the stroll whose layers no core of Loihi holds."""
     from spikedeploy.runtime.families.cuba import loihi
 
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     none = replace(loihi.LOIHI1.limits, axons_in=1)
     monkeypatch.setattr(loihi, "LOIHI1", replace(loihi.LOIHI1, limits=none))
@@ -227,7 +227,7 @@ def test_run_and_compare_refuse_what_does_not_fit_and_play_it_without_limits(com
 
 
 def test_a_line_up_says_that_limits_are_off(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     labels = [entry.label for entry in line_up("stroll", (), ["loihi1"], limits=False)]
     assert "popsan · loihi1, limits off" in labels
     assert "popsan · float" in labels

@@ -15,7 +15,7 @@ from spikedeploy.runtime.compiler.compile import compile_program as compiled
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from spikedeploy.user_errors import one_line
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import popsan
 from tests.paths import GOLDEN
 
@@ -24,7 +24,7 @@ VERBS = [verb for verbs in cli.COMMANDS.values() for verb in verbs]
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -165,7 +165,7 @@ def test_emulate_refuses_what_is_no_raster(array, message, command, tmp_path):
 
 
 def test_export_compares_the_file_with_the_policy(command, stroll):
-    run = stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    run = toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
     code, out, _ = command("export", run, "--to", "nir", "--observations", 30)
     assert code == 0
     assert out.count("✓") >= 4
@@ -173,7 +173,7 @@ def test_export_compares_the_file_with_the_policy(command, stroll):
 
 
 def test_export_writes_whether_membranes_are_kept(command, stroll):
-    run = stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    run = toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
     words = ("export", run, "--observations", 30, "--state", "kept", "--to")
     assert command(*words, "nir")[0] == 0
     assert load(run / "policy.nir").convention.state == "kept"
@@ -185,7 +185,7 @@ def test_export_writes_whether_membranes_are_kept(command, stroll):
 def test_export_fails_with_exit_code_1_when_a_check_does(command, stroll, monkeypatch):
     from spikedeploy.exporters.check import ParityCheck
 
-    run = stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(6,)))
+    run = toy_stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(6,)))
     monkeypatch.setattr(
         "spikedeploy.shipping.export_run.check",
         lambda *_: [ParityCheck("actions", False, "0.5 off")],
@@ -196,7 +196,7 @@ def test_export_fails_with_exit_code_1_when_a_check_does(command, stroll, monkey
 
 
 def test_visualize_draws_the_curves_of_runs(command, stroll):
-    run = stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(4,)))
+    run = toy_stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(4,)))
     _, out, _ = command("visualize", run, "-o", "curves.png", "--json")
     (curve,) = json.loads(out)["curves"]
     assert curve["name"] == run.name

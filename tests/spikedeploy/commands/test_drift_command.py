@@ -12,14 +12,14 @@ from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import popsan
 from tests.runtime.families.test_headroom import crowd
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -41,7 +41,7 @@ def test_a_shipped_policy_is_compared_on_what_its_float_twin_observes(command, s
     )
     assert (found["chip"], found["inferences"], found["timesteps"]) == ("loihi1", 7, 5)
     assert found["output"]["kind"] == "action"
-    assert [rung["name"] for rung in found["rungs"]] == [
+    assert [step["name"] for step in found["rungs"]] == [
         "weights", "thresholds", "decays", "states"
     ]  # fmt: skip
 

@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips import quantisation, registers
     [
         (options.Granularity, quantisation.Granularity),
         (options.Fraction, registers.Rounding),
-        (options.Room, quantisation.Headroom),
+        (options.HeadroomChoice, quantisation.Headroom),
         (options.AfterSpike, convention.Reset),
         (options.Decays, convention.Integrator),
         (options.States, convention.State),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.artifact.artifact import save
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import popsan
 from tests.paths import ROOT
 
@@ -59,7 +59,7 @@ def test_the_energy_tables_are_listed_with_their_sources(command):
 
 
 def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     (row,) = json.loads(command("run", "stroll/popsan", "--energy", "reckon", "--json")[1])["rows"]
     # 5.3 pJ a synaptic operation, those of the biases included
@@ -68,7 +68,7 @@ def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path)
 
 
 def test_compare_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     words = ("compare", "stroll", "--episodes", 2, "--workers", 1, "--energy", "spinnaker2")
     rows = json.loads(command(*words, "--json")[1])["rows"]

@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.machine import Machine
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import popsan
 from tests.xylo_networks import network
 
@@ -62,11 +62,11 @@ def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
 
 
 def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path):
-    stroll_env.install(monkeypatch)
+    toy_stroll_env.install(monkeypatch)
     policy = popsan()
     convention = replace(policy.convention, reset="subtract")
     save(
-        replace(policy, convention=convention, provenance=stroll_env.ORIGIN),
+        replace(policy, convention=convention, provenance=toy_stroll_env.ORIGIN),
         tmp_path / "policy.nir",
     )
     words = (tmp_path / "policy.nir", "--chip", "xylo-a2", "--env", "stroll", "--json")
@@ -82,11 +82,11 @@ def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path
 
 
 def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch, tmp_path):
-    shipped = stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    shipped = toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     policy = popsan(obs=3, act=2, hidden=(16, 12))
     convention = replace(policy.convention, reset="subtract")
     file = shipped / "popsan.nir"
-    save(replace(policy, convention=convention, provenance=stroll_env.ORIGIN), file)
+    save(replace(policy, convention=convention, provenance=toy_stroll_env.ORIGIN), file)
     asked = ("stroll", file, "--chips", "xylo-a2,ideal", "--episodes", "1", "--seed", "10000")
     asked += ("--workers", "1", "--limits", "off")
     code, out, err = command("compare", *asked, "-o", tmp_path / "out")

@@ -22,14 +22,14 @@ from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import tables
 from spikedeploy.runtime.errors import ConfigError
-from tests import race_env
+from tests import toy_race_env
 
 SEEDS = range(10_000, 10_004)
 
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    race_env.install(monkeypatch)
+    toy_race_env.install(monkeypatch)
 
 
 class Quadrants:

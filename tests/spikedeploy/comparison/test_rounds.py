@@ -15,16 +15,16 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
-from tests import stroll_env
+from tests import toy_stroll_env
 
 SEEDS = range(10_000, 10_003)
 
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    folder = stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    folder = toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     for name in ("linear", "phase", "zigzag"):
-        stroll_env.ann(folder / f"{name}.onnx", hidden=(), kind="control", seed=len(name))
+        toy_stroll_env.ann(folder / f"{name}.onnx", hidden=(), kind="control", seed=len(name))
     return folder
 
 
@@ -54,7 +54,7 @@ def test_a_chip_is_measured_against_its_float_twin_and_all_else_against_the_floa
 
 
 def test_a_file_alone_still_meets_the_shipped_ann_and_controls(stroll, tmp_path):
-    file = stroll_env.snn(tmp_path / "mine.nir", seed=1)
+    file = toy_stroll_env.snn(tmp_path / "mine.nir", seed=1)
     found = labels(line_up("stroll", [str(file)], ("loihi1",)))
     assert found == ["sac", "mine · float", "mine · loihi1", "gait", "phase", "linear", "zigzag"]
 
@@ -63,7 +63,7 @@ def test_files_of_the_same_name_are_told_apart_by_their_folders(stroll, tmp_path
     files = []
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
-        files.append(str(stroll_env.ann(tmp_path / folder / "sac.onnx")))
+        files.append(str(toy_stroll_env.ann(tmp_path / folder / "sac.onnx")))
     assert labels(line_up("stroll", files, ()))[:2] == ["a/sac", "b/sac"]
 
 

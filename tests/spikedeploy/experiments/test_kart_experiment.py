@@ -19,7 +19,7 @@ from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.files import write_text
 from spikedeploy.runtime.errors import ConfigError
-from tests import race_env
+from tests import toy_race_env
 
 NUMBERS = {
     "episodes": 100, "lap_time": 7.5, "crashes": 0.02, "stalls": 0.0, "gates": 7.9,
@@ -29,7 +29,7 @@ NUMBERS = {
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    race_env.install(monkeypatch, *WORLDS)
+    toy_race_env.install(monkeypatch, *WORLDS)
 
 
 @pytest.fixture

@@ -10,14 +10,14 @@ from spikedeploy.experiments.finishes import finished_by, finishes, progress_of,
 from spikedeploy.experiments.trial import Trial, perform
 from spikedeploy.policies.registry import find
 from spikedeploy.trainers.metrics import read
-from tests import race_env
+from tests import toy_race_env
 
 QUICK = ("steps=1024", "policy.timesteps=8")
 
 
 @pytest.fixture(autouse=True)
 def _race(monkeypatch):
-    race_env.install(monkeypatch, "kart-grid")
+    toy_race_env.install(monkeypatch, "kart-grid")
 
 
 def make(folder, **changes):

@@ -19,7 +19,7 @@ from spikedeploy.play.drivers import (
     PolicyDriver,
 )
 from spikedeploy.runtime.errors import ConfigError
-from tests import stroll_env
+from tests import toy_stroll_env
 
 KARTS = {
     "kart-grid": {"w": "up", "s": "down", "a": "left", "d": "right"},
@@ -284,7 +284,7 @@ def test_a_hexapod_walks_as_the_arrows_command():
 
 
 def test_worlds_that_are_no_karts_show_what_their_camera_sees(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     driven = open_session("stroll", {}, None, None, 10_000)
     app = DriveApp(driven, "stroll")
     for _ in range(5):

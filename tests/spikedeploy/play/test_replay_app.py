@@ -26,7 +26,7 @@ from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from tests import stroll_env
+from tests import toy_stroll_env
 from tests.networks import spiking_mlp
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
@@ -457,7 +457,7 @@ class Waves:
 
 
 def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_path):
-    stroll_env.install(monkeypatch)
+    toy_stroll_env.install(monkeypatch)
     played = rollout(envs.make("stroll"), Waves(), 10_005)
     played.save(tmp_path / "walk.npz")
     app = open_replay(tmp_path / "walk.npz")

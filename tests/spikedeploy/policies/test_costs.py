@@ -15,14 +15,14 @@ from spikedeploy.policies.onnx import costs as onnx_costs
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.metrics.energy import TABLES, EnergyEstimate, mac_energy
-from tests import stroll_env
+from tests import toy_stroll_env
 
 OBSERVATIONS = np.random.default_rng(5).normal(size=(7, 3))
 
 
 @pytest.fixture
 def snn(tmp_path):
-    return stroll_env.snn(tmp_path / "snn.nir")
+    return toy_stroll_env.snn(tmp_path / "snn.nir")
 
 
 def played(observations):
@@ -51,7 +51,7 @@ def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
     spikes = [layer.sum() / len(OBSERVATIONS) for layer in layers]
     neurons = sum(layer.shape[2] for layer in layers)
     inputs = encoded.sum() / len(OBSERVATIONS)
-    # 30 inputs -> 16 -> 12 -> 20, all weights non-zero; the readout hears each of 20 once
+    # 30 inputs -> 16 -> 12 -> 20, all weights non-zero; the readout reads each of 20 once
     assert found.sops == pytest.approx(inputs * 16 + spikes[0] * 12 + spikes[1] * 20)
     assert found.effective_acs == pytest.approx(found.sops + spikes[2])
     assert found.effective_macs == 0
@@ -107,7 +107,7 @@ def test_energy_per_inference_is_the_mean_of_single_inferences(snn):
 
 
 def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
-    path = stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,))
+    path = toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,))
     player = OnnxController(path)
     (hidden,) = player._session.run(["hidden1"], {"observation": OBSERVATIONS.astype("float32")})
     active = np.count_nonzero(hidden, axis=1).mean()
@@ -116,7 +116,7 @@ def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
 
 
 def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
-    player = OnnxController(stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
+    player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
     found = onnx_costs(player, played(OBSERVATIONS))
     assert found.dense == 3 * 8 + 8 * 2
     assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])

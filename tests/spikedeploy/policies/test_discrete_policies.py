@@ -18,8 +18,8 @@ from spikedeploy.trainers.config import SpikingMlpConfig
 from spikedeploy.trainers.policies import MlpPolicy, from_config
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
-from tests import stroll_env
-from tests.choosing import Choosing
+from tests import toy_stroll_env
+from tests.toy_quadrant_env import QuadrantEnv
 
 ORIGIN = Provenance("", created="2026-01-01T00:00:00Z", version="0.1.0")
 OBSERVATIONS = np.random.default_rng(0).uniform(-1, 1, (40, 2))
@@ -54,7 +54,7 @@ def write(kind, folder, coding="regular"):
 def opened(kind, folder, chip="float", sampled=False, coding="regular"):
     candidate = replace(find(str(write(kind, folder, coding))), env=None)
     return candidate, open_policy(
-        candidate, chip if candidate.kind == "snn" else None, Choosing(), sampled
+        candidate, chip if candidate.kind == "snn" else None, QuadrantEnv(), sampled
     )
 
 
@@ -71,7 +71,7 @@ def test_an_episode_is_a_list_of_choices(kind, tmp_path):
     candidate, player = opened(kind, tmp_path)
     assert candidate.actions == 4
     assert candidate.kind == ("ann" if kind == ".onnx" else "snn")
-    played = rollout(Choosing(), player, 10_000)
+    played = rollout(QuadrantEnv(), player, 10_000)
     assert (played.action.shape, played.action.dtype) == ((10,), np.int64)
     price(candidate, player, played)
 
@@ -111,8 +111,8 @@ def test_sampling_takes_the_best_action_most_often_but_not_always(kind, tmp_path
 
 
 def test_numbers_are_not_sampled(monkeypatch, tmp_path):
-    stroll_env.install(monkeypatch)
-    candidate = find(str(stroll_env.ann(tmp_path / "p.onnx")))
+    toy_stroll_env.install(monkeypatch)
+    candidate = find(str(toy_stroll_env.ann(tmp_path / "p.onnx")))
     with pytest.raises(ConfigError, match="only one of several actions can be sampled"):
         open_policy(candidate, None, envs.make("stroll"), sampled=True)
 

@@ -13,20 +13,20 @@ from spikedeploy.policies.registry import FORMATS, find, open_policy
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
-from tests import stroll_env
+from tests import toy_stroll_env
 
 
 @pytest.fixture
 def world(monkeypatch):
-    stroll_env.install(monkeypatch)
+    toy_stroll_env.install(monkeypatch)
     return envs.make("stroll")
 
 
 def write(kind, folder):
     makers = {
-        ".onnx": lambda: stroll_env.ann(folder / "sac.onnx"),
-        ".nir": lambda: stroll_env.snn(folder / "popsan.nir"),
-        "run": lambda: stroll_env.run_folder(folder, MlpConfig(hidden=(8,))),
+        ".onnx": lambda: toy_stroll_env.ann(folder / "sac.onnx"),
+        ".nir": lambda: toy_stroll_env.snn(folder / "popsan.nir"),
+        "run": lambda: toy_stroll_env.run_folder(folder, MlpConfig(hidden=(8,))),
         "gait": lambda: "gait",
         "random": lambda: "random",
     }
@@ -61,12 +61,14 @@ def test_a_candidate_says_what_it_is(kind, name, expected, world, tmp_path):
     candidate = find(write(kind, tmp_path))
     assert (candidate.name, candidate.kind) == (name, expected)
     if kind.startswith("."):
-        assert (candidate.env, candidate.observed, candidate.actions) == (stroll_env.ID, 3, 2)
+        assert (candidate.env, candidate.observed, candidate.actions) == (toy_stroll_env.ID, 3, 2)
 
 
 def test_run_folders_are_ann_or_snn_by_their_policy(world, tmp_path):
-    assert find(str(stroll_env.run_folder(tmp_path, MlpConfig(hidden=(4,))))).kind == "ann"
-    spiking = find(str(stroll_env.run_folder(tmp_path, PopsanConfig(hidden=(4,), populations=2))))
+    assert find(str(toy_stroll_env.run_folder(tmp_path, MlpConfig(hidden=(4,))))).kind == "ann"
+    spiking = find(
+        str(toy_stroll_env.run_folder(tmp_path, PopsanConfig(hidden=(4,), populations=2)))
+    )
     assert spiking.kind == "snn"
     assert open_policy(spiking, "float", world).act(np.zeros(3)).shape == (2,)
     with pytest.raises(ConfigError, match="export it first: spikedeploy export"):
@@ -75,7 +77,7 @@ def test_run_folders_are_ann_or_snn_by_their_policy(world, tmp_path):
 
 def test_shipped_policies_go_by_short_names(world, monkeypatch, tmp_path):
     (tmp_path / "stroll").mkdir()
-    path = stroll_env.ann(tmp_path / "stroll/sac.onnx")
+    path = toy_stroll_env.ann(tmp_path / "stroll/sac.onnx")
     monkeypatch.setattr(zoo, "FOLDER", tmp_path)
     assert find("stroll/sac").path == find("stroll/sac.onnx").path == str(path)
     with pytest.raises(ConfigError, match=r"'stroll/sax'.*did you mean 'stroll/sac'\?"):
@@ -83,7 +85,7 @@ def test_shipped_policies_go_by_short_names(world, monkeypatch, tmp_path):
 
 
 def test_a_policy_for_another_environment_is_one_clear_line(world, tmp_path):
-    candidate = find(str(stroll_env.snn(tmp_path / "p.nir", env="spikedeploy/Hexapod-v0")))
+    candidate = find(str(toy_stroll_env.snn(tmp_path / "p.nir", env="spikedeploy/Hexapod-v0")))
     with pytest.raises(
         ConfigError, match=r"p.nir was made for spikedeploy/Hexapod-v0, not for test"
     ):
@@ -113,7 +115,7 @@ def test_an_observation_that_is_no_number_is_refused(bad, kind, world, tmp_path)
 
 
 def test_an_observation_of_the_wrong_size_is_refused(tmp_path):
-    player = OnnxController(stroll_env.ann(tmp_path / "p.onnx"))
+    player = OnnxController(toy_stroll_env.ann(tmp_path / "p.onnx"))
     with pytest.raises(ObservationError, match="observes 3 numbers"):
         player.act(np.zeros(4))
 
@@ -126,7 +128,7 @@ def test_a_broken_onnx_file_is_refused(tmp_path):
 
 
 def test_a_nir_file_without_codec_is_sent_to_emulate(tmp_path):
-    path = stroll_env.snn(tmp_path / "p.nir")
+    path = toy_stroll_env.snn(tmp_path / "p.nir")
     artifact = load(path)
     bare = type(artifact)(artifact.graph, None, artifact.convention)
     save(bare, tmp_path / "bare.nir")
@@ -141,7 +143,7 @@ def test_an_unknown_suffix_is_refused(tmp_path):
 
 
 def test_onnx_runs_on_one_thread(tmp_path):
-    options = OnnxController(stroll_env.ann(tmp_path / "p.onnx"))._session.get_session_options()
+    options = OnnxController(toy_stroll_env.ann(tmp_path / "p.onnx"))._session.get_session_options()
     assert options.intra_op_num_threads == 1
 
 

@@ -12,12 +12,12 @@ from spikedeploy.comparison.summary import summary
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
 from spikedeploy.reports.terminal import print_comparison
-from tests import stroll_env
+from tests import toy_stroll_env
 
 
 @pytest.fixture
 def document(monkeypatch, tmp_path):
-    stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     entries = line_up("stroll", (), ("loihi1",))
     return report.document(compare_policies("stroll", entries, range(10_000, 10_003), processes=1))
 

@@ -16,14 +16,14 @@ from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
 from spikedeploy.trainers.policies.features import Features
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.config import SacConfig
-from tests import stroll_env
+from tests import toy_stroll_env
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)
 
 
 @pytest.fixture(autouse=True)
 def _stroll(monkeypatch):
-    stroll_env.install(monkeypatch)
+    toy_stroll_env.install(monkeypatch)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def _stroll(monkeypatch):
 )
 def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chips, tmp_path):
     files = [f"small{each}" for each in (suffix, ".json", ".md", ".png", ".csv")]
-    run = stroll_env.run_folder(tmp_path / "runs", policy)
+    run = toy_stroll_env.run_folder(tmp_path / "runs", policy)
     written = publish_run(str(run), "small", episodes=2, folder=tmp_path / "zoo", processes=1)
     assert [path.relative_to(tmp_path / "zoo/stroll").name for path in written] == files
     card = json.loads((tmp_path / "zoo/stroll/small.json").read_text())
@@ -40,7 +40,7 @@ def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chip
         "smoke",
         0,
         5,
-        stroll_env.ID,
+        toy_stroll_env.ID,
     )
     assert [row["chip"] for row in card["evaluation"]] == chips
     assert all(row["episodes"] == 2 and row["file"] == files[0] for row in card["evaluation"])
@@ -49,7 +49,7 @@ def test_a_published_run_has_file_card_curve_and_evaluation(policy, suffix, chip
 
 
 def test_the_page_says_how_to_make_the_policy_again(tmp_path):
-    run = stroll_env.run_folder(tmp_path / "runs", SPIKING)
+    run = toy_stroll_env.run_folder(tmp_path / "runs", SPIKING)
     zoo = tmp_path / "zoo"
     publish_run(str(run), "small", episodes=2, folder=zoo, processes=1, note="grown in a pot")
     page = (tmp_path / "zoo/stroll/small.md").read_text()
@@ -62,7 +62,7 @@ def test_the_page_says_how_to_make_the_policy_again(tmp_path):
 
 
 def test_a_card_names_no_folder_of_the_machine_that_made_it(monkeypatch, tmp_path):
-    run = stroll_env.run_folder(tmp_path / "runs", SPIKING)
+    run = toy_stroll_env.run_folder(tmp_path / "runs", SPIKING)
     settings = json.loads((run / "config.json").read_text())
     settings["env"]["options"] = {"teacher": str(run), "twice": [str(run)]}
     (run / "config.json").write_text(json.dumps(settings))
@@ -76,7 +76,7 @@ def test_a_card_names_no_folder_of_the_machine_that_made_it(monkeypatch, tmp_pat
 
 
 def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_path):
-    run = stroll_env.run_folder(tmp_path / "runs", SPIKING)
+    run = toy_stroll_env.run_folder(tmp_path / "runs", SPIKING)
     monkeypatch.setattr(
         "spikedeploy.shipping.export_run.check",
         lambda *_: [ParityCheck("spikes", False, "3 differ")],
@@ -97,13 +97,18 @@ def test_what_sees_less_or_is_linear_is_a_control():
 
 
 def test_parity_is_checked_on_observations_of_the_policys_own_episodes(tmp_path):
-    run = stroll_env.run_folder(tmp_path, SPIKING)
+    run = toy_stroll_env.run_folder(tmp_path, SPIKING)
     observations = recorded(run, 45)  # more than two episodes of 21
     assert observations.shape == (45, 3)
     assert len({tuple(row) for row in observations}) == 45
 
 
 def test_a_run_tells_its_origin(tmp_path):
-    origin = run_record.origin(stroll_env.run_folder(tmp_path, SPIKING))
-    assert (origin.env, origin.recipe, origin.seed, origin.steps) == (stroll_env.ID, "smoke", 0, 5)
+    origin = run_record.origin(toy_stroll_env.run_folder(tmp_path, SPIKING))
+    assert (origin.env, origin.recipe, origin.seed, origin.steps) == (
+        toy_stroll_env.ID,
+        "smoke",
+        0,
+        5,
+    )
     assert origin.created.endswith("+00:00")

@@ -15,8 +15,8 @@ from spikedeploy.trainers.ppo.learner import PpoLearner
 from spikedeploy.trainers.ppo.ppo import Ppo
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
-from tests.choosing import Choosing
-from tests.pointing import Pointing
+from tests.toy_pointing_env import PointingEnv
+from tests.toy_quadrant_env import QuadrantEnv
 
 QUICK = [
     "env.count=8", "steps=4096", "horizon=64", "minibatch=64", "validation.every=2048",
@@ -26,7 +26,7 @@ QUICK = [
 SPIKING = ["policy.hidden=[32]", "policy.timesteps=8"]
 
 
-@pytest.fixture(params=[Choosing, Pointing])
+@pytest.fixture(params=[QuadrantEnv, PointingEnv])
 def world(request, monkeypatch):
     monkeypatch.setattr(envs, "make", lambda name, **options: request.param())
     return request.param
@@ -48,7 +48,7 @@ def test_it_learns_within_seconds_with_every_head_and_code(recipe, settings, tmp
     assert last > first + 1.5
     policy = load_policy(run)
     seen = torch.rand(200, 2) * 1.6 - 0.8
-    if world is Choosing:
+    if world is QuadrantEnv:
         right = (seen[:, 0] > 0).long() + 2 * (seen[:, 1] > 0).long()
         assert (policy(seen) == right).float().mean() > 0.5
     else:
@@ -66,7 +66,7 @@ def test_a_resumed_run_continues_where_it_stopped(tmp_path, world):
     assert sum(row["steps"] for row in episodes) <= 6144
 
 
-@pytest.mark.parametrize("world", [Choosing], indirect=True)
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world):
     run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
     episodes = read(run / "episodes.csv")
@@ -77,7 +77,7 @@ def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world)
     assert read(run / "metrics.csv")[-1]["finishes"] == finishes > 0
 
 
-@pytest.mark.parametrize("world", [Choosing], indirect=True)
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_training_ends_at_the_requested_number_of_finishes(tmp_path, world):
     settings = [*QUICK, *SPIKING, "stop_at_finishes=5"]
     run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
@@ -116,7 +116,7 @@ def test_a_policy_that_observes_only_the_phase_is_refused():
         resolve(PpoConfig, "kart-grid-ann", overrides=["policy.features=phase"])
 
 
-@pytest.mark.parametrize("world", [Choosing], indirect=True)
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_the_normaliser_is_updated_until_it_is_frozen(tmp_path, world):
     config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, "normaliser.finish=600"])
     learner = Ppo(config, RunFolder.create(tmp_path, config))
@@ -148,7 +148,7 @@ def test_a_resumed_run_deletes_ghosts_after_its_checkpoint(tmp_path):
     assert not later.exists()
 
 
-@pytest.mark.parametrize("world", [Choosing], indirect=True)
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_an_environment_without_poses_leaves_no_ghosts(tmp_path, world):
     run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
     assert not (run / "ghosts").exists()

@@ -13,13 +13,13 @@ from spikedeploy.trainers.sac.replay import ReplayBatch
 from spikedeploy.trainers.sac.sac import GaussianActor, SacLearner
 from spikedeploy.trainers.train import train
 from spikedeploy.trainers.validation import Validator
-from tests.pointing import Pointing
+from tests.toy_pointing_env import PointingEnv
 
 
 @pytest.fixture
 def pointing(monkeypatch):
-    Pointing.seeds = ()
-    monkeypatch.setattr(envs, "make", lambda name, **options: Pointing())
+    PointingEnv.seeds = ()
+    monkeypatch.setattr(envs, "make", lambda name, **options: PointingEnv())
 
 
 QUICK = [
@@ -46,16 +46,16 @@ def test_training_never_touches_the_seeds_of_validation_and_evaluation(pointing)
     batch = EnvBatch(EnvConfig(count=3), np.random.default_rng(0))
     for _ in range(200):
         batch.step(batch.uniform())
-    assert len(set(Pointing.seeds)) > 30
-    assert max(Pointing.seeds) < 5_000
+    assert len(set(PointingEnv.seeds)) > 30
+    assert max(PointingEnv.seeds) < 5_000
 
 
 def test_validation_uses_the_same_seeds_every_time(pointing):
     config = resolve(SacConfig, "smoke", overrides=["validation.episodes=3"]).validation
     validate = Validator(EnvConfig(), config)
-    Pointing.seeds = ()
+    PointingEnv.seeds = ()
     first, second = validate(MlpPolicy(2, 2, ())), validate(MlpPolicy(2, 2, ()))
-    assert Pointing.seeds == (5000, 5001, 5002) * 2
+    assert PointingEnv.seeds == (5000, 5001, 5002) * 2
     assert first["eval_speed"] == second["eval_speed"] == 0.5
     assert first["eval_falls"] == 0.0
 

@@ -14,7 +14,7 @@ ID = "test/Stroll-v0"
 ORIGIN = Provenance(ID, "smoke", seed=3, steps=7, created="2026-01-01T00:00:00Z", version="0.1.0")
 
 
-class Stroll(gymnasium.Env):
+class StrollEnv(gymnasium.Env):
     """Three observations drift with the two actions; action 0 is paid for following the first."""
 
     observation_space = gymnasium.spaces.Box(-10.0, 10.0, (3,), np.float64)
@@ -48,7 +48,7 @@ class Stroll(gymnasium.Env):
 
 def install(monkeypatch):
     """Make the world known as `stroll`."""
-    spec = envs.EnvSpec("stroll", ID, "tests.stroll_env:Stroll", "twenty steps", ("gait",))
+    spec = envs.EnvSpec("stroll", ID, "tests.toy_stroll_env:StrollEnv", "twenty steps", ("gait",))
     monkeypatch.setitem(envs.ENVS, "stroll", spec)
     envs.register()
 

@@ -13,10 +13,10 @@ from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from spikedeploy.runtime.traces.trace_file import read_trace
 from tests.networks import popsan
 from tests.paths import GOLDEN
 from tests.programs import random_programs, rasters
+from tests.trace_files import recorded_trace
 from tests.xylo_networks import network
 
 runs = st.tuples(
@@ -83,7 +83,7 @@ def test_a_pool_of_interpreted_machines_keeps_one_ledger():
     "name", ["xylo_B_two_syn_bias_rec", "xylo_own_aliases", "lava_own_exponent_mixed"]
 )
 def test_what_the_kernels_do_not_know_runs_all_the_same(name, backend):
-    recorded = read_trace(GOLDEN / f"{name}.json")
+    recorded = recorded_trace(GOLDEN / f"{name}.json")
     machine = Machine(recorded.program, trace=True, backend=backend)
     output = machine.infer(recorded.raster)
     for layer, expected in trace(recorded.program, recorded.raster).items():
@@ -100,7 +100,7 @@ def test_what_the_kernels_do_not_know_runs_all_the_same(name, backend):
     ],
 )
 def test_the_compiled_backend_refuses_what_it_does_not_know(name, reason):
-    recorded = read_trace(GOLDEN / f"{name}.json")
+    recorded = recorded_trace(GOLDEN / f"{name}.json")
     with pytest.raises(ConfigError, match=reason):
         Machine(recorded.program, backend="numba")
 
@@ -129,7 +129,7 @@ def test_an_unknown_backend_is_refused():
 
 
 def test_a_channel_of_xylo_takes_fifteen_events_in_a_timestep():
-    machine = Machine(read_trace(GOLDEN / "xylo_A_ff.json").program)
+    machine = Machine(recorded_trace(GOLDEN / "xylo_A_ff.json").program)
     machine.infer(np.full((1, 2, machine.program.width), 15, np.uint8))
     with pytest.raises(ObservationError, match="0 to 15"):
         machine.infer(np.full((1, 2, machine.program.width), 16, np.uint8))

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 
 
-class Pointing(gymnasium.Env):
+class PointingEnv(gymnasium.Env):
     """Ten steps; the best action points where the observation does."""
 
     observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
@@ -13,7 +13,7 @@ class Pointing(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        Pointing.seeds += (seed,)
+        PointingEnv.seeds += (seed,)
         self._left, self._goal = 10, self._draw()
         return self._goal, {}
 

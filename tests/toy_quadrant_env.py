@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 
 
-class Choosing(gymnasium.Env):
+class QuadrantEnv(gymnasium.Env):
     """Ten steps; the best of four actions names the quadrant that the observation is in."""
 
     observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)

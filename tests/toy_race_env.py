@@ -8,7 +8,7 @@ from spikedeploy import envs
 ID = "test/Race-v0"
 
 
-class Race(gymnasium.Env):
+class RaceEnv(gymnasium.Env):
     """The best of four actions names the quadrant of the observation; six of ten finish."""
 
     observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
@@ -49,6 +49,6 @@ class Race(gymnasium.Env):
 def install(monkeypatch, *names):
     """Make the race known under these short names, `race` if none is given."""
     for name in names or ("race",):
-        spec = envs.EnvSpec(name, ID, "tests.race_env:Race", "ten steps", ("random",))
+        spec = envs.EnvSpec(name, ID, "tests.toy_race_env:RaceEnv", "ten steps", ("random",))
         monkeypatch.setitem(envs.ENVS, name, spec)
     envs.register()
