@@ -29,8 +29,8 @@ def exporter(name: str) -> Callable[..., Path]:
     """The exporter called `name`, imported now."""
     if name not in EXPORTERS:
         near = get_close_matches(name, EXPORTERS, n=1, cutoff=0.3)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"no exporter {name!r}{hint} known: {', '.join(EXPORTERS)}")
+        hint = f"; did you mean {near[0]!r}" if near else ""
+        raise ConfigError(f"no exporter {name!r}{hint}; known: {', '.join(EXPORTERS)}")
     module, function = EXPORTERS[name].split(":")
     loaded: Callable[..., Path] = getattr(import_module(module), function)
     return loaded

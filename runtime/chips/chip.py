@@ -116,7 +116,7 @@ def listed(text: str) -> list[str]:
 def _like(name: str, known: Iterable[str]) -> str:
     """A hint at what may have been meant."""
     close = difflib.get_close_matches(name, list(known), n=2)
-    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
+    return f"; did you mean {' or '.join(map(repr, close))}" if close else ""
 
 
 def _field(datasheet: "Chip", key: str) -> "Field[Any]":

@@ -39,7 +39,7 @@ def energy_table(name: str) -> EnergyTable:
     """The table called `name`; ConfigError where there is none."""
     if name not in TABLES:
         close = difflib.get_close_matches(name, TABLES, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = f"; did you mean {close[0]!r}" if close else ""
         raise ConfigError(f"there is no energy table {name!r}{hint}. Known: {', '.join(TABLES)}.")
     return TABLES[name]
 
