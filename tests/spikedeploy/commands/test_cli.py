@@ -241,7 +241,7 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
     [
         (("run", "nowhere.nir"), "no policy at 'nowhere.nir'"),
         (("run", "gait", "--env", "hexapd"), "did you mean 'hexapod'?"),
-        (("run", "stroll/popsan", "--chip", "loihi9"), "did you mean 'loihi2' or 'loihi1'?"),
+        (("run", "stroll/popsan", "--chip", "loihi9"), "did you mean 'loihi2' or 'loihi1'"),
         (("compare", "stroll", "--seed", "0"), "evaluation starts at 10000"),
         (("train", "hexapod-sax"), "hexapod-sac"),
         (("visualize", "."), "metrics.csv"),
