@@ -27,6 +27,7 @@ EXPORTS = {
     "Artifact": "spikedeploy.runtime.artifact.artifact:Artifact",
     "Codec": "spikedeploy.runtime.codec.codec:Codec",
     "Convention": "spikedeploy.runtime.convention:Convention",
+    "DeltaEncoder": "spikedeploy.runtime.codec.delta:DeltaEncoder",
     "FloatGraph": "spikedeploy.runtime.float_model.graph:FloatGraph",
     "Normaliser": "spikedeploy.runtime.codec.codec:Normaliser",
     "PRESETS": "spikedeploy.runtime.artifact.presets.preset:PRESETS",

@@ -57,12 +57,12 @@ class Record:
             raise self._wrong(name, value, "a finite number")
         return float(value)
 
-    def array(self, name: str) -> NDArray[np.float64]:
-        """The array of finite numbers called `name`, float64."""
+    def array(self, name: str, infinite: bool = False) -> NDArray[np.float64]:
+        """The array of numbers called `name`, float64; finite unless said otherwise."""
         value = self._field(name)
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
             raise self._wrong(name, value, "an array of numbers")
-        if not np.isfinite(value).all():
+        if np.isnan(value).any() or not (infinite or np.isfinite(value).all()):
             raise self._wrong(name, "NaN or infinity", "an array of finite numbers")
         return value.astype(np.float64)
 

@@ -4,20 +4,32 @@ It holds the normaliser and the squashing too, so that a `.nir` file is all that
 """
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol, cast, get_args
+from typing import Any, ClassVar, Literal, Protocol, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metadata import Record, Tree
 
-__all__ = ["ENCODERS", "Codec", "Encoder", "Normaliser", "PopulationEncoder", "RateEncoder"]
+__all__ = [
+    "ENCODERS",
+    "Codec",
+    "DeltaEncoder",
+    "Encoder",
+    "EncoderState",
+    "Normaliser",
+    "PopulationEncoder",
+    "RateEncoder",
+]
 
 Squash = Literal["tanh", "none", "argmax"]
+# what an encoder carries from one inference of an episode to the next, for every robot of a batch;
+# made by its `start`, read by its `encode` alone; copied by copy.deepcopy and pickle
+EncoderState: TypeAlias = Any
 
 
 class Encoder(Protocol):
@@ -34,15 +46,18 @@ class Encoder(Protocol):
         """Neurons: M."""
 
     @property
-    def random(self) -> bool:
-        """Whether the spikes depend on random numbers."""
+    def remembers(self) -> bool:
+        """Whether the spikes depend on more than the observation: inferences before, or a seed."""
+
+    def start(self, seed: int) -> EncoderState:
+        """The state at the beginning of an episode; what is random in it comes from the seed."""
 
     def encode(
-        self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
+        self, x: NDArray[np.floating], timesteps: int, state: EncoderState = None
     ) -> NDArray[np.uint8]:
         """Spikes (B, T, M) of the normalised observations x (B, obs).
 
-        rng: random numbers of a stochastic encoder; None for a new generator of seed 0.
+        state: of the episode, which is moved on; None for one that starts here with seed 0.
         """
 
     def astype(self, dtype: DTypeLike) -> "Encoder":
@@ -59,6 +74,7 @@ class Encoder(Protocol):
 ENCODERS: dict[str, type[Encoder]] = {
     PopulationEncoder.kind: PopulationEncoder,
     RateEncoder.kind: RateEncoder,
+    DeltaEncoder.kind: DeltaEncoder,
 }
 
 
@@ -154,14 +170,23 @@ class Codec:
         """Whether an action is one of several choices, not a vector of numbers."""
         return self.squash == "argmax"
 
-    def encode(self, obs: ArrayLike, rng: Xorshift | None = None) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the observations (B, obs), which must be finite.
+    def encode(self, obs: ArrayLike, state: EncoderState = None) -> NDArray[np.uint8]:
+        """Spikes (B, T, M) of the observations (B, obs) of B robots, which must be finite.
 
-        rng: random numbers of a stochastic encoder; None for a new generator of seed 0.
+        state: of the episode, from the encoder's `start`, which is moved on; None for one that
+            starts here with seed 0.
         """
         observed = np.asarray(obs, dtype=self.normaliser.mean.dtype)
         self._check_observation(observed)
-        return self.encoder.encode(self.normaliser(observed), self.timesteps, rng)
+        return self.encoder.encode(self.normaliser(observed), self.timesteps, state)
+
+    def encode_episode(self, obs: ArrayLike, seed: int = 0) -> NDArray[np.uint8]:
+        """Spikes (S, T, M) of the successive observations (S, obs) of one robot.
+
+        They are those of an episode from its beginning, which a code that remembers needs.
+        """
+        state = self.encoder.start(seed)
+        return np.concatenate([self.encode(row[None], state) for row in np.asarray(obs)])
 
     def decode(self, output: NDArray[np.floating]) -> NDArray[Any]:
         """Actions (B, act), or (B,) of "argmax", from the readout's output (B, T, act)."""

@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record, Tree
 
@@ -64,14 +63,17 @@ class PopulationEncoder:
         return int(self.mean.size)
 
     @property
-    def random(self) -> bool:
-        """Whether the spikes depend on random numbers: never."""
+    def remembers(self) -> bool:
+        """Whether the spikes depend on more than the observation: never."""
         return False
 
+    def start(self, seed: int) -> None:
+        """Nothing: each inference begins with membranes of 0."""
+
     def encode(
-        self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
+        self, x: NDArray[np.floating], timesteps: int, state: None = None
     ) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the normalised observations x (B, obs); `rng` is not used."""
+        """Spikes (B, T, M) of the normalised observations x (B, obs)."""
         spikes = spike_patterns(self._drive(x), self.threshold, timesteps)
         return np.asarray(spikes.swapaxes(0, 1))
 

@@ -69,21 +69,25 @@ class RateEncoder:
         return int(self.low.size)
 
     @property
-    def random(self) -> bool:
-        """Whether the spikes depend on random numbers."""
+    def remembers(self) -> bool:
+        """Whether the spikes depend on more than the observation: on random numbers."""
         return self.mode == "bernoulli"
 
+    def start(self, seed: int) -> Xorshift:
+        """The generators of mode "bernoulli"; mode "regular" draws nothing from them."""
+        return Xorshift(seed, self.width)
+
     def encode(
-        self, x: NDArray[np.floating], timesteps: int, rng: Xorshift | None = None
+        self, x: NDArray[np.floating], timesteps: int, state: Xorshift | None = None
     ) -> NDArray[np.uint8]:
         """Spikes (B, T, M) of the normalised observations x (B, obs).
 
-        rng: of mode "bernoulli"; None for a new generator of seed 0.
+        state: generators, which run on; None for new ones of seed 0.
         """
         levels = self.levels(x)
         if self.mode == "regular":
             return np.asarray(_carries(timesteps).take(levels, axis=1).swapaxes(0, 1))
-        drawn = (rng or Xorshift(0, self.width)).draw(len(x), timesteps)
+        drawn = (state or self.start(0)).draw(len(x), timesteps)
         # s[t] = byte[t] < n
         return (drawn < levels[:, None]).view(np.uint8)
 

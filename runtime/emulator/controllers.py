@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
@@ -88,13 +87,13 @@ class SpikingController:
     @property
     def remembers(self) -> bool:
         """Whether an action depends on more than its observation."""
-        return self._kept or self.codec.encoder.random or self._sampler is not None
+        return self._kept or self.codec.encoder.remembers or self._sampler is not None
 
     def reset(self, seed: int) -> None:
         """Start an episode: forget every state; what is random in it comes from the seed."""
         with self._calls.lock:
             self.network.reset()
-            self._rng = Xorshift(seed, self.codec.encoder.width)
+            self._state = self.codec.encoder.start(seed)
             if self._sampler is not None:
                 self._sampler.reset(seed)
 
@@ -105,10 +104,10 @@ class SpikingController:
     def act_batch(self, observations: ArrayLike) -> NDArray[Any]:
         """Actions (B, act), or (B,) int, for the observations (B, obs) of B robots.
 
-        Where states are kept, B must stay the same until `reset`.
+        Where states are kept, also by the encoder, B must stay the same until `reset`.
         """
         with self._calls.lock:
-            output = self.network.infer(self.codec.encode(observations, self._rng))
+            output = self.network.infer(self.codec.encode(observations, self._state))
             if self._sampler is not None:
                 return self._sampler(self.codec.scores(output))
             return self.codec.decode(output)

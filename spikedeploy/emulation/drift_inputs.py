@@ -16,8 +16,6 @@ from spikedeploy.make_env import make_env
 from spikedeploy.policies.interface import FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.codec.codec import Codec
-from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.ports import by_port, ports
 
@@ -122,7 +120,9 @@ def observed_inputs(
     player = open_policy(candidate, FLOAT, world)
     played = [rollout(world, player, seed) for seed in seeds]
     world.close()
-    rows = np.concatenate([_encoded(artifact.codec, p.observation[:-1], p.seed) for p in played])
+    rows = np.concatenate(
+        [artifact.codec.encode_episode(p.observation[:-1], p.seed) for p in played]
+    )
     kept = min(steps, len(rows))
     if artifact.convention.state == "kept":
         raster = rows[:kept]
@@ -130,12 +130,6 @@ def observed_inputs(
         raster = rows[np.linspace(0, len(rows) - 1, kept).round().astype(int)]
     source = f"{kept} of {len(rows)} control steps of the float twin in {where}, {_seeds(seeds)}"
     return DriftInputs(raster, source)
-
-
-def _encoded(codec: Codec, observations: NDArray[np.float64], seed: int) -> Raster:
-    """Spikes (S, T, M) of an episode's observations, with the random generator of the episode."""
-    rng = Xorshift(seed, codec.encoder.width)
-    return np.concatenate([codec.encode(row[None], rng) for row in observations])
 
 
 def _seeds(seeds: Sequence[int]) -> str:

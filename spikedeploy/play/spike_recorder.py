@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.emulator.network import chip_called, running
 from spikedeploy.runtime.errors import ConfigError
 
@@ -48,11 +47,11 @@ class SpikeRecorder:
     def record(self, observations: Floats, seed: int) -> InferenceTrace:
         """One inference for each observation (S, obs), in their order."""
         self._network.reset()
-        rng = Xorshift(max(seed, 0), self._codec.encoder.width)
+        state = self._codec.encoder.start(max(seed, 0))
         rasters: dict[str, list[NDArray[np.uint8]]] = {}
         scores = []
         for observation in observations:
-            spikes = self._codec.encode(observation[None], rng)
+            spikes = self._codec.encode(observation[None], state)
             scores.append(self._codec.scores(self._network.infer(spikes))[0])
             for name, raster in {"input": spikes, **self._network.spikes}.items():
                 rasters.setdefault(name, []).append(raster[0])
