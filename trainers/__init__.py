@@ -6,6 +6,7 @@ before. Configurations are pydantic models, checkpoints safetensors and JSON.
 sac/             soft actor-critic
 ppo/             proximal policy optimisation
 distill/         distillation of a teacher by DAgger
+sparse/          imitation through whole walks, pruned by operations
 policies/        torch policies: MLP, PopSAN, spiking MLP
 train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
@@ -30,6 +31,7 @@ ALGORITHMS: dict[str, str] = {
     "sac": "spikedeploy.trainers.sac.sac:Sac",
     "distill": "spikedeploy.trainers.distill.distill:Distill",
     "ppo": "spikedeploy.trainers.ppo.ppo:Ppo",
+    "sparse": "spikedeploy.trainers.sparse.sparse:Sparse",
 }
 
 __all__ = ["ALGORITHMS", "RECIPES", "Recipe"]

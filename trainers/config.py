@@ -112,7 +112,45 @@ class SpikingMlpConfig(_Section):
         return len(self.hidden)
 
 
-PolicyConfig = Annotated[MlpConfig | PopsanConfig | SpikingMlpConfig, Field(discriminator="kind")]
+class DeltaSnnConfig(_Section):
+    """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
+
+    hidden: neurons; 0 leaves a delta-coded linear policy
+    skip: whether events also reach the readout directly
+    most, code: events of an observation in a control step, and on which channels; see
+        runtime.codec.delta
+    """
+
+    kind: Literal["delta-snn"] = "delta-snn"
+    hidden: Count = 8
+    skip: bool = True
+    most: Positive = 3
+    code: Literal["unary", "one-hot"] = "one-hot"
+    surrogate_width: Rate = 2.0
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers, without the encoder and the readout."""
+        return int(self.hidden > 0)
+
+
+class PrunedMlpConfig(_Section):
+    """A small float network with a skip connection, pruned as the spiking ones are."""
+
+    kind: Literal["pruned-mlp"] = "pruned-mlp"
+    hidden: tuple[Positive, ...] = (16,)
+    skip: bool = True
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers: none."""
+        return 0
+
+
+PolicyConfig = Annotated[
+    MlpConfig | PopsanConfig | SpikingMlpConfig | DeltaSnnConfig | PrunedMlpConfig,
+    Field(discriminator="kind"),
+]
 
 
 class NormaliserConfig(_Section):

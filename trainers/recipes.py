@@ -162,6 +162,82 @@ _KARTS: dict[str, tuple[str, Settings]] = {
     ),
 }
 
+# -- sparse: a thousandth of the operations; and the small float networks that are their rivals. The
+# teachers are the shipped ones; another is given with --set teacher=PATH
+
+_SPARSE_STUDENTS: dict[str, tuple[str, Settings]] = {
+    "sparse": ("events into LIF neurons", {"kind": "delta-snn"}),
+    "sparse-linear": (
+        "control: events straight into the readout",
+        {"kind": "delta-snn", "hidden": 0},
+    ),
+    "small-mlp": ("control: float MLP, pruned", {"kind": "pruned-mlp"}),
+    "small-linear": ("control: float linear policy, pruned", {"kind": "pruned-mlp", "hidden": []}),
+}
+
+_SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
+    "hexapod": (
+        "walks",
+        {
+            "env": {"name": "hexapod"},
+            "teacher": "hexapod/sac",
+            "budget": 70,
+            "step": 0.8,
+        },
+    ),
+    "hexapod-command": (
+        "follows commands",
+        {
+            "env": {"name": "hexapod-command"},
+            "teacher": "hexapod-command/sac",
+            "budget": 480,
+        },
+    ),
+    **{
+        env: (
+            f"races {env}",
+            {"env": {"name": env}, "teacher": f"{env}/ann", "budget": 50, "crash_windows": 0.3},
+        )
+        for env in _KART_ENVS
+    },
+}
+
+_SPARSE_SIZES: dict[tuple[str, str], Settings] = {
+    ("hexapod-command", "sparse"): {"hidden": 128},
+    ("hexapod-command", "small-mlp"): {"hidden": [48, 32]},
+}
+
+_SMOKE_SPARSE: Settings = {
+    "env": {"name": "hexapod", "count": 2},
+    "teacher": "hexapod/sac",
+    "budget": 60,
+    "teacher_walks": 2,
+    "noisy_walks": 1,
+    "walks": 1,
+    "dense_updates": 20,
+    "dense_rounds": 1,
+    "level_updates": 20,
+    "levels": [200],
+    "polish": 1,
+    "polish_updates": 10,
+    "prune_every": 5,
+    "batch": 8,
+    "log_every": 5,
+    "validation": {"every": 10, "episodes": 1, "limit": 40},
+}
+
+
+def _sparse() -> dict[str, Recipe]:
+    """Return the sparse recipes of every task and student."""
+    found = {}
+    for task, (verb, settings) in _SPARSE_TASKS.items():
+        for student, (network, policy) in _SPARSE_STUDENTS.items():
+            size = _SPARSE_SIZES.get((task, student), {})
+            changes = merged(settings, {"policy": {**policy, **size}})
+            found[f"{task}-{student}"] = Recipe("sparse", f"{network}, that {verb}", changes)
+    return found
+
+
 RECIPES: dict[str, Recipe] = {
     "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(_HEXAPOD, MLP)),
     "hexapod-sac-256": Recipe(
@@ -185,4 +261,10 @@ RECIPES: dict[str, Recipe] = {
     ),
     **{name: Recipe("distill", summary, settings) for name, (summary, settings) in DISTILL.items()},
     **{name: Recipe("ppo", summary, settings) for name, (summary, settings) in _KARTS.items()},
+    **_sparse(),
+    "smoke-sparse": Recipe(
+        "sparse",
+        "a tiny sparse policy, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-snn"}}),
+    ),
 }

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +44,16 @@ class Teacher:
 
 
 def teacher(path: str, env: str) -> Teacher:
-    """Return the teacher in a run folder or file, which must match the environment."""
+    """Return the teacher in a run folder or file, which must match the environment.
+
+    path: or the name of a shipped policy, such as "hexapod/sac"
+    """
     if not path:
         raise ConfigError(
-            "distillation needs a teacher: --set teacher=PATH, where PATH is a run folder or an "
-            ".onnx or .nir file"
+            "distillation needs a teacher: --set teacher=PATH, where PATH is a run folder, an "
+            ".onnx or .nir file, or a shipped policy such as hexapod/sac"
         )
+    path = str(_shipped(path) or path)
     read = _FILES.get(Path(path).suffix, _from_run)
     if read is not _from_run and not Path(path).is_file():
         raise ConfigError(f"there is no teacher at {path}")
@@ -56,6 +61,15 @@ def teacher(path: str, env: str) -> Teacher:
     if found.env and envs.spec(found.env).id != envs.spec(env).id:
         raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")
     return found
+
+
+def _shipped(name: str) -> Path | None:
+    """Return the file of a shipped policy; None where a path is meant."""
+    if Path(name).exists():
+        return None
+    zoo = Path(str(files("spikedeploy"))) / "zoo"
+    found = (zoo / f"{name}{suffix}" for suffix in _FILES)
+    return next((path for path in found if path.is_file()), None)
 
 
 def of_policy(policy: Policy, env: str = "") -> Teacher:

@@ -7,36 +7,45 @@ policy.py       Policy, and what it computes before an action is chosen
 mlp.py          float multilayer perceptron, or a linear map
 popsan.py       population-coded spiking actor
 spiking_mlp.py  spiking multilayer perceptron with a linear readout
+delta_snn.py    event-driven: delta code, a layer of LIF neurons, leaky integrator readout
+delta_graph.py  its NIR graph and codec
+pruned_mlp.py   small float network with a skip connection and masks
+pruned.py       weights with masks
 neurons.py      LIF and CuBa-LIF layers with surrogate gradients, firing rates
 encoders.py     population and rate codes
 features.py     inputs of control policies
 normaliser.py   observation normalisation and running statistics
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig, known
+from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
 from spikedeploy.trainers.policies.features import Features, features
 from spikedeploy.trainers.policies.mlp import MlpPolicy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.popsan import PopsanPolicy
+from spikedeploy.trainers.policies.pruned_mlp import PrunedMlpPolicy
 from spikedeploy.trainers.policies.spiking_mlp import SpikingMlpPolicy
 
 __all__ = [
-    "POLICIES",
+    "DeltaSnnPolicy",
     "Head",
     "Latent",
     "MlpPolicy",
     "Policy",
     "PopsanPolicy",
+    "PrunedMlpPolicy",
     "SpikingMlpPolicy",
     "build",
     "from_config",
 ]
 
-_POLICIES: dict[str, type[MlpPolicy] | type[PopsanPolicy] | type[SpikingMlpPolicy]] = {
+_POLICIES: dict[str, Callable[..., Policy]] = {
+    "delta-snn": DeltaSnnPolicy,
+    "pruned-mlp": PrunedMlpPolicy,
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,

@@ -1,0 +1,116 @@
+"""The network of a DeltaSnnPolicy as a NIR graph with its codec: what is exported, and validated.
+
+    input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
+    input (M) ------> skip ----------> readout
+
+`lif1` is a CubaLIF whose synaptic current hardly decays, `readout` an LI, both with gains of 1.
+`action` adds the constant c to each readout. Channels of the encoder carry their own weights, so
+event k of a one-hot code weighs k times as much.
+"""
+
+from copy import deepcopy
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
+
+_DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
+
+Array = NDArray[np.float64]
+
+
+def delta_artifact(
+    policy: DeltaSnnPolicy, origin: Provenance | None = None, dt: float = _DT
+) -> Artifact:
+    """Return the policy as an artifact, every number in float64; its states are kept.
+
+    Hidden neurons without synapses on one of their sides are left out.
+    """
+    precise = deepcopy(policy).double()
+    convention = Convention(dt=dt, source="as trained").with_options({"state": "kept"})
+    return Artifact(_graph(precise, dt), delta_codec(precise), convention, origin)
+
+
+def delta_codec(policy: DeltaSnnPolicy) -> Codec:
+    """Return the codec; observations that no synapse reads send nothing."""
+    normalizer = policy.normalizer
+    used = policy.into.mask[live_neurons(policy)].any(0)
+    if policy.skip:
+        used |= policy.past.mask.any(0)
+    step = np.where(_array(used) > 0, _array(policy.step), np.inf)
+    return Codec(
+        Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
+        DeltaEncoder(step, policy.most, policy.code, policy.events_above),
+        policy.timesteps,
+        "argmax" if policy.head == "discrete" else "tanh",
+    )
+
+
+def live_neurons(policy: DeltaSnnPolicy) -> Tensor:
+    """Return which hidden neurons (H,) have synapses on both sides: others change no action."""
+    # a neuron without input may still spike by its bias, as a clock of its own
+    active = policy.into.mask.any(1) | (policy.bias.detach() > 0)
+    return active & policy.out.mask.any(0)
+
+
+def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
+    """Return weights (N, M) of the encoder's channels, from those of the observation (N, obs)."""
+    k = np.arange(1, policy.most + 1)
+    each = k if policy.code == "one-hot" else np.ones_like(k)
+    signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
+    moved = weight * _array(policy.step)
+    return (moved[:, :, None] * signed).reshape(len(weight), -1)
+
+
+def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
+    width = 2 * policy.most * policy.observations
+    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
+    edges: list[tuple[str, str]] = []
+    live = live_neurons(policy)
+    if bool(live.any()):
+        into = channel_weights(policy, _array(policy.into()[live]))
+        nodes["fc1"] = nir.Linear(into)
+        nodes["lif1"] = _neurons(policy, live, dt)
+        nodes["fc2"] = nir.Linear(_array(policy.out()[:, live]))
+        edges += [("input", "fc1"), ("fc1", "lif1"), ("lif1", "fc2"), ("fc2", "readout")]
+    if policy.skip and bool(policy.past.mask.any()):
+        nodes["skip"] = nir.Linear(channel_weights(policy, _array(policy.past())))
+        edges += [("input", "skip"), ("skip", "readout")]
+    nodes["readout"] = _readout(policy, dt)
+    nodes["action"] = nir.Affine(np.eye(policy.actions), _array(policy.action_bias))
+    nodes["output"] = nir.Output({"output": np.array([policy.actions])})
+    edges += [("readout", "action"), ("action", "output")]
+    return nir.NIRGraph(nodes, edges)
+
+
+def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF:
+    """Return the hidden neurons; the bias is their resting membrane."""
+    beta, bias = _array(policy.beta[live]), _array(policy.bias[live])
+    # tau = dt / (1 - decay) ; gains of 1 ; V = beta V + I + (1 - beta) v_leak
+    tau_mem, tau_syn = dt / (1 - beta), np.full(beta.size, dt / (1 - policy.current_decay))
+    return nir.CubaLIF(
+        tau_syn=tau_syn,
+        tau_mem=tau_mem,
+        r=tau_mem / dt,
+        v_leak=bias / (1 - beta),
+        v_reset=np.zeros(beta.size),
+        v_threshold=np.ones(beta.size),
+        w_in=tau_syn / dt,
+    )
+
+
+def _readout(policy: DeltaSnnPolicy, dt: float) -> nir.LI:
+    tau = dt / (1 - _array(policy.gamma))
+    return nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
+
+
+def _array(tensor: Tensor) -> Array:
+    return tensor.detach().cpu().numpy().astype(np.float64)

@@ -1,0 +1,229 @@
+"""Event-driven spiking policy: delta code, one layer of LIF neurons, leaky integrator readout.
+
+    n     signed events of the observation              (runtime.codec.delta)
+    I     = a I + W (step n)                            a just below 1: I is W times the observation
+    V     = beta V + I + b ;  s = V > 1 ;  V = (1 - s) V
+    y     = gamma y + Wo s + Ws (step n)                the events also reach the readout directly
+    action = tanh(y + c)
+
+One timestep per control step; currents, membranes and readouts live on from one to the next.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from spikedeploy.trainers.policies.neurons import surrogate
+from spikedeploy.trainers.policies.normaliser import TorchNormaliser
+from spikedeploy.trainers.policies.policy import Head, Latent, Policy
+from spikedeploy.trainers.policies.pruned import PrunedWeight
+
+# Loihi's slowest decay: what lava and nengo-loihi make of a decay register of 0
+CURRENT_DECAY = 4095 / 4096
+_THRESHOLD = 1.0
+_BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
+
+
+@dataclass
+class DeltaState:
+    """State of a batch of robots between two control steps.
+
+    level: (B, obs) events sent so far, with their signs
+    current: (B, H) of the hidden neurons
+    membrane: (B, H)
+    readout: (B, act)
+    """
+
+    level: Tensor
+    current: Tensor
+    membrane: Tensor
+    readout: Tensor
+
+
+class DeltaSnnPolicy(Policy):
+    """Signed events into a small layer of LIF neurons and, past it, into the readout.
+
+    hidden: neurons H of the layer; 0 leaves the readout alone: a delta-coded linear policy, whose
+        readout decays as slowly as the currents do
+    skip: whether events also reach the readout directly
+    most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
+    step: (obs,) distance that one event stands for [normalised observation]
+    into, out, past: synapses onto the hidden neurons, from them, and past them
+    """
+
+    kind = "delta-snn"
+    timesteps = 1
+    step: Tensor
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: int = 8,
+        skip: bool = True,
+        most: int = 3,
+        code: Literal["unary", "one-hot"] = "one-hot",
+        events_above: int = 154,
+        step: float = 0.5,
+        current_decay: float = CURRENT_DECAY,
+        surrogate_width: float = 2.0,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        super().__init__()
+        self.observations, self.actions, self.hidden = observations, actions, hidden
+        self.skip, self.most, self.code = skip or not hidden, most, code
+        self.events_above, self.head = events_above, head
+        self.current_decay, self.surrogate_width = current_decay, surrogate_width
+        self.latent_size = hidden
+        self.normalizer = TorchNormaliser(observations, clip)
+        self.register_buffer("step", torch.full((observations,), step))
+        spread = 0.6 * (2 / observations) ** 0.5
+        self.into = PrunedWeight(torch.randn(hidden, observations) * spread)
+        self.bias = nn.Parameter(torch.full((hidden,), 0.2))
+        self.out = PrunedWeight(torch.randn(actions, hidden) * 0.75 / max(hidden, 1) ** 0.5)
+        past = torch.zeros(actions, observations if self.skip else 0)
+        self.past = PrunedWeight(past)
+        self.action_bias = nn.Parameter(torch.zeros(actions))
+        self._beta = nn.Parameter(torch.full((hidden,), _logit(_BETA)))
+        self._gamma = nn.Parameter(torch.full((actions,), _logit(_GAMMA)))
+        self._gradient = surrogate("atan", surrogate_width)
+
+    @property
+    def beta(self) -> Tensor:
+        """Decay factor of each hidden neuron's membrane (H,)."""
+        return torch.sigmoid(self._beta)
+
+    @property
+    def gamma(self) -> Tensor:
+        """Decay factor of each readout (act,)."""
+        if not self.hidden:
+            return torch.full((self.actions,), self.current_decay, dtype=self._gamma.dtype)
+        return torch.sigmoid(self._gamma)
+
+    def events(self, observation: Tensor, level: Tensor) -> Tensor:
+        """Return the signed numbers of events (B, obs) of raw observations at these levels."""
+        # X = rint(256 x / step) ; e = X - 256 q ; n = sign(e) min((|e| + 128) >> 8, K)
+        parts = torch.round(256 * (self.normalizer(observation) / self.step))
+        apart = parts.clamp(-(2**30), 2**30) - 256 * level
+        far = apart.abs()
+        events = torch.floor((far + 128) / 256).clamp(max=self.most) * apart.sign()
+        return torch.where(far > self.events_above, events, torch.zeros_like(events))
+
+    def rest(self, robots: int) -> DeltaState:
+        """Return the state at the beginning of an episode."""
+        zeros = self.action_bias.new_zeros
+        hidden = zeros(robots, self.hidden)
+        return DeltaState(
+            zeros(robots, self.observations), hidden, hidden, zeros(robots, self.actions)
+        )
+
+    def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
+        """Take one control step: return mean (B, act), events (B, obs) and hidden spikes (B, H).
+
+        `state` is moved on.
+        """
+        events = self.events(observation, state.level)
+        moved = events * self.step
+        state.level = state.level + events
+        state.current = self.current_decay * state.current + moved @ self.into().T
+        membrane = self.beta * state.membrane + state.current + self.bias
+        spikes = (membrane > _THRESHOLD).to(membrane.dtype)
+        state.membrane = membrane * (1 - spikes)
+        state.readout = self.gamma * state.readout + self._drive(spikes, moved)
+        return state.readout + self.action_bias, events, spikes
+
+    def _drive(self, spikes: Tensor, moved: Tensor) -> Tensor:
+        """Return what spikes (B, H) and moves of the observation (B, obs) add to the readout."""
+        drive = spikes @ self.out().T
+        return drive + moved @ self.past().T if self.skip else drive
+
+    def unrolled(
+        self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return means (B, L, act) and spikes (B, L, H) of windows of walks, from rest.
+
+        seen: (B, L, obs) what the currents hold of the observation: the decayed sum of `moved`
+        moved: (B, L, obs) step times events
+        weights: as `weights` returned them
+        burn_in: control steps without gradient at the beginning, which bring the states up
+        begins: (B,) whether an episode begins behind the burn-in: then states are at rest there
+        """
+        membrane = seen.new_zeros(len(seen), self.hidden)
+        readout = seen.new_zeros(len(seen), self.actions)
+        drives = seen @ weights.into.T + self.bias
+        past = moved @ weights.past.T if self.skip else None
+        means, rasters = [], []
+        runs_on = 1 - begins[:, None].to(seen.dtype)
+        for t in range(seen.shape[1]):
+            if t == burn_in:
+                membrane, readout = membrane * runs_on, readout * runs_on
+            with torch.set_grad_enabled(t >= burn_in):
+                membrane = weights.beta * membrane + drives[:, t]
+                spikes = _Spike.apply(membrane - _THRESHOLD, self._gradient)  # type: ignore[no-untyped-call]
+                # no gradient through the reset
+                membrane = membrane * (1 - spikes.detach())
+                readout = weights.gamma * readout + spikes @ weights.out.T
+                if past is not None:
+                    readout = readout + past[:, t]
+            means.append(readout + self.action_bias)
+            rasters.append(spikes)
+        return torch.stack(means, 1), torch.stack(rasters, 1)
+
+    def weights(self) -> "DeltaWeights":
+        """Return what `unrolled` computes with, masks and decay factors applied."""
+        return DeltaWeights(self.into(), self.out(), self.past(), self.beta, self.gamma)
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return the output of the first control step of an episode."""
+        mean, _, spikes = self.advance(observation, self.rest(len(observation)))
+        return Latent(mean, spikes, (spikes.mean(),))
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        return {
+            "kind": self.kind,
+            "observations": self.observations,
+            "actions": self.actions,
+            "hidden": self.hidden,
+            "skip": self.skip,
+            "most": self.most,
+            "code": self.code,
+            "events_above": self.events_above,
+            "current_decay": self.current_decay,
+            "surrogate_width": self.surrogate_width,
+            "clip": self.normalizer.clip,
+            "head": self.head,
+        }
+
+
+@dataclass(frozen=True)
+class DeltaWeights:
+    """Weights and decay factors of a DeltaSnnPolicy; shapes as there, masks applied."""
+
+    into: Tensor
+    out: Tensor
+    past: Tensor
+    beta: Tensor
+    gamma: Tensor
+
+
+class _Spike(torch.autograd.Function):
+    """1 above 0, with a surrogate derivative."""
+
+    @staticmethod
+    def forward(ctx: Any, excess: Tensor, gradient: Any) -> Tensor:  # noqa: ANN401
+        ctx.save_for_backward(excess)
+        ctx.gradient = gradient
+        return (excess > 0).to(excess.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
+        (excess,) = ctx.saved_tensors
+        return upstream * ctx.gradient(excess), None
+
+
+def _logit(share: float) -> float:
+    return float(torch.logit(torch.tensor(share)))

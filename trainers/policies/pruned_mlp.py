@@ -1,0 +1,76 @@
+"""Small float policy with a skip connection whose weights are pruned: the rival of spiking ones."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from spikedeploy.trainers.policies.normaliser import TorchNormaliser
+from spikedeploy.trainers.policies.policy import Head, Latent, Policy, full_precision
+from spikedeploy.trainers.policies.pruned import PrunedWeight
+
+
+class PrunedMlpPolicy(Policy):
+    """A float network with ReLU, a linear path past it, and masks on all weights.
+
+    hidden: widths of the hidden layers; none make it a linear policy
+    skip: whether the observation also reaches the output directly
+    matrices, biases: of each hidden layer, then of the output
+    past: weights of the skip connection
+    """
+
+    kind = "pruned-mlp"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: Sequence[int] = (16,),
+        skip: bool = True,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        super().__init__()
+        self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
+        self.skip, self.head = skip and bool(hidden), head
+        self.normalizer = TorchNormaliser(observations, clip)
+        widths = list(pairwise((observations, *hidden, actions)))
+        self.matrices = nn.ModuleList(_matrix(*pair) for pair in widths)
+        self.biases = nn.ParameterList(torch.zeros(n) for _, n in widths)
+        self.past = PrunedWeight(torch.zeros(actions, observations if self.skip else 0))
+        self.latent_size = widths[-1][0]
+
+    def activations(self, observation: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Return mean (B, act), and the inputs (B, M) of every matrix."""
+        seen = self.normalizer(observation)
+        inputs = [seen]
+        for matrix, bias in zip(self.matrices[:-1], self.biases, strict=False):
+            inputs.append(torch.relu(inputs[-1] @ matrix().T + bias))
+        mean = inputs[-1] @ self.matrices[-1]().T + self.biases[-1]
+        if self.skip:
+            mean = mean + seen @ self.past().T
+        return mean, inputs
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return mean and last hidden activations."""
+        mean, inputs = self.activations(observation)
+        return Latent(full_precision(nn.Identity(), mean), inputs[-1])
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        return {
+            "kind": self.kind,
+            "observations": self.observations,
+            "actions": self.actions,
+            "hidden": list(self.hidden),
+            "skip": self.skip,
+            "clip": self.normalizer.clip,
+            "head": self.head,
+        }
+
+
+def _matrix(inputs: int, outputs: int) -> PrunedWeight:
+    # (He et al. 2015)
+    return PrunedWeight(torch.randn(outputs, inputs) * (2 / inputs) ** 0.5)

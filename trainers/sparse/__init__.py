@@ -1,0 +1,13 @@
+"""Sparse policies: a teacher imitated through whole walks by students that are pruned in rounds.
+
+config.py    settings
+sparse.py    the algorithm: walks, phases, validation on the chip
+phases.py    dense, levels of pruning, polish
+learner.py   gradient updates and pruning of a student
+students.py  what the algorithm asks of a spiking and of a float student
+pruning.py   one ranking over all synapses by what they are worth for an operation
+steps.py     steps of the delta encoder
+pool.py      whole walks, their events, and windows of them
+collect.py   episodes, several at once
+on_chip.py   students as controllers, in float and on the chip
+"""

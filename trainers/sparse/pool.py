@@ -1,0 +1,205 @@
+"""Pool of whole walks, labelled by the teacher: the data of imitation through time."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+from torch import Tensor
+
+from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.atomic import replacing
+
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One episode of S control steps.
+
+    observation: (S, obs) raw, float32
+    label: (S, act) the teacher's action, or its logits, in each of them
+    crashed: whether it ended by a fall or crash
+    """
+
+    observation: Single
+    label: Single
+    crashed: bool = False
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Parts of walks, W of them with L control steps each.
+
+    seen: (W, L, obs) what synapses with a decaying current hold of the observation
+    moved: (W, L, obs) the encoder's step times its signed events
+    label: (W, L, act)
+    begins: (W,) whether the episode begins after the burn-in
+    """
+
+    seen: Tensor
+    moved: Tensor
+    label: Tensor
+    begins: Tensor
+
+
+class WalkPool:
+    """Walks of teacher and students, and their events for one setting of the encoder.
+
+    walks: all of them
+    event_rate: (obs,) mean number of input spikes in a control step
+    mean_move: (obs,) mean distance between two control steps [normalised observation]
+    """
+
+    event_rate: Tensor
+    mean_move: NDArray[np.float64]
+
+    def __init__(self) -> None:
+        self.walks: list[Walk] = []
+
+    def __len__(self) -> int:
+        return len(self.walks)
+
+    @property
+    def steps(self) -> int:
+        """Control steps of all walks together."""
+        return sum(len(walk.label) for walk in self.walks)
+
+    def add(self, walks: Iterable[Walk]) -> None:
+        """Take over walks; `encode` before the next window."""
+        self.walks += walks
+
+    def observations(self) -> Single:
+        """All observations (n, obs) one after another."""
+        return np.concatenate([walk.observation for walk in self.walks])
+
+    def encode(
+        self, normalised: Iterable[NDArray[np.float64]], encoder: DeltaEncoder, decay: float
+    ) -> None:
+        """Compute the events of all walks.
+
+        normalised: (S, obs) observations of each walk
+        decay: factor by which currents keep, in a control step, what events brought
+        """
+        rows = [np.asarray(each) for each in normalised]
+        self._length = np.array([len(each) for each in rows])
+        x = np.zeros((self._length.max(), len(rows), encoder.observed))
+        for k, each in enumerate(rows):
+            x[: len(each), k], x[len(each) :, k] = each, each[-1]
+        step = np.where(np.isfinite(encoder.step), encoder.step, 0.0)
+        moved, seen = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.float32)
+        held, levels = np.zeros(x.shape[1:]), encoder.start(0)
+        for t, now in enumerate(x):
+            moved[t] = step * encoder.events(now, 1, levels)[:, 0]
+            held = decay * held + moved[t]
+            seen[t] = held
+        self._moved, self._seen = torch.from_numpy(moved), torch.from_numpy(seen)
+        self._measure(x, step, encoder)
+
+    def _measure(
+        self, x: NDArray[np.float64], step: NDArray[np.float64], encoder: DeltaEncoder
+    ) -> None:
+        """Compute mean events and moves over the control steps that were walked."""
+        walked = np.arange(len(x))[:, None] < self._length
+        moved = self._moved.numpy()[walked]
+        events = np.rint(np.abs(moved) / np.where(step > 0, step, 1.0))
+        spikes = events if encoder.code == "unary" else events > 0
+        self.event_rate = torch.from_numpy(spikes.mean(0, dtype=np.float64)).float()
+        self.mean_move = np.abs(np.diff(x, axis=0))[walked[1:]].mean(0)
+
+    def sample(
+        self, rng: np.random.Generator, count: int, window: int, burn_in: int,
+        first: float, crash: float, crash_steps: int,
+    ) -> Windows:  # fmt: skip
+        """Return windows drawn at random; arguments as in SparseConfig."""
+        which = rng.integers(len(self.walks), size=count)
+        kind = rng.random(count)
+        crashed = np.array([k for k, walk in enumerate(self.walks) if walk.crashed])
+        near = (kind >= first) & (kind < first + crash)
+        if len(crashed):
+            which[near] = rng.choice(crashed, size=int(near.sum()))
+        last = np.maximum(self._length[which] - window, 1 - burn_in)
+        start = rng.integers(-burn_in + 1, last + 1)
+        if len(crashed):
+            back = rng.integers(0, crash_steps, size=count)
+            start = np.where(near, np.maximum(last - back, 1 - burn_in), start)
+        start = np.where((kind < first) | (start < 0), -burn_in, start)
+        return self._windows(which, start, window, burn_in)
+
+    def _windows(
+        self, which: NDArray[np.int64], start: NDArray[np.int64], window: int, burn_in: int
+    ) -> Windows:
+        steps = start[:, None] + np.arange(window)
+        # before the beginning nothing has happened; behind the end the last state stays
+        before = torch.from_numpy(steps < 0)[:, :, None]
+        at = torch.from_numpy(np.clip(steps, 0, len(self._moved) - 1))
+        row = torch.from_numpy(which)[:, None]
+        return Windows(
+            self._seen[at, row].masked_fill(before, 0.0),
+            self._moved[at, row].masked_fill(before, 0.0),
+            self._labels()[at, row],
+            torch.from_numpy(start < 0),
+        )
+
+    def states(
+        self, rng: np.random.Generator, count: int, crash: float, crash_steps: int
+    ) -> tuple[Tensor, Tensor]:
+        """Return raw observations (n, obs) and labels (n, act) drawn at random."""
+        which = rng.integers(len(self.walks), size=count)
+        crashed = np.array([k for k, walk in enumerate(self.walks) if walk.crashed])
+        near = rng.random(count) < crash if len(crashed) else np.zeros(count, bool)
+        which[near] = rng.choice(crashed, size=int(near.sum())) if near.any() else which[near]
+        lengths = np.array([len(self.walks[k].label) for k in which])
+        first = np.where(near, np.maximum(lengths - crash_steps, 0), 0)
+        at = rng.integers(first, lengths)
+        pairs = list(zip(which, at, strict=True))
+        observation = np.stack([self.walks[k].observation[t] for k, t in pairs])
+        label = np.stack([self.walks[k].label[t] for k, t in pairs])
+        return torch.from_numpy(observation), torch.from_numpy(label)
+
+    def _labels(self) -> Tensor:
+        """Labels (S, W, act), the last of each walk repeated."""
+        if getattr(self, "_label", None) is None or self._label.shape[1] != len(self.walks):
+            longest = max(len(walk.label) for walk in self.walks)
+            label = np.zeros((longest, len(self.walks), self.walks[0].label.shape[1]), np.float32)
+            for k, walk in enumerate(self.walks):
+                label[: len(walk.label), k] = walk.label
+                label[len(walk.label) :, k] = walk.label[-1]
+            self._label = torch.from_numpy(label)
+        return self._label
+
+    _label: Tensor | None = None
+
+
+def save_walks(walks: list[Walk], path: Path) -> None:
+    """Write walks as a safetensors file, atomically."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {
+        "observation": np.concatenate([walk.observation for walk in walks]),
+        "label": np.concatenate([walk.label for walk in walks]),
+        "length": np.array([len(walk.label) for walk in walks]),
+        "crashed": np.array([walk.crashed for walk in walks]),
+    }
+    with replacing(path) as temporary:
+        save_file(arrays, temporary)
+
+
+def load_walks(path: Path) -> list[Walk]:
+    """Read what `save_walks` wrote."""
+    try:
+        arrays = load_file(path)
+        ends = np.cumsum(arrays["length"])[:-1]
+        parts = (np.split(arrays[name], ends) for name in ("observation", "label"))
+        return [
+            Walk(*each, bool(crashed))
+            for *each, crashed in zip(*parts, arrays["crashed"], strict=True)
+        ]
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise ConfigError(
+            f"{path} holds no walks that can be read ({error}). Delete the run and train again."
+        ) from error

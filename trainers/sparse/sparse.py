@@ -1,0 +1,255 @@
+"""Sparse policies: imitation of a teacher through whole walks, pruned by operations in rounds.
+
+A dense student learns from windows of walks; then each round prunes to fewer operations, trains on,
+and lets the student walk, so that the teacher can label what it now does. Policies are chosen by
+their return on the chip.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.distill.teachers import teacher
+from spikedeploy.trainers.env_batch import EnvBatch
+from spikedeploy.trainers.policies import DeltaSnnPolicy, from_config
+from spikedeploy.trainers.policies.normaliser import Moments
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import Runner
+from spikedeploy.trainers.sparse.collect import Episodes, Stateless
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.learner import SparseLearner
+from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
+from spikedeploy.trainers.sparse.phases import Phase, phases
+from spikedeploy.trainers.sparse.pool import Walk, WalkPool, load_walks, save_walks
+from spikedeploy.trainers.sparse.pruning import operations
+from spikedeploy.trainers.sparse.steps import binary_columns, retuned
+from spikedeploy.trainers.sparse.students import student
+
+_TRAINING_SEEDS = 5_000  # validation and evaluation are above
+_TOGETHER = 50  # copies of the environment
+
+
+class Sparse(Runner[SparseConfig]):
+    """One run.
+
+    updates, phase, start: counters, continued by a resumed run; `start` are the operations when the
+        phase began
+    pool: all walks so far
+    teacher_return: mean return of the teacher on the validation seeds
+    """
+
+    Config = SparseConfig
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "updates", "phase", "walks", "loss", "operations", "goal", "neurons", "updates_per_s",
+        "episode_return", "eval_return", "eval_of_teacher", "eval_operations", "eval_falls",
+        "eval_finish",
+    )  # fmt: skip
+    COUNTERS = ("updates", "phase", "start", "teacher_return", "best")
+    SPEED = "updates_per_s"
+    VALIDATES_AT_END = False
+    learner: "SparseLearner"
+
+    @classmethod
+    def columns(cls, config: SparseConfig) -> tuple[str, ...]:  # type: ignore[override]
+        """Return the names of the metrics, of which the first is the step."""
+        return cls.COLUMNS
+
+    def __init__(self, config: SparseConfig, run: RunFolder) -> None:
+        self._phases = phases(config)
+        super().__init__(
+            config,
+            run,
+            total=self._phases[-1].end,
+            log_every=config.log_every,
+            checkpoint_every=config.checkpoint_every,
+        )
+        self._teacher = teacher(config.teacher, config.env.name)
+        envs = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
+        self._discrete = envs.head == "discrete"
+        sizes = envs.observation.shape[1], envs.actions
+        if sizes != (self._teacher.observations, self._teacher.actions):
+            raise ConfigError(
+                f"the teacher {config.teacher} takes {self._teacher.observations} observations and "
+                f"gives {self._teacher.actions} actions; {config.env.name} has {sizes}"
+            )
+        self.policy = from_config(
+            config.policy, *sizes, config.normaliser.clip, envs.columns, envs.head
+        )
+        self.pool = WalkPool()
+        self._student = student(self.policy, config)
+        self.learner = SparseLearner(config, self._student)
+        self._episodes = Episodes(config.env, _TOGETHER, config.validation.limit)
+        self._chip = chip(config.chip)
+        self.updates = self.phase = 0
+        self.start = 0.0
+        self.teacher_return = np.nan
+        self._loss = math.nan
+
+    def _begin(self) -> None:
+        """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
+        config = self._config
+        seeds = self._validation_seeds
+        _, returns, _ = self._episodes.play(seeds, Stateless(self._taught))
+        self.teacher_return = float(np.mean(returns))
+        if config.pool:
+            self._keep(_walks_of(config.pool))
+        self._collect(Stateless(self._taught), config.teacher_walks)
+        if config.noisy_walks:
+            self._collect(Stateless(self._noisy), config.noisy_walks)
+        self._fit()
+        self._student.prepare(self.pool)
+
+    def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        phase = self._phases[self.phase]
+        goal = phase.goal(self.updates, self.start)
+        self._loss = self.learner.update(
+            self.pool, self._rng, phase.rate(self.updates), dense=goal is None
+        )
+        due = self.updates % self._config.prune_every == 0
+        if goal is not None and due and phase.prunes(self.updates):
+            self.learner.prune(goal)
+        self.updates += 1
+        if self.updates >= phase.end:
+            self._end_phase(phase)
+        return True
+
+    def _end_phase(self, phase: Phase) -> None:
+        """Walk, set the encoder's steps anew, and start the next phase with a new optimiser."""
+        if self.updates < self._total:
+            self._collect(in_float(self.policy), self._config.walks)
+            if self._config.retune and isinstance(self.policy, DeltaSnnPolicy):
+                self._student.prepare(self.pool)
+                step = retuned(self.policy, self.pool, self._binary, self._config)
+                self.policy.step.copy_(torch.from_numpy(step))
+            self._student.prepare(self.pool)
+        self.phase += 1
+        self.start = operations(self._student.synapses())
+        self.learner.restart()
+
+    # walks
+
+    def _taught(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """Return the teacher's actions."""
+        label = self._teacher.act_all(observation)
+        return label.argmax(-1) if self._discrete else label
+
+    def _noisy(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """Return the teacher's actions with noise."""
+        action, noise = self._taught(observation), self._config.noise
+        if self._discrete:
+            drawn = self._rng.integers(self._teacher.actions, size=len(action))
+            return np.where(self._rng.random(len(action)) < noise, drawn, action)
+        return np.clip(action + noise * self._rng.standard_normal(action.shape), -1.0, 1.0)
+
+    def _collect(self, controller: Any, count: int) -> None:  # noqa: ANN401
+        seeds = self._rng.integers(_TRAINING_SEEDS, size=count).tolist()
+        walks, returns, _ = self._episodes.play(seeds, controller, self._teacher.act_all)
+        self._returns += returns
+        self._keep(walks)
+
+    def _keep(self, walks: list[Walk]) -> None:
+        number = len(list(_pool_folder(self._run.path).glob("*.safetensors")))
+        save_walks(walks, _pool_folder(self._run.path) / f"{number:03d}.safetensors")
+        self.pool.add(walks)
+
+    @torch.no_grad()
+    def _fit(self) -> None:
+        """Fit the normaliser and the first steps of the encoder to the walks."""
+        seen = self.pool.observations().astype(np.float64)
+        self._binary = binary_columns(seen)
+        moments = Moments.empty(seen.shape[1])
+        moments.add(seen)
+        self.policy.normalizer.adopt(moments)
+        if isinstance(self.policy, DeltaSnnPolicy):
+            low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
+            self.policy.normalizer.mean[self._binary] = torch.from_numpy(low).float()
+            self.policy.normalizer.std[self._binary] = torch.from_numpy(high - low).float()
+            self.policy.step.fill_(self._config.step)
+            self.policy.step[self._binary] = 1.0
+
+    # validation and checkpoints
+
+    @property
+    def _validation_seeds(self) -> list[int]:
+        first = self._config.validation.first_seed
+        return list(range(first, first + self._config.validation.episodes))
+
+    def _evaluate(self) -> dict[str, float]:
+        controller = on_chip(self.policy, self._chip)
+        _, returns, infos = self._episodes.play(self._validation_seeds, controller)
+        row = {
+            "eval_return": float(np.mean(returns)),
+            "eval_of_teacher": float(np.mean(returns)) / self.teacher_return,
+            "eval_operations": operations(self._student.synapses()),
+        }
+        for key, column in (("fall", "eval_falls"), ("finish", "eval_finish")):
+            if key in infos[0]:
+                row[column] = float(np.mean([info[key] for info in infos]))
+        return row
+
+    def _validate(self) -> dict[str, float]:
+        """Validate the policy where its goal is reached, and save it as best of its level."""
+        phase = self._phases[self.phase]
+        if phase.last is None or phase.prunes(self.updates):
+            return {}
+        row = self._evaluate()
+        name = f"ops-{phase.last:g}"
+        if row["eval_return"] >= self._best_of(name):
+            self._run.save(name, self.policy, {**self._counters(), **row})
+        if phase.last == self._config.budget and row["eval_return"] >= self.best:
+            self.best = row["eval_return"]
+            self._run.save("best", self.policy, {**self._counters(), **row})
+        return row
+
+    def _best_of(self, name: str) -> float:
+        """Return the highest validation return of a level so far."""
+        if not self._run.checkpoint(name).is_file():
+            return -math.inf
+        return float(self._run.load(name)[0]["eval_return"])
+
+    def _report(self, journal: Any, before: int) -> None:  # noqa: ANN401
+        # the phase of the update that was just made
+        ended = self.phase and self.updates == self._phases[self.phase - 1].end
+        self.phase -= bool(ended)
+        super()._report(journal, before)
+        self.phase += bool(ended)
+
+    def _metrics(self) -> dict[str, float]:
+        synapses = self._student.synapses()
+        return {
+            "updates": self.updates,
+            "phase": self.phase,
+            "walks": len(self.pool),
+            "loss": self._loss,
+            "operations": operations(synapses),
+            "goal": self._phases[min(self.phase, len(self._phases) - 1)].last or math.nan,
+            "neurons": float(synapses[0].matrix.mask.any(1).sum()),
+        }
+
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        self.updates, self.phase, self.start = state["updates"], state["phase"], state["start"]
+        self.teacher_return = state["teacher_return"]
+        for path in sorted(_pool_folder(self._run.path).glob("*.safetensors")):
+            self.pool.add(load_walks(path))
+        self._binary = binary_columns(self.pool.observations().astype(np.float64))
+        self._student.prepare(self.pool)
+
+
+def _pool_folder(run: Path) -> Path:
+    return run / "pool"
+
+
+def _walks_of(run: str) -> list[Walk]:
+    """Return the walks of a run folder."""
+    files = sorted(_pool_folder(RunFolder.find(run).path).glob("*.safetensors"))
+    if not files:
+        raise ConfigError(f"{run} has no pool of walks. Give a run of a sparse recipe.")
+    return [walk for path in files for walk in load_walks(path)]

@@ -1,0 +1,67 @@
+"""Steps of the delta encoder, by how much each observation matters and how often it moves."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from spikedeploy.trainers.policies import DeltaSnnPolicy
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.pool import WalkPool
+
+_WINDOWS = 256  # on which sensitivities are measured
+_PROJECTIONS = 8
+_SMALLEST, _LARGEST = 0.1, 4.0  # steps [standard deviations]
+_SAMPLE = 20_000  # states that show whether an observation is binary
+
+
+def binary_columns(observation: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which observations (obs,) take exactly two values, as contacts do."""
+    some = observation[:: max(1, len(observation) // _SAMPLE)]
+    return np.array([len(np.unique(column)) == 2 for column in some.T])
+
+
+def retuned(
+    policy: DeltaSnnPolicy, pool: WalkPool, binary: NDArray[np.bool_], config: SparseConfig
+) -> NDArray[np.float64]:
+    """Return steps (obs,) of equal marginal cost, with the configured geometric mean.
+
+    An event costs its fan-out F, and E|dx| / step of them are sent; the error of the actions grows
+    with (step^2 / 12) H, where H = E |d action / d x|^2. The least error for the operations is at
+
+        step ~ (F E|dx| / H)^(1/3)
+
+    Steps of binary observations, and of those that nothing reads, stay as they are.
+    """
+    step: NDArray[np.float64] = policy.step.double().numpy().copy()
+    fan_out = policy.into.fan_out + policy.past.fan_out if policy.skip else policy.into.fan_out
+    matters = _sensitivity(policy, pool, config)
+    cost = fan_out.numpy() * pool.mean_move
+    chosen = (cost > 0) & (matters > 0) & ~binary
+    if not chosen.any():
+        return step
+    wanted = np.cbrt(cost[chosen] / matters[chosen])
+    wanted *= config.step / np.exp(np.log(wanted).mean())
+    step[chosen] = np.clip(wanted, _SMALLEST, _LARGEST)
+    return step
+
+
+def _sensitivity(
+    policy: DeltaSnnPolicy, pool: WalkPool, config: SparseConfig
+) -> NDArray[np.float64]:
+    """Mean squared gradient H (obs,) of the actions, from random projections of them."""
+    batch = pool.sample(
+        np.random.default_rng(0), _WINDOWS, config.window, config.burn_in, 0.0, 0.0, 1
+    )
+    seen = batch.seen.clone().requires_grad_(True)
+    moved = batch.moved.clone().requires_grad_(True)
+    mean, _ = policy.unrolled(seen, moved, policy.weights(), 0, batch.begins)
+    action = torch.tanh(mean[:, config.burn_in :])
+    total = torch.zeros(policy.observations)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(_PROJECTIONS):
+        noise = torch.randn(action.shape, generator=generator)
+        found = torch.autograd.grad(
+            (action * noise).sum(), (seen, moved), retain_graph=True, allow_unused=True
+        )
+        total += sum(each.square().sum((0, 1)) for each in found if each is not None)
+    return (total / (_PROJECTIONS * action.shape[0] * action.shape[1])).double().numpy()
