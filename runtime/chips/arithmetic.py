@@ -92,6 +92,10 @@ class ArithmeticDefaults(Protocol):
         """Refuse an output layer whose spikes cannot leave the chip."""
         return
 
+    def ranges(self, readouts: Sequence[Layer]) -> list[str]:
+        """Of quantised readout layers what their registers hold, a sentence each."""
+        return []
+
     # what the design rules ask
 
     @property
@@ -140,6 +144,8 @@ class ArithmeticDefaults(Protocol):
         current, membrane: (B, T, N) after each timestep [state units].
         spikes: (B, T, N).
         """
+        if not layer.spiking:
+            return membrane
         if convention.reset == "subtract":
             return np.asarray(membrane + layer.threshold * spikes)
         return np.where(spikes > 0, np.nan, membrane)

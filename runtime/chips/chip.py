@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields, replace
 from importlib import import_module
-from typing import Any, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from spikedeploy.runtime.chips import CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
@@ -13,6 +13,10 @@ from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
 from spikedeploy.runtime.errors import ChipError
 
 __all__ = ["CHIPS", "Chip", "chip"]
+
+# how a membrane leaves a chip: read by the host from its register, sent as a graded spike, or put
+# out by a program; "none" leaves neurons that do not spike to the host
+MembraneOutput = Literal["none", "probe", "graded", "software"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class Chip:
     sources: field name to where its value comes from and how sure it is.
     evidence: what its emulation was compared with, and what came out.
     limits: what fits on it, with sources of their own; None where nothing limits it.
+    membrane_output: how membranes of neurons that do not spike leave it; "none" where no way is
+        published, and the host integrates their input then. "none" can be chosen on every chip.
     """
 
     name: str
@@ -42,6 +48,14 @@ class Chip:
     sources: Mapping[str, str] = field(compare=False)
     evidence: str = field(default="compared with nothing", compare=False)
     limits: Limits | None = None
+    membrane_output: MembraneOutput = "none"
+
+    def __post_init__(self) -> None:
+        if self.membrane_output not in get_args(MembraneOutput):
+            raise ChipError(
+                f"chip {self.name!r}: membrane_output {self.membrane_output!r} is unknown. Choose "
+                f"one of {', '.join(map(repr, get_args(MembraneOutput)))}."
+            )
 
     @property
     def spikes_max(self) -> int:

@@ -13,6 +13,9 @@ from spikedeploy.runtime.errors import RuleError
 
 Numbers = NDArray[Any]
 
+# threshold of neurons that never spike, in integers: no membrane comes near it
+NEVER = 1 << 60
+
 
 @dataclass(frozen=True, eq=False)
 class Synapses:
@@ -53,6 +56,8 @@ class Layer:
     scale: float units of current and membrane per state unit; (N,) where neurons differ.
     start: [timesteps] when the layer's first timestep runs, counted from the input's first row.
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
+    spiking: False for a readout layer: it never spikes, and its membranes leave the chip instead.
+        Its threshold is infinite, or NEVER.
     """
 
     name: str
@@ -65,6 +70,7 @@ class Layer:
     scale: float | NDArray[np.float64]
     start: int
     aliases: tuple[tuple[int, ...], ...] = ()
+    spiking: bool = True
 
     @property
     def size(self) -> int:

@@ -10,6 +10,8 @@ Cost = Literal["words", "bits"]
 WEIGHTS = ("Affine", "Linear")
 SPACE = ("Conv1d", "Conv2d", "Flatten", "SumPool2d", "AvgPool2d")
 ENDS = ("Input", "Output")
+# neurons without a threshold, whose membranes leave the chip
+READOUTS = ("LI", "CubaLI", "I")
 
 
 @dataclass(frozen=True)

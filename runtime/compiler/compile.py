@@ -54,7 +54,8 @@ def compile_program(
     )
     if plan:  # last: the compiler itself is more precise
         refuse(plan, ARITHMETIC)
-    return replace(program, layers=tuple(layers))
+    ranges = chip.arithmetic.ranges([layer for layer in layers if not layer.spiking])
+    return replace(program, layers=tuple(layers), remarks=(*program.remarks, *ranges))
 
 
 def float_program(
@@ -62,10 +63,19 @@ def float_program(
 ) -> Program:
     """The program in floats, with the starts, delays and decays that the chip has."""
     floats = [_layer(artifact, graph, name) for name in graph.layers]
+    here = [layer for layer in floats if layer.spiking or chip.membrane_output != "none"]
+    host = [layer for layer in floats if layer not in here]
+    if not here:
+        raise RuleError(
+            f"rule primitive: layer {floats[0].name!r}: no neuron of the network spikes, and "
+            f"membranes do not leave {chip.name}, so that the host would compute everything. Run "
+            "it in float."
+        )
     layers, remarks = chip.arithmetic.prepare(
-        floats, graph.input, artifact.convention, chip.delay, stagger
+        here, graph.input, artifact.convention, chip.delay, stagger
     )
-    program = _program(artifact, chip, graph, layers, remarks)
+    remarks += [_on_host(layer, chip.name) for layer in host]
+    program = _program(artifact, chip, graph, layers, host, remarks)
     chip.arithmetic.check_output(program, chip.name)
     return program
 
@@ -75,10 +85,13 @@ def _program(
     chip: Chip,
     graph: LayerGraph,
     layers: Sequence[Layer],
+    host: Sequence[Layer],
     remarks: Sequence[str],
 ) -> Program:
-    """What the layers become together."""
-    output, readout, outlets = _ways_out(graph, artifact.convention)
+    """What the layers become together, with those that the host integrates."""
+    output, readout, outlets = _ways_out(graph, artifact.convention, bool(host))
+    if host and output in {layer.name for layer in host}:
+        output = layers[-1].name
     return Program(
         chip=chip,
         convention=artifact.convention,
@@ -91,6 +104,21 @@ def _program(
         outputs=tuple(outlet.port for outlet in graph.outlets),
         outlets=outlets,
         remarks=tuple(remarks),
+        host=tuple(host),
+    )
+
+
+def _on_host(layer: Layer, chip_name: str) -> str:
+    """What the host does for a readout layer, in a sentence."""
+    decays = 2 - (not layer.current_decay.any())
+    fan_outs = [
+        f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
+        for synapses in layer.synapses
+    ]
+    return (
+        f"readout {layer.name!r}: membranes do not leave {chip_name}, so the host integrates it in "
+        f"float64: {decays * layer.size} multiplications in each timestep, and on average "
+        f"{', '.join(fan_outs)}"
     )
 
 
@@ -124,11 +152,14 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
         membrane_decay=neuron.membrane_decay,
         scale=1.0,
         start=0,
+        spiking=neuron.threshold is not None,
     )
 
 
 def _threshold(name: str, neuron: DiscreteNeuron) -> NDArray[np.float64]:
-    if neuron.threshold is None or neuron.v_reset.any():
+    if neuron.threshold is None:
+        return np.full(neuron.gain.shape, np.inf)
+    if neuron.v_reset.any():
         raise RuleError(
             f"rule reset: layer {name!r}: v_reset goes to {neuron.v_reset.max():g}; on a chip a "
             "spike resets the membrane to 0. Shift it, or run in float."
@@ -143,16 +174,19 @@ def _window(artifact: Artifact) -> int | None:
 
 
 def _ways_out(
-    graph: LayerGraph, convention: Convention
+    graph: LayerGraph, convention: Convention, on_host: bool
 ) -> tuple[str, Readout | None, tuple[HostOutput, ...]]:
-    """The layer that leaves the chip and its readout; outlets where there is more than that."""
+    """The layer that leaves the chip and its readout; outlets where there is more than that.
+
+    on_host: whether the host integrates a layer, which only outlets can say.
+    """
     taps = [tap for outlet in graph.outlets for tap in outlet.taps]
     first, outlet = taps[0], graph.outlets[0]
-    if len(taps) == 1:
+    if len(taps) == 1 and not on_host:
         plain = first.weight is None and not first.lag and not outlet.bias.any()
         weight = np.eye(outlet.port.size) if first.weight is None else first.weight
         return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
-    if convention.state == "kept" and any(tap.lag for tap in taps):
+    if not on_host and convention.state == "kept" and any(tap.lag for tap in taps):
         raise RuleError(
             f"rule delay: node {outlet.port.name!r}: it receives several layers, some of "
             "them late, while states are kept. Remove the delay before it, or choose state 'reset'."

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 class ReadoutTerm:
     """What an Output node receives from one layer.
 
-    layer: name.
+    layer: name; of a readout layer its membranes [float units] arrive, and not spikes.
     weight: (N, act) axon-major; None passes the spikes on as they are.
     lag: [timesteps] by which it trails the spikes.
     """
@@ -99,6 +99,8 @@ class Program:
     outputs: the Output nodes side by side in the output; likewise.
     outlets: what the host makes of the spikes where several layers leave the chip; then it stands
         for output and readout.
+    host: readout layers that the host integrates in float64, because the chip has no way out for
+        membranes; their delays are lags of the graph. Outlets say what becomes of them.
     """
 
     chip: Chip
@@ -112,6 +114,7 @@ class Program:
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
     outlets: tuple[HostOutput, ...] = ()
+    host: tuple[Layer, ...] = ()
 
     def __post_init__(self) -> None:
         presynaptic = {self.input}
@@ -150,10 +153,22 @@ class Program:
 
     @cached_property
     def to_host(self) -> frozenset[str]:
-        """Names of the layers with spikes that leave the chip."""
-        return frozenset({tap.layer for outlet in self.outlets for tap in outlet.taps}) or (
-            frozenset({self.output})
-        )
+        """Names of the layers with spikes or membranes that leave the chip."""
+        if not self.outlets:
+            return frozenset({self.output})
+        taps = {tap.layer for outlet in self.outlets for tap in outlet.taps}
+        heard = {synapses.source for layer in self.host for synapses in layer.synapses}
+        return frozenset((taps | heard) & self._by_name.keys())
+
+    @cached_property
+    def reads_membranes(self) -> bool:
+        """Whether membranes leave the chip, or the host integrates what leaves it."""
+        return bool(self.host) or any(not self.layer(name).spiking for name in self.to_host)
+
+    @property
+    def spiking(self) -> tuple[Layer, ...]:
+        """The layers that can spike."""
+        return tuple(layer for layer in self.layers if layer.spiking)
 
     @property
     def readouts(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:

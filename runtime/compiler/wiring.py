@@ -1,4 +1,7 @@
-"""The wiring of a graph: which spiking nodes are connected, and in what order they run."""
+"""The wiring of a graph: which nodes of neurons are connected, and in what order they run.
+
+Neurons without a threshold are readouts: an Output alone may receive their membranes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +14,13 @@ from spikedeploy.runtime.compiler.linear import LINEAR, Linear, LinearBlock
 from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.graph.neurons import SPIKING
+from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
 from spikedeploy.runtime.graph.order import timing
 from spikedeploy.runtime.graph.ports import Port, ports
 
 Floats = NDArray[np.float64]
 
-_KNOWN = (nir.Input, nir.Output, *LINEAR, *SPIKING)
+_KNOWN = (nir.Input, nir.Output, *LINEAR, *NEURONS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +39,11 @@ class _Connection:
 
 @dataclass(frozen=True, eq=False)
 class LayerGraph:
-    """A graph as layers of spiking nodes; neurons of any shape in a row, in C order.
+    """A graph as layers of neurons; neurons of any shape in a row, in C order.
 
     input: name of the input; those of several Input nodes, joined.
     inputs: the Input nodes, side by side in the input's axons.
-    layers: names of the spiking nodes, each after its sources of the same timestep.
+    layers: names of the nodes of neurons, each after its sources of the same timestep.
     connections: of each layer.
     bias: (N,) of each layer.
     outlets: the Output nodes.
@@ -64,8 +67,10 @@ def wiring(graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
     _check_kinds(graph)
     when = timing(graph, convention)
     linear, inputs = Linear(graph, when, convention), ports(graph.inputs)
-    layers = tuple(name for name in when.names if isinstance(graph.nodes[name], SPIKING))
+    layers = tuple(name for name in when.names if isinstance(graph.nodes[name], NEURONS))
     regions = {name: linear.region(name) for name in (*layers, *sorted(graph.outputs))}
+    for layer in layers:
+        _check_sources(graph, regions[layer])
     name = ", ".join(port.name for port in inputs)
     while name in layers:
         name = f"{name}, inputs"
@@ -87,6 +92,18 @@ def _check_kinds(graph: nir.NIRGraph) -> None:
                 f"rule primitive: node {name!r}: {type(node).__name__} has no place on a chip, "
                 "whose neurons send spikes and whose synapses are linear; possible are "
                 f"{', '.join(kind.__name__ for kind in _KNOWN)}. Replace it, or run it in float."
+            )
+
+
+def _check_sources(graph: nir.NIRGraph, region: LinearBlock) -> None:
+    """Refuse neurons that receive membranes: between neurons there are only spikes."""
+    for source in region.sources:
+        node = graph.nodes[source]
+        if isinstance(node, NEURONS) and not isinstance(node, SPIKING):
+            raise RuleError(
+                f"rule primitive: node {source!r}: {type(node).__name__} does not spike, and node "
+                f"{region.target!r} receives its membranes; only an Output can. Give it a "
+                "threshold, or run it in float."
             )
 
 
@@ -121,9 +138,9 @@ def _rows(inputs: Sequence[Port]) -> dict[str, slice]:
 def _outlet(graph: nir.NIRGraph, linear: Linear, region: LinearBlock, port: Port) -> HostOutput:
     """What an Output node receives from the layers; the host computes it."""
     for source in region.sources:
-        if not isinstance(graph.nodes[source], SPIKING):
+        if not isinstance(graph.nodes[source], NEURONS):
             raise RuleError(
-                f"rule outputs: node {port.name!r}: the output must come from a spiking node; it "
+                f"rule outputs: node {port.name!r}: the output must come from neurons; it "
                 f"is connected to the input {source!r} without neurons between. Put "
                 "some there, or run the graph in float."
             )

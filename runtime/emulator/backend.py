@@ -122,6 +122,12 @@ class Backend(Protocol):
     def recordings(self) -> dict[str, Recording]:
         """What each layer did in the last window."""
 
+    def membranes(self, layer: str) -> NDArray[Any]:
+        """Membranes (T, B, N) of a layer after each timestep of the last window [state units].
+
+        Where T is above 1 the schedule must have a trace.
+        """
+
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""
 

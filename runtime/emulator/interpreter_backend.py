@@ -63,12 +63,17 @@ class InterpreterBackend:
             {self._program.input: self._raster, **{n: t.spikes for n, t in traces.items()}},
             {name: trace.active for name, trace in traces.items()},
             {name: trace.overflows for name, trace in traces.items()},
+            self._waiting,
         )
         ledger.add(counts, timesteps, self._program.steps(timesteps))
 
     def recordings(self) -> dict[str, Recording]:
         """What each layer did in the last window."""
         return {n: Recording(t.current, t.membrane, t.spikes) for n, t in self._traces.items()}
+
+    def membranes(self, layer: str) -> NDArray[Any]:
+        """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
+        return np.asarray(self._traces[layer].membrane.swapaxes(0, 1))
 
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""

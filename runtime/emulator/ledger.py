@@ -1,6 +1,6 @@
 """The ledger: what a chip did, counted, so that any table of energies can price it afterwards."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args
 
@@ -18,8 +18,10 @@ EVENTS = (
     "bias_sop",  # synaptic operations of the always-on bias axon
     "neuron_update",  # neuron-timesteps with a membrane, a current or a bias to add up
     "neuron_idle",  # neuron-timesteps without; a chip still looks at the neuron
-    "spike_out",  # spikes that a layer emits
-    "message",  # packets to a layer: spikes, the bias axon's; and from the last one to the host
+    "spike_out",  # spikes that a layer emits; a readout layer emits none
+    # packets to a layer: spikes, the bias axon's; and from it to the host: spikes of an output
+    # layer, and of a readout layer the membrane of each neuron in each timestep
+    "message",
     "saturation",  # numbers that did not fit the accumulator, a current or a membrane
 )
 
@@ -35,6 +37,7 @@ class Ledger:
     timesteps: network updates of each layer in all of them.
     steps: chip timesteps in all of them, those that only fill the pipeline included.
     several: whether a neuron can spike several times in a timestep.
+    readouts: names of the layers that never spike, which sparsity leaves out.
     """
 
     layers: tuple[str, ...]
@@ -44,6 +47,7 @@ class Ledger:
     timesteps: int
     steps: int
     several: bool = False
+    readouts: tuple[str, ...] = ()
 
     def total(self, event: str) -> int:
         """All events of a kind, over steps and layers."""
@@ -62,11 +66,14 @@ class Ledger:
     def sparsity(self) -> float | None:
         """Part of all neuron-timesteps without a spike (NeuroBench's ActivationSparsity).
 
-        None where neurons spike several times in one, as counts of spikes do not tell in how many.
+        Of neurons that can spike: readouts never do, and would flatter. None where no neuron can,
+        and where neurons spike several times in one, as counts do not tell in how many.
         """
-        if self.several:
+        sizes = dict(zip(self.layers, self.neurons, strict=True))
+        spiking = [size for name, size in sizes.items() if name not in self.readouts]
+        if self.several or not spiking:
             return None
-        every = max(sum(self.neurons) * self.timesteps, 1)
+        every = max(sum(spiking) * self.timesteps, 1)
         return (every - self.total("spike_out")) / every
 
 
@@ -75,21 +82,24 @@ def count(
     spikes: Mapping[str, NDArray[np.uint8]],
     busy: Mapping[str, NDArray[np.bool_]] | None = None,
     overflows: Mapping[str, Counts] | None = None,
+    waiting: Collection[str] = (),
 ) -> Counts:
     """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
 
-    spikes: (B, T, N) of the input and of each layer.
+    spikes: (B, T, N) of the input and of each layer that can spike.
     busy: (B, T, N) of each layer, as in StepResult; None takes every neuron-timestep for an update.
     overflows: (B, T, N) of each layer, as in StepResult; None takes none.
+    waiting: names of layers that have not started.
     """
     batch, timesteps, _ = spikes[program.input].shape
     counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
     for index, layer in enumerate(program.layers):
         neuron_steps = layer.size * program.steps(timesteps)
         spike_in = sum(_each(spikes[s.source]) for s in layer.synapses)
-        spike_out = _each(spikes[layer.name])
+        spike_out = _each(spikes[layer.name]) if layer.spiking else np.zeros(batch, np.int64)
         update = _each(busy[layer.name]) if busy else timesteps * layer.size
-        to_host = spike_out if layer.name in program.to_host else 0
+        sent = spike_out if layer.spiking else timesteps * layer.size * (layer.name not in waiting)
+        to_host = sent if layer.name in program.to_host else 0
         event = {
             "spike_in": spike_in,
             "sop": sum(_each(spikes[s.source] * s.fan_out) for s in layer.synapses),
@@ -177,6 +187,7 @@ class LedgerBuilder:
             timesteps=self._timesteps,
             steps=self._steps,
             several=self._program.chip.spikes_max > 1,
+            readouts=tuple(a.name for a in self._program.layers if not a.spiking),
         )
 
     def __getstate__(self) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from spikedeploy.runtime.emulator.backend import (
     not_spikes,
     schedule,
 )
+from spikedeploy.runtime.emulator.host import Host
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.errors import ConfigError, ObservationError
@@ -81,6 +82,7 @@ class Machine:
         self.recordings: dict[str, Recording] = {}
         # where several layers leave the chip, the host needs the spikes of all
         self._trace = trace or bool(program.outlets)
+        self._host = Host(program, batch) if program.reads_membranes else None
         self._backend_class = backend_class(program, backend)
         self._ledger = (
             ledger if isinstance(ledger, LedgerBuilder) else LedgerBuilder(program, ledger)
@@ -106,6 +108,8 @@ class Machine:
             presynaptic = self._run(backend, rows)
             if self._trace:
                 self.recordings = backend.recordings()
+            if self._host is not None:
+                return self._host.output(rows, backend)
             return self._output(presynaptic)
 
     def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:
@@ -115,15 +119,22 @@ class Machine:
 
         out: memory (B, act) for the output, float64; with it the "numba" backend allocates nothing.
         """
-        if self.program.outlets:
+        if self.program.outlets and self._host is None:
             raise ConfigError(
                 f"{len(self.program.to_host)} layers leave the chip, and a step gives the spikes "
                 "of one. Use infer, or give the network one Output connected to one layer."
             )
         with self._calls.lock:
             rows = self._checked(spikes, 2)[None]
-            presynaptic = self._run(self._prepared("step", 1), rows, self._step)
+            backend = self._prepared("step", 1)
+            presynaptic = self._run(backend, rows, self._step)
             self._step += 1
+            if self._host is not None:
+                output = self._host.output(rows, backend)[:, 0]
+                if out is None:
+                    return output
+                np.copyto(out, output)
+                return out
             if out is None:
                 return np.asarray(self._output(presynaptic)[:, 0])
             return self._write(presynaptic[0], out)
@@ -164,11 +175,15 @@ class Machine:
     def _snapshot(self) -> dict[str, Any]:
         """Memory of a backend is full of views of itself, so copies build it anew."""
         saved = self._backend.saved() if self._backend else None
-        return {**self.__dict__, "_backend": saved}
+        # the program is shared by all copies
+        host = snapshot(self._host, self.program)
+        return {**self.__dict__, "_backend": saved, "_host": host}
 
     def _reset(self) -> None:
         if self._backend is not None:
             self._backend.reset()
+        if self._host is not None:
+            self._host.reset(streaming=self._prepared_for[0] == "step")
         self._running = False
         self._step = 0
 
@@ -208,11 +223,15 @@ class Machine:
             self._prepared_for = (mode, timesteps)
             if saved:
                 backend.restore(saved)
+            elif self._host is not None:
+                self._host.reset(streaming=mode == "step")
         return backend
 
     def _built(self, mode: RunMode, timesteps: int) -> Backend:
         counting = self._ledger.keeps
-        prepared = schedule(self.program, mode, timesteps, trace=self._trace, counting=counting)
+        # of a single timestep the membranes are those of now
+        trace = self._trace or (self._host is not None and timesteps > 1)
+        prepared = schedule(self.program, mode, timesteps, trace=trace, counting=counting)
         return self._backend_class(self.program, prepared, self.batch)
 
     def _run(self, backend: Backend, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:

@@ -138,8 +138,9 @@ class MachinePool:
 
     @property
     def spikes(self) -> dict[str, NDArray[Any]]:
-        """(B, T, N) of each layer in the last inference, where it was traced."""
-        return {name: recording.spikes for name, recording in self.recordings.items()}
+        """(B, T, N) of each spiking layer in the last inference, where it was traced."""
+        seen, layers = self.recordings, self.program.spiking
+        return {layer.name: seen[layer.name].spikes for layer in layers if layer.name in seen}
 
     @property
     def outputs(self) -> tuple[Port, ...]:

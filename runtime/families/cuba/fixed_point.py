@@ -15,6 +15,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.cuba.bounds import with_headroom
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters, arriving, update
 from spikedeploy.runtime.families.cuba.quantise import quantise
+from spikedeploy.runtime.families.cuba.readouts import range_of
 
 # from rounded weights to the chip, each with those before it
 _ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
@@ -67,6 +68,10 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         if quantisation.headroom == "proven":
             return with_headroom(self, network, quantisation, timesteps)
         return [quantise(layer, self, quantisation) for layer in network.layers]
+
+    def ranges(self, readouts: Sequence[Layer]) -> list[str]:
+        """Of quantised readout layers what their registers hold, where leaks do not bound it."""
+        return [found for layer in readouts if (found := range_of(layer, self))]
 
     def update(
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
-from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits, SynapticMemory
+from spikedeploy.runtime.chips.limits import ENDS, READOUTS, WEIGHTS, Limits, SynapticMemory
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, rounded
 from spikedeploy.runtime.convention import Convention
@@ -158,6 +158,8 @@ def _scale(layer: Layer, weight_max: int) -> float:
 
 def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
     """(N,) the layer's numbers of that name, scaled, in float32."""
+    if name == "threshold" and not layer.spiking:
+        return layer.threshold.astype(np.float32)
     values = np.asarray(getattr(layer, name), np.float64)
     largest = float(np.abs(values).max(initial=0.0))
     if largest * scale > _LARGEST:
@@ -177,8 +179,10 @@ IDEAL = Chip(
     delay=0,
     delay_max=4096,
     energy_tables=(),
+    membrane_output="software",
     sources={
         "arithmetic": "by definition",
+        "membrane_output": "by definition",
         "resets": "by definition: both that a convention can name",
         "delay": "by definition: the convention decides",
         "delay_max": "by choice: so many timesteps of spikes fit any memory",
@@ -192,14 +196,25 @@ _PY = "py-spinnaker2's reading of NIR (source read)"
 _SURVEY = "secondary: surveys of the chip"
 
 _LIMITS = Limits(
-    primitives=(*ENDS, *WEIGHTS, "Conv2d", "Flatten", "SumPool2d", "Scale", "IF", "LIF", "CubaLIF"),
+    primitives=(
+        *ENDS,
+        *WEIGHTS,
+        "Conv2d",
+        "Flatten",
+        "SumPool2d",
+        "Scale",
+        "IF",
+        "LIF",
+        "CubaLIF",
+        *READOUTS,
+    ),
     cores=152,
     memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=8),
     recurrence=True,
     alone=False,
     sources={
         "primitives": f"{_PY}: models lif, lif_curr_exp and lif_conv2d; IF is a lif "
-        "without a leak (derived)",
+        "without a leak, LI, CubaLI and I the same without a threshold (derived)",
         "cores": _SURVEY,
         "memory": f"{_SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
         "cores is the least that it can be (derived)",
@@ -217,7 +232,9 @@ SPINNAKER2 = Chip(
     delay_max=1,
     energy_tables=("spinnaker2",),  # two secondary sources that disagree: an interval
     limits=_LIMITS,
+    membrane_output="software",
     sources={
+        "membrane_output": f"{_PY}: neurons are programs, and its recordings hold their voltages",
         "weight_bits": f"{_S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
         "resets": f"{_S2_NIR}: subtraction is its default",
         "delay": f"{_S2_NIR}: conn_delay, 1 unless given; models without delay exist",

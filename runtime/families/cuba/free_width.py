@@ -50,6 +50,11 @@ class CubaFreeWidth(CubaFixedPoint):
         self._check_widths()
 
     @property
+    def weight_exponent_max(self) -> int:
+        """None: fraction bits of the states are free."""
+        return 0
+
+    @property
     def weight_step(self) -> int:
         """Distance between two neighbouring weights."""
         return 1
@@ -114,7 +119,9 @@ INT = Chip(
     delay=0,
     delay_max=63,
     energy_tables=(),
+    membrane_output="probe",
     sources={
+        "membrane_output": _DEFINED,
         "weight_bits": f"{_FREE}, 1 to 16",
         "weight_bits_allowed": _DEFINED,
         "sign_mode": _FREE,

@@ -13,7 +13,14 @@ membranes of 0 and above, a current that decays to 0 at once.
 from dataclasses import replace
 
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Limits, SynapticMemory
+from spikedeploy.runtime.chips.limits import (
+    ENDS,
+    READOUTS,
+    SPACE,
+    WEIGHTS,
+    Limits,
+    SynapticMemory,
+)
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 
@@ -47,7 +54,7 @@ _DOSSIER = "Davies et al. 2018, pp. 86-92 (secondary: a public transcription)"
 _BLOCK = "nengo-loihi 1.1.0, its block of a core (source read)"
 
 _LIMITS = Limits(
-    primitives=(*ENDS, *WEIGHTS, *SPACE, "Scale", "Delay", "IF", "LIF", "CubaLIF"),
+    primitives=(*ENDS, *WEIGHTS, *SPACE, "Scale", "Delay", "IF", "LIF", "CubaLIF", *READOUTS),
     cores=128,
     neurons_per_core=1024,
     memory=SynapticMemory(size=16384 * 64, cost="words", weight_bits=8),
@@ -63,8 +70,8 @@ _LIMITS = Limits(
     input_cores=True,
     alone=False,
     sources={
-        "primitives": "IF, LIF and CuBa-LIF are one equation with other decays; maps without a "
-        "state are synapses, delays theirs (derived)",
+        "primitives": "IF, LIF and CuBa-LIF are one equation with other decays, LI, CubaLI and I "
+        "the same without spikes; maps without a state are synapses, delays theirs (derived)",
         "cores": _DOSSIER,
         "neurons_per_core": f"{_DOSSIER}; {_BLOCK}",
         "memory": f"{_DOSSIER}: 16384 words of 64 bits; what a synapse takes: {_BLOCK}",
@@ -90,7 +97,10 @@ LOIHI1 = Chip(
     delay=1,
     delay_max=62,
     energy_tables=("davies2018", "sanafe"),
+    membrane_output="probe",
     sources={
+        "membrane_output": "nengo-loihi 1.1.0 probes the voltage of compartments; NxSDK has a "
+        "threshold mode NO_SPIKE (secondary: public scripts)",
         "weight_bits": f"{_DAVIES}, p. 87: 1 to 9 bits with the sign",
         "weight_bits_allowed": f"{NENGO}: 7 is not encodable",
         "sign_mode": f"{_DAVIES}, p. 87; split as PopSAN was mapped (Tang et al. 2020)",
@@ -214,8 +224,11 @@ LOIHI2 = replace(
     summary="Loihi 2 with its default neuron, which computes as Loihi 1's does",
     energy_tables=(),  # no public energy per operation
     limits=_LIMITS2,
+    membrane_output="graded",
     sources={
         **{field: f"{LAVA}, as on Loihi 1; {_GUESS}" for field in LOIHI1.sources},
+        "membrane_output": "graded spikes of 32 bits (Orchard et al. 2021, IEEE SiPS); that a "
+        "membrane of 24 bits goes into one is derived",
         "mantissa_shift": _BOARD,
         "decay_bits": _BOARD,
         "membrane_decay_offset": _BOARD,

@@ -100,6 +100,14 @@ class CubaRegisters:
         return int((widest - 1) // self.weight_step * self.weight_step)
 
     @property
+    def weight_exponent_max(self) -> int:
+        """Largest exponent by which the weights of a layer count 2**exponent times (lava: -8 to 7).
+
+        It is used for readout layers alone: nothing else limits their scale.
+        """
+        return 7
+
+    @property
     def decay_one(self) -> int:
         """The decay that leaves nothing."""
         return 1 << self.decay_bits

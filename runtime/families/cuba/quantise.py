@@ -16,11 +16,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, rounded
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
+from spikedeploy.runtime.families.cuba.readouts import exponent_and_share
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ def _mantissas_per_unit(
             registers.weight_max * max(clip_ratio, 1.0),
             [*(s.weight for s in layer.synapses), layer.bias],
         ),
-        (registers.threshold_max, [layer.threshold]),
+        (registers.threshold_max, [layer.threshold if layer.spiking else 0 * layer.bias]),
         (widest_bias, [layer.voltage_bias]),
     )
     scale = np.full(layer.size, np.inf)
@@ -117,15 +118,22 @@ def quantise(
     scale = (
         _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio) * share
     )
-    if quantisation.thresholds is not None:
+    exponent = 0
+    if not layer.spiking:
+        untuned = scale / share / min(tuning.clip_ratio, 1.0)
+        exponent, part = exponent_and_share(layer, registers, untuned)
+        scale = scale * part
+    elif quantisation.thresholds is not None:
         scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
-    one = 1 << registers.mantissa_shift
+    one = 1 << (registers.mantissa_shift + exponent)
     quantised = replace(
         layer,
-        synapses=tuple(_synapses(s, scale, registers, rounding) for s in layer.synapses),
-        bias=_weights(layer.bias, scale, registers, rounding),
+        synapses=tuple(_synapses(s, scale, registers, rounding, exponent) for s in layer.synapses),
+        bias=_weights(layer.bias, scale, registers, rounding) << exponent,
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
-        threshold=_threshold(tuned, scale, registers, rounding) * one,
+        threshold=_threshold(tuned, scale, registers, rounding) * one
+        if layer.spiking
+        else np.full(layer.size, NEVER),
         current_decay=_decay_factor(layer, "current", registers, rounding),
         membrane_decay=_decay_factor(layer, "membrane", registers, rounding),
         scale=layer.scale / (scale * one),
@@ -166,10 +174,10 @@ def _magnitude(values: Floats) -> float:
 
 
 def _synapses(
-    synapses: Synapses, scale: Scale, registers: CubaRegisters, rounding: Rounding
+    synapses: Synapses, scale: Scale, registers: CubaRegisters, rounding: Rounding, exponent: int
 ) -> Synapses:
-    weight = _weights(synapses.weight, scale, registers, rounding).astype(np.int16)
-    return replace(synapses, weight=weight)
+    weight = _weights(synapses.weight, scale, registers, rounding) << exponent
+    return replace(synapses, weight=weight.astype(np.int16))
 
 
 def _weights(

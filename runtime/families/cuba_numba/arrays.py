@@ -99,7 +99,8 @@ def _layers(program: Program, fixed: CubaFixedPoint) -> Integers:
         forgets = not layer.current_decay.any()
         proven = max(limits.current, limits.above, limits.below) <= min(_rooms(fixed)[1:])
         about = (layer.start, biases + neurons, layer.bias_fan_out, output, forgets, proven)
-        rows.append((layer.size, neurons, 0, wires, end, bits, in_integers, *about))
+        leaves = (layer.size if output and not layer.spiking else 0, layer.name == program.output)
+        rows.append((layer.size, neurons, 0, wires, end, bits, in_integers, *about, *leaves))
         neurons, wires = neurons + layer.size, end
     return np.array(rows, np.int64)
 

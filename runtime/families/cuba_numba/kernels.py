@@ -13,7 +13,7 @@ from spikedeploy.runtime.families.cuba_numba.layout import (
     BIAS,
     CURRENT_DECAY,
     IN_INTEGERS,
-    IS_OUTPUT,
+    LEAVES,
     LENGTHS,
     MEMBRANE_DECAY,
     NEURON,
@@ -255,7 +255,7 @@ def _leave(
     """Copy what leaves the chip."""
     layers, sources = constants.layers, constants.sources
     for layer in range(len(layers)):
-        if layers[layer, IS_OUTPUT]:
+        if layers[layer, LEAVES]:
             own = sources[layer + 1]
             size = own[NEURONS]
             for row in range(timesteps):

@@ -11,9 +11,10 @@ SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION = range(8)
 # columns of Constants.layers; STATE is where the layer's states begin in a row of
 # KernelMemory.states, BIAS where its biases begin in Constants.weights; of a layer with NO_CURRENT
 # nothing stays of a current, of one that is PROVEN no number can be too large, and one IN_INTEGERS
-# is always computed in int64
+# is always computed in int64; of each layer that IS_OUTPUT the spikes leave the chip, and in each
+# timestep so many membranes as are READ, and the one that LEAVES is what the kernel puts out
 SIZE, NEURON, STATE, FIRST_WIRE, LAST_WIRE, SUM_BITS, IN_INTEGERS, START = range(8)
-BIAS, BIAS_FAN_OUT, IS_OUTPUT, NO_CURRENT, PROVEN = range(8, 13)
+BIAS, BIAS_FAN_OUT, IS_OUTPUT, NO_CURRENT, PROVEN, READ, LEAVES = range(8, 15)
 # columns of Constants.wires
 SOURCE, LAG, WEIGHT, FAN_OUT = range(4)
 # columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its

@@ -93,6 +93,14 @@ class NumbaPipeline:
             recordings[layer.name] = Recording(current, membrane, self._memory.rows(k + 1).copy())
         return recordings
 
+    def membranes(self, layer: str) -> NDArray[Any]:
+        """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
+        place = [each.name for each in self._program.layers].index(layer)
+        states = self._memory.states(place)
+        # without a trace there is one timestep, whose states have become those of now
+        rows = states[:, 1:] if self.schedule.trace else states[:, :1]
+        return np.asarray(rows[:, :, 1].swapaxes(0, 1))
+
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer."""
         names = [layer.name for layer in self._program.layers]

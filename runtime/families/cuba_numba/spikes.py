@@ -14,6 +14,7 @@ from spikedeploy.runtime.families.cuba_numba.layout import (
     MESSAGE,
     NEURONS,
     RASTER,
+    READ,
     REMEMBERS,
     SIZE,
     SOP,
@@ -127,7 +128,7 @@ def count(
         events[IDLE] = about[SIZE] * steps - events[UPDATE]
         events[MESSAGE] = events[SPIKE_IN] + always_on * (about[BIAS_FAN_OUT] > 0)
         if about[IS_OUTPUT]:
-            events[MESSAGE] += events[SPIKE_OUT]
+            events[MESSAGE] += events[SPIKE_OUT] + always_on * about[READ]
 
 
 @jit

@@ -116,7 +116,8 @@ class EventCounter:
         spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in presynaptic)
         spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)
         always_on = self.timesteps * running
-        to_host = spike_out * (layer.name in self._program.to_host)
+        sent = spike_out if layer.spiking else always_on * layer.size
+        to_host = sent * (layer.name in self._program.to_host)
         return {
             "spike_in": spike_in,
             # float64 is exact up to 2**53, and has the matrix product that int64 lacks

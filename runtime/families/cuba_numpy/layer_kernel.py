@@ -60,7 +60,8 @@ class _OverflowCheck:
         self._limit = min(current, membrane) if most is None else min(current, membrane, most)
         self._push = float(layer.voltage_bias.max(initial=0))
         self._open = limits.current > self._limit or max(limits.above, limits.below) > self._limit
-        self._open_above = limits.above > self._limit
+        # membranes that no spike resets are all kept, and looked at as they are
+        self._open_above = layer.spiking and limits.above > self._limit
         pushed = min(limits.current, current) + np.abs(layer.voltage_bias).max(initial=0)
         # refractory, and accumulators and pushes that overflow, are left to the interpreter
         self._never = (

@@ -143,6 +143,13 @@ class NumpyPipeline:
         """What each layer did in the last window."""
         return joined(self._recorded, axis=1) if self._recorded else self._recordings()
 
+    def membranes(self, layer: str) -> NDArray[Any]:
+        """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
+        if self._recorded:
+            rows = [recording[layer].membrane[:, 0] for recording in self._recorded]
+            return np.stack(rows)
+        return next(each.states[1:, 1] for each in self._windows if each.layer.name == layer)
+
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer."""
         dtype = np.int64 if self._fixed else np.float64

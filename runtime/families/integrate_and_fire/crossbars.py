@@ -72,6 +72,7 @@ TRUENORTH = Chip(
     energy_tables=("truenorth",),  # all-in: energy of the whole chip per synaptic event
     limits=_TRUENORTH_LIMITS,
     sources={
+        "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{_ASSUMED}; a review says 8 ({_REVIEW})",
         "signs": f"{_CASSIDY}, secondary: a signed weight for each type",
         "axon_types": f"{_CASSIDY}, secondary: types 0 to 3",
@@ -153,6 +154,7 @@ ODIN = Chip(
     energy_tables=("odin",),  # one number for everything, at one voltage
     limits=_ODIN_LIMITS,
     sources={
+        "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{_VERILOG}: magnitude",
         "signs": f"{_VERILOG}: one sign for each neuron that sends",
         "axon_types": f"{_VERILOG}: every synapse has a weight",

@@ -71,6 +71,7 @@ SPECK2F = Chip(
     energy_tables=(),  # published for whole tasks only
     limits=_SPECK2F_LIMITS,
     sources={
+        "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{_SINABS}: DYNAPCNN_WEIGHT_PRECISION_BITS",
         "signs": f"{_SINABS}: two's complement",
         "axon_types": f"{_SINABS}: every synapse of a kernel has a weight",
@@ -134,6 +135,7 @@ SPIKER = Chip(
     energy_tables=(),  # published for whole tasks only
     limits=_SPIKER_LIMITS,
     sources={
+        "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{VHDL}: {_DATAPATH}; 5 to 8 are used",
         "signs": f"{VHDL}: two's complement",
         "axon_types": f"{VHDL}: every synapse has a weight",

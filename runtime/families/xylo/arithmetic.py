@@ -23,6 +23,7 @@ from spikedeploy.runtime.chips.arithmetic import (
     refuse_convention,
 )
 from spikedeploy.runtime.chips.layer import (
+    NEVER,
     Layer,
     LayerState,
     Network,
@@ -80,8 +81,9 @@ def _fitting(layer: Layer, registers: XyloRegisters, one: int, biases_too: bool)
     weight = np.concatenate([np.abs(s.weight) for s in layer.synapses]).max(axis=0, initial=0.0)
     largest = np.maximum(weight, bias) if biases_too else weight
     wide = registers.state.limit / one
+    threshold = layer.threshold if layer.spiking else 0 * largest
     with np.errstate(divide="ignore"):
-        scales = registers.weight_max / largest, wide / layer.threshold, wide / bias
+        scales = registers.weight_max / largest, wide / threshold, wide / bias
     return np.asarray(np.min(scales, axis=0))
 
 
@@ -98,7 +100,7 @@ def _layer(
 ) -> Layer:
     synapses = tuple(_synapses(s, scale, registers, rounding, one) for s in layer.synapses)
     states = scale * one
-    threshold = rounded(layer.threshold * states, rounding)
+    threshold = _threshold(layer, states, rounding)
     if (lost := threshold < 1).any():
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold "
@@ -115,6 +117,12 @@ def _layer(
         threshold=threshold,
         scale=layer.scale / (states[0] if np.ptp(states) == 0 else states),
     )
+
+
+def _threshold(layer: Layer, states: Floats, rounding: Rounding) -> NDArray[np.int64]:
+    if not layer.spiking:
+        return np.full(layer.size, NEVER)
+    return rounded(layer.threshold * states, rounding)
 
 
 def _synapses(

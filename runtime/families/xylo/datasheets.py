@@ -32,7 +32,7 @@ _XYLO_V2 = XyloArithmetic(
 )
 
 _A2_LIMITS = Limits(
-    primitives=(*ENDS, *WEIGHTS, "Scale", "LIF", "CubaLIF"),
+    primitives=(*ENDS, *WEIGHTS, "Scale", "LIF", "CubaLIF", "LI", "CubaLI"),
     inputs=16,
     neurons=1000,
     outputs=8,
@@ -46,7 +46,8 @@ _A2_LIMITS = Limits(
     membrane_loss=(2.0**-15, 1.0),
     recurrence=True,
     sources={
-        "primitives": f"{_XYLOSIM}: every state leaks, and no neuron has a state without spikes",
+        "primitives": f"{_XYLOSIM}: every state leaks; LI and CubaLI are outputs whose membranes "
+        "are read (derived)",
         "inputs": _ROCKPOOL,
         "neurons": _ROCKPOOL,
         "outputs": _ROCKPOOL,
@@ -72,7 +73,10 @@ XYLO_A2 = Chip(
     delay_max=1,
     energy_tables=(),  # published for whole tasks only (docs/xylo.md)
     limits=_A2_LIMITS,
+    membrane_output="probe",
     sources={
+        "membrane_output": "rockpool's XyloMonitor: output_mode 'Vmem'; its XyloSamna records "
+        "the membranes of outputs in each timestep (source read)",
         "weight_bits": f"{_ROCKPOOL}: 8 bits with the sign",
         "shift_max": "by definition: a further shift of any weight saturates 16 bits as well",
         "dash_max": f"{_ROCKPOOL}: 4 bits",

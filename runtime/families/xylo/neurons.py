@@ -74,7 +74,9 @@ def update(
     membrane, high = registers.state.fit_counted(state.membrane + change)
     is_output = layer.name == network.output and network.output_apart
     most = registers.output_spikes_max if is_output else registers.spikes_max
-    spikes, membrane = _spikes(layer, membrane, most)
+    spikes = np.zeros(membrane.shape, np.int64)
+    if layer.spiking:
+        spikes, membrane = _spikes(layer, membrane, most)
     active = (state.membrane != 0) | current.any(axis=1) | (layer.voltage_bias != 0)
     state.current, state.membrane = current, membrane
     return StepResult(spikes, active, lost + low + turned + high)

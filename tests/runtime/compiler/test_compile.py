@@ -195,8 +195,8 @@ def reset_elsewhere():
     return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
 
 
-def leaky_readout():
-    nodes = [affine(8, 6), nir.LI(*(np.full(6, v) for v in (0.01, 1.0, 0.0)))]
+def leaky_between():
+    nodes = [affine(8, 6), nir.LI(*(np.full(6, v) for v in (0.01, 1.0, 0.0))), cuba(6)]
     return Artifact(chain(*nodes, width=8, act=6), None, CONVENTION)
 
 
@@ -214,9 +214,9 @@ def no_neurons():
     ("build", "message"),
     [
         (reset_elsewhere, "layer 'n2': v_reset"),
-        (leaky_readout, "node 'n2': LI has no place on a chip"),
+        (leaky_between, "node 'n2': LI does not spike, and node 'n3' receives its membranes"),
         (long_loop, "layers 'l2' -> 'l1': the feedback would have to arrive"),
-        (no_neurons, "node 'output': the output must come from a spiking node"),
+        (no_neurons, "node 'output': the output must come from neurons"),
     ],
 )
 def test_what_a_chip_cannot_do_is_refused_by_name(build, message):

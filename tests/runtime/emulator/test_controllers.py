@@ -93,7 +93,7 @@ def test_a_file_without_codec_cannot_act():
 
 
 def test_a_graph_that_no_chip_can_hold_still_runs_in_float():
-    leaky = nir.LI(*(np.full(6, value) for value in (0.01, 1.0, 0.0)))
+    leaky = nir.Threshold(np.full(6, 0.01))
     artifact = Artifact(chain(cuba(6), leaky, width=6, act=6), None, popsan().convention)
     machine = FloatMachine(artifact)
     output = machine.infer(np.ones((2, 4, 6), np.uint8))

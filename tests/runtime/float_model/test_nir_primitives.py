@@ -245,17 +245,8 @@ def test_a_file_comes_back_and_computes_the_same(node, shape, tmp_path):
     assert found.shape[2:] == out
 
 
-@pytest.mark.parametrize(
-    "node",
-    [
-        nir.Threshold(np.ones((1, 4, 4))),
-        nir.I(np.ones((1, 4, 4))),
-        nir.LI(*(np.full((1, 4, 4), v) for v in (1.0, 1.0, 0.0))),
-        nir.CubaLI(*(np.full((1, 4, 4), v) for v in (1.0, 1.0, 1.0, 0.0))),
-    ],
-    ids=lambda node: type(node).__name__,
-)
-def test_a_chip_refuses_by_name_what_it_lacks(node):
+def test_a_chip_refuses_by_name_what_it_lacks():
+    node = nir.Threshold(np.ones((1, 4, 4)))
     artifact = Artifact(alone(node, (1, 4, 4), (1, 4, 4)), None, Convention(1e-3))
-    with pytest.raises(RuleError, match=f"'n': {type(node).__name__} has no place on a chip"):
+    with pytest.raises(RuleError, match="'n': Threshold has no place on a chip"):
         compile_program(artifact, chip("ideal"))

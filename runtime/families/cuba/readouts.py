@@ -1,0 +1,125 @@
+"""Readout layers in Loihi's integers: a scale without a threshold, and what their registers hold.
+
+Nothing bounds the current of a readout that hardly leaks: it is the sum of all that ever arrived.
+So a scale is chosen at which half of each register holds NET_EVENTS more spikes of one sign than of
+the other over a neuron's heaviest synapse, or all that can arrive where leaks bound that. A decay
+rounds toward zero, by up to 1 state unit in a timestep, which matters least beside large states:
+the weights count 2**exponent times, with the largest exponent that leaves this room.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
+
+Floats = NDArray[np.float64]
+
+# spikes of one sign more than of the other, on the heaviest synapse: eight times the level that a
+# delta code of 0.3 standard deviations reaches at 2.4 of them
+NET_EVENTS = 64
+# part of a register that they may fill
+_SHARE = 0.5
+# [timesteps] what a bias adds up to without a leak is taken over so many
+_LONG = 4096
+# timesteps at which responses are looked at: each at first, then a few of each octave
+_TIMES = np.unique(np.concatenate([np.arange(64), np.geomspace(64, 1e6, 200).astype(int)]))
+# what weights with their exponent are stored in
+_WIDEST = (1 << 15) - 1
+
+
+def exponent_and_share(
+    layer: Layer, registers: CubaRegisters, scale: float | Floats
+) -> tuple[int, float]:
+    """The exponent of a float readout layer, and the part of the scale to use, 1 but for overflow.
+
+    scale: mantissas per float unit, (N,) or one for all.
+    """
+    unit = scale * (1 << registers.mantissa_shift)
+    arriving, reach = _arriving(layer), _reach(layer)
+    states = min(registers.current.limit, registers.push.limit, registers.membrane.limit)
+    widest_bias = registers.bias_mantissa_max << registers.bias_exponent_max
+    filled = max(
+        _most(reach * unit) / (_SHARE * states),
+        _most(arriving * unit) / registers.accumulator.limit,
+        _most(np.abs(layer.voltage_bias) * unit) / max(widest_bias, 1),
+    )
+    if filled > 1:
+        return 0, 1 / filled
+    widest = int(np.log2(_WIDEST // registers.weight_max))
+    most = min(registers.weight_exponent_max, widest)
+    return (min(int(np.log2(1 / filled)), most) if filled else 0), 1.0
+
+
+def range_of(layer: Layer, registers: CubaRegisters) -> str:
+    """What the registers of a quantised readout layer hold, in a sentence; "" where always all."""
+    one = float(registers.decay_one)
+    current, membrane = layer.current_decay / one, layer.membrane_decay / one
+    unit = 1 << registers.mantissa_shift
+    held = min(registers.current.limit, registers.push.limit, registers.membrane.limit)
+    positive, negative, heaviest = _weighed(layer)
+    steady = _steady(current, membrane)
+    pushed = np.abs(layer.voltage_bias) / np.maximum(1 - membrane, 1 / _LONG)
+    bias = np.abs(layer.bias) * unit * np.minimum(steady, _LONG) + pushed
+    largest = np.maximum(positive, negative) * unit
+    unbounded = np.where(largest > 0, np.inf, 0.0)
+    proven = np.multiply(largest, steady, out=unbounded, where=np.isfinite(steady)) + bias
+    if _most(proven) <= held or not heaviest.any():
+        return ""
+    each = heaviest * unit * _peak(current, membrane)
+    room = np.divide(held - bias, each, out=np.full(layer.size, np.inf), where=each > 0)
+    return (
+        f"readout {layer.name!r}: its leaks do not bound what it adds up; its registers hold "
+        f"{max(int(room.min()), 0)} net spikes over a heaviest synapse (the ledger counts "
+        "saturations; `spikedeploy drift` shows what recorded inputs fill)"
+    )
+
+
+def _weighed(layer: Layer) -> tuple[Floats, Floats, Floats]:
+    """Sums of the positive and of the negative weights of each neuron, and its heaviest (N,)."""
+    weights = np.concatenate([s.weight.astype(np.float64) for s in layer.synapses])
+    heaviest = np.abs(weights).max(axis=0, initial=0.0)
+    return weights.clip(min=0).sum(axis=0), -weights.clip(max=0).sum(axis=0), heaviest
+
+
+def _arriving(layer: Layer) -> Floats:
+    """The most that arrives in a timestep (N,), no more than NET_EVENTS of the heaviest synapse."""
+    positive, negative, heaviest = _weighed(layer)
+    most = np.minimum(np.maximum(positive, negative), NET_EVENTS * heaviest)
+    return np.asarray(most + np.abs(layer.bias))
+
+
+def _reach(layer: Layer) -> Floats:
+    """Largest current or membrane (N,) of a float layer that is reckoned with [float units]."""
+    positive, negative, heaviest = _weighed(layer)
+    current, membrane = layer.current_decay, layer.membrane_decay
+    steady, largest = _steady(current, membrane), np.maximum(positive, negative)
+    events = NET_EVENTS * heaviest * _peak(current, membrane)
+    bounded = np.isfinite(steady)
+    proven = np.multiply(largest, steady, out=events.copy(), where=bounded)
+    pushed = np.abs(layer.voltage_bias) / np.maximum(1 - membrane, 1 / _LONG)
+    bias = np.abs(layer.bias) * np.minimum(steady, _LONG) + pushed
+    return np.asarray(np.minimum(events, proven) + bias)
+
+
+def _steady(current: Floats, membrane: Floats) -> Floats:
+    """What 1 that arrives in every timestep adds up to; infinite without a leak."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1 / ((1 - current) * (1 - membrane)))
+
+
+def _peak(current: Floats, membrane: Floats) -> Floats:
+    """Largest membrane after a single arrival of 1.
+
+    v[t] = sum over k <= t of a^k b^(t - k) = (a^(t + 1) - b^(t + 1)) / (a - b)
+    """
+    t = _TIMES[:, None] + 1.0
+    apart = np.abs(current - membrane) > 1e-6
+    difference = np.where(apart, current - membrane, 1.0)
+    nearly = t * np.maximum(current, membrane) ** (t - 1)
+    response = np.where(apart, (current**t - membrane**t) / difference, nearly)
+    return np.asarray(response.max(axis=0))
+
+
+def _most(values: Floats) -> float:
+    return float(np.max(values, initial=0.0))
