@@ -3,6 +3,7 @@
 config.py    settings
 sparse.py    the algorithm: walks, phases, validation on the chip
 phases.py    dense, levels of pruning, polish
+rounding.py  what the chip makes of the weights, for training with rounding
 learner.py   gradient updates and pruning of a student
 students.py  what the algorithm asks of a spiking and of a float student
 pruning.py   one ranking over all synapses by what they are worth for an operation

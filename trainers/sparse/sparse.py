@@ -30,8 +30,9 @@ from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
 from spikedeploy.trainers.sparse.phases import Phase, phases
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, load_walks, save_walks
 from spikedeploy.trainers.sparse.pruning import operations
+from spikedeploy.trainers.sparse.rounding import check_rounding, rounding_offsets
 from spikedeploy.trainers.sparse.steps import binary_columns, retuned
-from spikedeploy.trainers.sparse.students import student
+from spikedeploy.trainers.sparse.students import DeltaStudent, student
 
 _TRAINING_SEEDS = 5_000  # validation and evaluation are above
 _TOGETHER = 50  # copies of the environment
@@ -88,6 +89,8 @@ class Sparse(Runner[SparseConfig]):
         self.learner = SparseLearner(config, self._student)
         self._episodes = Episodes(config.env, _TOGETHER, config.validation.limit)
         self._chip = chip(config.chip)
+        if config.rounding:
+            check_rounding(self._chip)
         self.updates = self.phase = 0
         self.start = 0.0
         self.teacher_return = np.nan
@@ -113,13 +116,19 @@ class Sparse(Runner[SparseConfig]):
         self._loss = self.learner.update(
             self.pool, self._rng, phase.rate(self.updates), dense=goal is None
         )
-        due = self.updates % self._config.prune_every == 0
-        if goal is not None and due and phase.prunes(self.updates):
-            self.learner.prune(goal)
+        if goal is not None and self.updates % self._config.prune_every == 0:
+            if phase.prunes(self.updates):
+                self.learner.prune(goal)
+            self._round()
         self.updates += 1
         if self.updates >= phase.end:
             self._end_phase(phase)
         return True
+
+    def _round(self) -> None:
+        """Let the forward pass compute with the weights of the chip from now on."""
+        if self._config.rounding and isinstance(self._student, DeltaStudent):
+            self._student.offsets = rounding_offsets(self._student.policy, self._chip)
 
     def _end_phase(self, phase: Phase) -> None:
         """Walk, set the encoder's steps anew, and start the next phase with a new optimiser."""
