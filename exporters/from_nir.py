@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 from spikedeploy.exporters.to_nir import SpikingPolicy
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import SPIKING, discretise
-from spikedeploy.trainers.policies import PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.trainers.policies import DeltaSnnPolicy, PopsanPolicy, SpikingMlpPolicy
 
 _DIGITS = 12  # of a decay; dt / tau loses precision beyond them
 
 Arrays = dict[str, NDArray[np.floating[Any]]]
 
 
-def from_nir(path: str | Path) -> SpikingPolicy:
+def from_nir(path: str | Path) -> SpikingPolicy | DeltaSnnPolicy:
     """Return the policy that `to_nir` wrote, in float32 as it was trained."""
     try:
         return _policy(load(path))
@@ -33,10 +34,12 @@ def from_nir(path: str | Path) -> SpikingPolicy:
         ) from error
 
 
-def _policy(artifact: Artifact) -> SpikingPolicy:
+def _policy(artifact: Artifact) -> SpikingPolicy | DeltaSnnPolicy:
     """Return the artifact as a torch policy."""
     if artifact.codec is None:
         raise AttributeError("no codec")
+    if isinstance(artifact.codec.encoder, DeltaEncoder):
+        return _delta_snn(artifact, artifact.codec, artifact.codec.encoder)
     cuba = isinstance(artifact.graph.nodes["lif1"], nir.CubaLIF)
     network = (_popsan if cuba else _spiking_mlp)(artifact, artifact.codec)
     layers = _layers(artifact.graph)
@@ -51,6 +54,60 @@ def _policy(artifact: Artifact) -> SpikingPolicy:
     # exact: the float64 numbers of the file were float32
     network.load_state_dict({name: torch.from_numpy(a).float() for name, a in arrays.items()})
     return network
+
+
+def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
+    nodes = artifact.graph.nodes
+    neurons = nodes.get("lif1")
+    policy = DeltaSnnPolicy(
+        encoder.observed,
+        nodes["action"].bias.size,
+        hidden=0 if neurons is None else neurons.r.size,
+        skip="skip" in nodes,
+        most=encoder.most,
+        code=encoder.code,
+        events_above=encoder.threshold,
+        clip=codec.normaliser.clip,
+        head="discrete" if codec.chooses else "continuous",
+    )
+    arrays: Arrays = {
+        "normalizer.mean": codec.normaliser.mean,
+        "normalizer.std": codec.normaliser.std,
+        # a step of infinity is of an observation that no synapse reads
+        "step": np.where(np.isfinite(encoder.step), encoder.step, 1.0),
+        "action_bias": nodes["action"].bias,
+    }
+    if "skip" in nodes:
+        arrays["past.weight"] = _of_observations(nodes["skip"].weight, encoder)
+    if neurons is not None:
+        arrays |= _hidden(artifact, encoder)
+    decays = discretise("readout", nodes["readout"], artifact.convention).membrane_decay
+    arrays["_gamma"] = _logits(decays)
+    state = policy.state_dict() | {n: torch.from_numpy(a).float() for n, a in arrays.items()}
+    masks = {f"{n}.mask": (state[f"{n}.weight"] != 0).float() for n in ("into", "out", "past")}
+    policy.load_state_dict(state | masks)
+    return policy
+
+
+def _hidden(artifact: Artifact, encoder: DeltaEncoder) -> Arrays:
+    nodes = artifact.graph.nodes
+    neuron = discretise("lif1", nodes["lif1"], artifact.convention)
+    return {
+        "into.weight": _of_observations(nodes["fc1"].weight, encoder),
+        "out.weight": nodes["fc2"].weight,
+        "bias": neuron.leak,
+        "_beta": _logits(neuron.membrane_decay),
+    }
+
+
+def _of_observations(weight: NDArray[np.float64], encoder: DeltaEncoder) -> NDArray[np.float64]:
+    """Return weights (N, obs) of observations, from those of the first channel of each."""
+    first = weight.reshape(len(weight), encoder.observed, -1)[:, :, 0]
+    return np.asarray(np.where(np.isfinite(encoder.step), first / encoder.step, 0.0))
+
+
+def _logits(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.log(share) - np.log1p(-share))
 
 
 def _popsan(artifact: Artifact, codec: Codec) -> PopsanPolicy:

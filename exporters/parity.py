@@ -33,11 +33,13 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.trainers.onnx_session import session
-from spikedeploy.trainers.policies import Policy, PopsanPolicy
+from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PopsanPolicy
+from spikedeploy.trainers.policies.delta_graph import event_channels, live_neurons
 
 _FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
 
 Spikes = dict[str, NDArray[np.uint8]]
+Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ class _ImplementationPair:
 
 def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
+    if isinstance(policy, DeltaSnnPolicy):
+        return _episode_checks(policy, path, observations)
     if not isinstance(policy, SpikingPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
     artifact = load(path)
@@ -93,15 +97,54 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     )
     for batch in batches(observations):
         raster = codec.encode(batch)
-        by_numpy = _by_numpy(graph, codec, raster)
+        by_numpy = _decoded(codec, _by_numpy(graph, raster))
         to_numpy.add(_by_torch(double, torch.from_numpy(batch)), by_numpy)
-        to_ideal.add(by_numpy, _by_machine(program, codec, raster))
+        to_ideal.add(by_numpy, _decoded(codec, _by_machine(program, raster)))
         to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_numpy)
     return [
         *to_numpy.checks("torch = NumPy, float64"),
         *to_ideal.checks("NumPy = compiled for `ideal`, float64"),
         _report(to_single),
     ]
+
+
+def _episode_checks(
+    policy: DeltaSnnPolicy, path: Path, observations: NDArray[np.float64]
+) -> list[ParityCheck]:
+    """Return the same checks of a policy with states, on observations (S, obs) in their order.
+
+    One timestep per control step, so that the episode is one long inference.
+    """
+    artifact = load(path)
+    codec = _codec(artifact, path)
+    raster = codec.encode_episode(observations).swapaxes(0, 1)
+    by_numpy = _episode(codec, _by_numpy(FloatGraph(artifact), raster))
+    by_ideal = _episode(codec, _by_machine(compiled(artifact, chip("ideal")), raster))
+    pairs = _ImplementationPair(), _ImplementationPair(), _ImplementationPair()
+    pairs[0].add(_by_steps(deepcopy(policy).double(), observations), by_numpy)
+    pairs[1].add(by_numpy, by_ideal)
+    pairs[2].add(_by_steps(deepcopy(policy).float(), observations), by_numpy)
+    return [
+        *pairs[0].checks("torch = NumPy, float64"),
+        *pairs[1].checks("NumPy = compiled for `ideal`, float64"),
+        _report(pairs[2]),
+    ]
+
+
+@torch.no_grad()
+def _by_steps(policy: DeltaSnnPolicy, observations: NDArray[np.float64]) -> _PolicyOutput:
+    """Return what a policy in torch does in the control steps of an episode."""
+    state = policy.rest(1)
+    seen = torch.from_numpy(observations).to(policy.action_bias.dtype)
+    rows = [policy.advance(observation[None], state) for observation in seen]
+    mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
+    live = live_neurons(policy)
+    spikes = {"input": event_channels(policy, events.numpy())[None]}
+    if bool(live.any()):
+        spikes["lif1"] = hidden[:, live].numpy().astype(np.uint8)[None]
+    if policy.head == "continuous":
+        return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
+    return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
 
 
 def _report(pair: _ImplementationPair) -> ParityCheck:
@@ -142,22 +185,28 @@ def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
     return tensor.double().numpy()
 
 
-def _by_numpy(graph: FloatGraph, codec: Codec, raster: NDArray[np.uint8]) -> _PolicyOutput:
+def _by_numpy(graph: FloatGraph, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
     graph.reset()
     values = graph.run(raster)
     spikes = {name: values[name].astype(np.uint8) for name in graph.spiking}
-    return _decoded(codec, {"input": raster, **spikes}, values["output"])
+    return {"input": raster, **spikes}, values["output"].astype(np.float64)
 
 
-def _by_machine(program: Program, codec: Codec, raster: NDArray[np.uint8]) -> _PolicyOutput:
+def _by_machine(program: Program, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
     machine = Machine(program, len(raster), ledger="none", trace=True)
     output = machine.infer(raster)
-    spikes = {name: recording.spikes for name, recording in machine.recordings.items()}
-    return _decoded(codec, {"input": raster, **spikes}, output)
+    spiking = {layer.name for layer in program.layers if layer.spiking}
+    spikes = {name: found.spikes for name, found in machine.recordings.items() if name in spiking}
+    return {"input": raster, **spikes}, output
 
 
-def _decoded(codec: Codec, spikes: Spikes, output: NDArray[np.generic]) -> _PolicyOutput:
-    numbers = output.astype(np.float64)
+def _episode(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
+    """Return the output (1, S, act) of an episode with one timestep per control step, decoded."""
+    return _decoded(codec, (found[0], found[1].swapaxes(0, 1)))
+
+
+def _decoded(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
+    spikes, numbers = found
     if not codec.chooses:
         return _PolicyOutput(spikes, codec.decode(numbers), None)
     return _PolicyOutput(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))

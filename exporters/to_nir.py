@@ -2,6 +2,8 @@
 
     input (M) -> fc1 -> lif1 -> ... -> fcL -> lifL -> readout -> output (act)
 
+A DeltaSnnPolicy has the graph of trainers.policies.delta_graph.
+
 The nodes are built with nir directly: exporters of training libraries lose the reset, the
 population code and the loop over timesteps, and choose their own dt.
 """
@@ -27,7 +29,13 @@ from spikedeploy.runtime.codec.codec import (
 from spikedeploy.runtime.convention import Convention, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies import Policy, PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.trainers.policies import (
+    DeltaSnnPolicy,
+    Policy,
+    PopsanPolicy,
+    SpikingMlpPolicy,
+)
+from spikedeploy.trainers.policies.delta_graph import delta_artifact
 from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder as TrainedPopulations
 from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TrainedRates
 
@@ -47,7 +55,8 @@ def to_nir(
 ) -> Path:
     """Write the policy to `path` and return it.
 
-    state: "reset", as policies are trained, or "kept" between inferences.
+    state: "reset", as policies are trained, or "kept" between inferences; a DeltaSnnPolicy is
+        trained with states that are kept, and always keeps them.
     """
     path = Path(path)
     save(artifact(policy, origin, dt, state), path)
@@ -58,6 +67,8 @@ def artifact(
     policy: Policy, origin: Provenance, dt: float = _DT, state: State = "reset"
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
+    if isinstance(policy, DeltaSnnPolicy):
+        return delta_artifact(policy, origin, dt)
     # the file holds the float32 weights exactly; arithmetic on them is float64 from here on
     precise = deepcopy(_spiking(policy)).double()
     convention = Convention(dt=dt, source="as trained")

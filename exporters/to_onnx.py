@@ -8,6 +8,7 @@ training sampled from their softmax. The other outputs are the inputs of the wei
 order, from which effective operations are counted; ONNX Runtime computes them only on request.
 """
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.atomic import replacing
-from spikedeploy.trainers.policies import MlpPolicy, Policy
+from spikedeploy.trainers.policies import MlpPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.features import Features
 
 _KINDS = ("ann", "control")
@@ -27,7 +28,7 @@ _KINDS = ("ann", "control")
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
     """Write the policy to `path` and return it; `kind` is its kind in comparisons."""
-    if not isinstance(policy, MlpPolicy):
+    if not isinstance(policy, MlpPolicy | PrunedMlpPolicy):
         raise ConfigError(
             f"a policy of kind {policy.kind!r} spikes, which ONNX cannot describe: "
             "export it with --to nir"
@@ -41,14 +42,30 @@ def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "a
     return path
 
 
-def _macs(policy: MlpPolicy) -> int:
-    """Multiply-accumulates of one inference: one for each weight."""
+def _macs(policy: MlpPolicy | PrunedMlpPolicy) -> int:
+    """Multiply-accumulates of one inference: one for each weight that is left."""
+    if isinstance(policy, PrunedMlpPolicy):
+        return sum(int(counts.sum()) for counts in _fan_outs(policy))
     return sum(layer.get_parameter("weight").numel() for layer in policy.layers)
 
 
-def _model(policy: MlpPolicy, origin: Provenance, name: str, kind: str) -> onnx.ModelProto:
+def _fan_outs(policy: PrunedMlpPolicy) -> list[Tensor]:
+    """Weights that are left of each input (M,) of each matrix; the skip's with the first."""
+    first, *others = (matrix.fan_out for matrix in policy.matrices)
+    return [first + policy.past.fan_out if policy.skip else first, *others]
+
+
+def _model(
+    policy: MlpPolicy | PrunedMlpPolicy, origin: Provenance, name: str, kind: str
+) -> onnx.ModelProto:
     graph = OnnxGraph()
-    _layers(graph, policy, _normalised(graph, policy, _features(graph, policy.features)))
+    pruned: dict[str, str] = {}
+    if isinstance(policy, PrunedMlpPolicy):
+        _pruned_layers(graph, policy, _normalised(graph, policy, OBSERVATION))
+        counts = [[int(n) for n in each] for each in _fan_outs(policy)]
+        pruned = {"fan_out": json.dumps(counts, separators=(",", ":"))}
+    else:
+        _layers(graph, policy, _normalised(graph, policy, _features(graph, policy.features)))
     properties = {
         "env": origin.env,
         "recipe": origin.recipe,
@@ -61,6 +78,7 @@ def _model(policy: MlpPolicy, origin: Provenance, name: str, kind: str) -> onnx.
         "created": origin.created,
         "version": origin.version,
         "sha256": graph.sha256(),
+        **pruned,
     }
     return graph.model(policy.observations, policy.actions, policy.head, properties)
 
@@ -98,7 +116,7 @@ def _waves(graph: OnnxGraph, sine_index: int, cosine_index: int) -> str:
     return graph.node("Concat", [sine, cosine, sine2, cosine2], "waves", axis=1)
 
 
-def _normalised(graph: OnnxGraph, policy: MlpPolicy, features: str) -> str:
+def _normalised(graph: OnnxGraph, policy: Policy, features: str) -> str:
     """Add the normaliser; return the name of its output."""
     normalizer = policy.normalizer
     mean = graph.constant("mean", _array(normalizer.mean))
@@ -122,6 +140,24 @@ def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
         hidden = graph.node("Gemm", [hidden, weight, bias], f"affine{number}", transB=1)
         if number < len(policy.layers):
             hidden = graph.node("Relu", [hidden], f"hidden{number}")
+    squash = "Identity" if policy.head == "discrete" else "Tanh"
+    graph.node(squash, [hidden], OUTPUTS[policy.head])
+
+
+def _pruned_layers(graph: OnnxGraph, policy: PrunedMlpPolicy, seen: str) -> None:
+    """Add the network with its skip connection, up to its output."""
+    hidden = seen
+    pairs = zip(policy.matrices, policy.biases, strict=True)
+    for number, (matrix, bias) in enumerate(pairs, start=1):
+        graph.presynaptic(hidden, matrix.weight.shape[1])
+        weight = graph.constant(f"weight{number}", _array(matrix()))
+        offset = graph.constant(f"bias{number}", _array(bias))
+        hidden = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
+        if number < len(policy.matrices):
+            hidden = graph.node("Relu", [hidden], f"hidden{number}")
+    if policy.skip:
+        past = graph.constant("skip_weight", _array(policy.past().T))
+        hidden = graph.node("Add", [hidden, graph.node("MatMul", [seen, past], "skip")], "sum")
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, [hidden], OUTPUTS[policy.head])
 

@@ -267,4 +267,9 @@ RECIPES: dict[str, Recipe] = {
         "a tiny sparse policy, seconds",
         merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-snn"}}),
     ),
+    "smoke-sparse-mlp": Recipe(
+        "sparse",
+        "a tiny pruned float policy, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "pruned-mlp", "hidden": [8]}}),
+    ),
 }

@@ -1,5 +1,6 @@
 """ONNX files: float networks, run by ONNX Runtime on one thread."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -66,13 +67,22 @@ class OnnxController:
         """Mean multiply-accumulates with non-zero input; None where the file cannot tell."""
         if not self._presynaptic:
             return None
-        fan_outs = [_width(self.path, each) for each in [*self._presynaptic[1:], self._output]]
         presynaptic = self._run(self._presynaptic, observations)
         # MACs = sum over weight matrices of non-zero inputs x fan-out
-        operations = zip(presynaptic, fan_outs, strict=True)
+        operations = zip(presynaptic, self._fan_outs(), strict=True)
         return float(
-            sum(np.count_nonzero(x) * fan_out for x, fan_out in operations) / len(observations)
+            sum(((x != 0) @ fan_out).sum() for x, fan_out in operations) / len(observations)
         )
+
+    def _fan_outs(self) -> list[NDArray[np.int64]]:
+        """Weights (M,) of each input of each matrix; pruned networks say how many are left."""
+        if "fan_out" in self.metadata:
+            return [np.array(each, np.int64) for each in json.loads(self.metadata["fan_out"])]
+        targets = [_width(self.path, each) for each in [*self._presynaptic[1:], self._output]]
+        return [
+            np.full(_width(self.path, each), target)
+            for each, target in zip(self._presynaptic, targets, strict=True)
+        ]
 
     def _run(self, outputs: list[Any], observations: Floats) -> list[Floats]:
         batch = self._checked(observations).astype(self._dtype)

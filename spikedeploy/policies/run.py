@@ -39,8 +39,9 @@ class TorchController:
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Seed the encoder's generator, which runs on from one inference to the next."""
+        """Seed the encoder's generator, and put states to rest; both run on between inferences."""
         self._rng = Xorshift(seed, self.policy.observations)
+        self._state = self.policy.rest(1) if self.policy.kind == "delta-snn" else None
         if self._sampler is not None:
             self._sampler.reset(seed)
 
@@ -60,8 +61,11 @@ class TorchController:
 
     def _scores(self, batch: "Tensor") -> "Tensor":
         from spikedeploy.exporters.raster import raster
-        from spikedeploy.trainers.policies import SpikingMlpPolicy
+        from spikedeploy.trainers.policies import DeltaSnnPolicy, SpikingMlpPolicy
 
+        if isinstance(self.policy, DeltaSnnPolicy) and self._state is not None:
+            steps = [self.policy.advance(row[None], self._state)[0] for row in batch]
+            return self._torch.cat(steps)
         if not isinstance(self.policy, SpikingMlpPolicy):
             return self.policy.scores(batch)
         return self.policy.forward_spikes(raster(self.policy, batch, self._rng.draw_sequence)).mean
@@ -70,13 +74,14 @@ class TorchController:
 def describe(path: Path) -> Candidate:
     """The candidate in a run folder."""
     from spikedeploy.exporters.to_nir import SpikingPolicy
+    from spikedeploy.trainers.policies import DeltaSnnPolicy
     from spikedeploy.trainers.run_folder import load_policy
 
     policy = load_policy(path)
     return Candidate(
         path=str(path),
         name=path.resolve().name,
-        kind="snn" if isinstance(policy, SpikingPolicy) else "ann",
+        kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else "ann",
         format="run",
         env=env_id(settings(path)["env"]["name"]),
         observed=policy.observations,

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from spikedeploy.trainers.policies import Policy
 
 _OBSERVATIONS = 1000
-SPIKING = ("popsan", "spiking-mlp")  # kinds of policies that are exported as NIR
+SPIKING = ("popsan", "spiking-mlp", "delta-snn")  # kinds of policies that are exported as NIR
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def kind_of(policy: "Policy", control: bool = False) -> str:
     if policy.kind in SPIKING:
         return "snn"
     spec = policy.spec()
-    sees_all = spec["features"]["name"] == "all"
+    sees_all = spec.get("features", {"name": "all"})["name"] == "all"
     return "ann" if sees_all and spec["hidden"] and not control else "control"
 
 

@@ -42,10 +42,7 @@ def delta_artifact(
 def delta_codec(policy: DeltaSnnPolicy) -> Codec:
     """Return the codec; observations that no synapse reads send nothing."""
     normalizer = policy.normalizer
-    used = policy.into.mask[live_neurons(policy)].any(0)
-    if policy.skip:
-        used |= policy.past.mask.any(0)
-    step = np.where(_array(used) > 0, _array(policy.step), np.inf)
+    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
     return Codec(
         Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
         DeltaEncoder(step, policy.most, policy.code, policy.events_above),
@@ -68,6 +65,21 @@ def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
     signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
     moved = weight * _array(policy.step)
     return (moved[:, :, None] * signed).reshape(len(weight), -1)
+
+
+def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
+    """Return input spikes (S, M) of signed events (S, obs), those that some synapse reads."""
+    k = np.arange(1, policy.most + 1)
+    sign = np.array([[1], [-1]])
+    signed = np.where(_used(policy).numpy(), events, 0)[:, :, None, None] * sign
+    spikes = signed == k if policy.code == "one-hot" else signed >= k
+    return spikes.reshape(len(events), -1).astype(np.uint8)
+
+
+def _used(policy: DeltaSnnPolicy) -> Tensor:
+    """Return which observations (obs,) some synapse reads."""
+    used = policy.into.mask[live_neurons(policy)].any(0)
+    return used | policy.past.mask.any(0) if policy.skip else used
 
 
 def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
