@@ -3,7 +3,7 @@
 The float twin and chips are recorded in the same form, so that they can be compared.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,6 +51,22 @@ class Activity:
             reached={name: part(rows) for name, rows in self.reached.items()},
             output=part(self.output),
         )
+
+
+def joined(parts: Sequence[Activity]) -> Activity:
+    """The inferences of several activities of a network, one after another."""
+
+    def join(rows: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+        return {name: np.concatenate([each[name] for each in rows]) for name in rows[0]}
+
+    saturations = [part.saturations for part in parts]
+    return replace(
+        parts[0],
+        spikes=join([part.spikes for part in parts]),
+        reached=join([part.reached for part in parts]),
+        output=np.concatenate([part.output for part in parts]),
+        saturations={name: sum(lost[name] for lost in saturations) for name in saturations[0]},
+    )
 
 
 def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:

@@ -6,14 +6,14 @@ steps is the one thing that was rounded. The last step is the chip. Distances of
 those of van Rossum, exact for spikes on a grid.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.activity import Activity, chip_activity, float_activity
+from spikedeploy.runtime.analysis.activity import Activity, chip_activity, float_activity, joined
 from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
@@ -165,19 +165,22 @@ def drift(
     quantisation: Quantisation = PLAIN,
     tau: float = TAU,
     limits: bool = True,
+    episodes: Sequence[int] = (),
 ) -> Drift:
     """Compare the chip with the float twin on the raster (B, T, M).
 
     limits: refuse what breaks a design rule of the chip.
+    episodes: inferences of each episode in the raster; empty where it is a single one.
 
-    Where the convention keeps states, the B inferences follow one another; else each begins anew.
+    Where the convention keeps states, the inferences of an episode follow one another; else each
+    begins anew.
     """
-    _check(artifact, raster)
+    _check(artifact, raster, episodes)
     program = compile_program(artifact, on, quantisation, limits=limits)
     floats = compile_program(artifact, chip("ideal")) if on.arithmetic.ablation_steps else None
-    twin = activity(artifact, None, raster)
+    twin = activity(artifact, None, raster, episodes)
     steps = ablation_programs(floats, program) if floats else [("chip", program)]
-    runs = {name: activity(artifact, step, raster) for name, step in steps}
+    runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
     seen = list(runs.values())[-1]
     names = [layer.name for layer in program.layers]
     return Drift(
@@ -197,15 +200,24 @@ def drift(
     )
 
 
-def activity(artifact: Artifact, program: Program | None, raster: NDArray[np.uint8]) -> Activity:
+def activity(
+    artifact: Artifact,
+    program: Program | None,
+    raster: NDArray[np.uint8],
+    episodes: Sequence[int] = (),
+) -> Activity:
     """What a program, or without one the float twin, does with the raster (B, T, M).
 
-    Inferences begin anew or follow one another, as the convention says.
+    Inferences begin anew or follow one another, as the convention says; see `drift`.
     """
-    kept = artifact.convention.state == "kept"
-    rows = raster.reshape(1, -1, raster.shape[2]) if kept else raster
-    ran = chip_activity(program, rows) if program else float_activity(artifact, rows)
-    return ran.parted(len(raster))
+
+    def ran(rows: NDArray[np.uint8]) -> Activity:
+        return chip_activity(program, rows) if program else float_activity(artifact, rows)
+
+    if artifact.convention.state != "kept":
+        return ran(raster)
+    parts = np.split(raster, np.cumsum(episodes, dtype=int)[:-1])
+    return joined([ran(part.reshape(1, -1, part.shape[2])).parted(len(part)) for part in parts])
 
 
 def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
@@ -228,12 +240,17 @@ def _layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[s
     }
 
 
-def _check(artifact: Artifact, raster: NDArray[Any]) -> None:
+def _check(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> None:
     width = int(np.prod(next(iter(artifact.graph.inputs.values())).input_type["input"]))
     if raster.ndim != 3 or raster.shape[2] != width or not raster.size:
         raise ObservationError(
             f"the raster has shape {raster.shape}; the network takes (B, T, {width}), with at "
             "least one timestep. Give the raster of this network."
+        )
+    if episodes and (min(episodes) < 1 or sum(episodes) != len(raster)):
+        raise ObservationError(
+            f"the episodes have {', '.join(map(str, episodes))} inferences, the raster has "
+            f"{len(raster)}. Give the inferences of every episode, at least one each."
         )
 
 

@@ -99,6 +99,11 @@ class DeltaEncoder:
         return 2 * self.most * self.observed
 
     @property
+    def random(self) -> bool:
+        """Whether the spikes depend on random numbers: never."""
+        return False
+
+    @property
     def remembers(self) -> bool:
         """Whether the spikes depend on more than the observation: always, on those before."""
         return True
