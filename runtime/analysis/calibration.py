@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.drift import TAU, activity, van_rossum
+from spikedeploy.runtime.analysis.activity import activity, trains_of
+from spikedeploy.runtime.analysis.drift import TAU, mean_distance
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning
@@ -73,7 +74,7 @@ def tuned(
     tau: [timesteps] of the distance of van Rossum, which is what is made small.
     episodes: as in `drift`.
     """
-    twin = activity(artifact, None, raster, episodes)
+    twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
 
     def distance(name: str, tuning: Tuning) -> float:
         try:
@@ -81,7 +82,7 @@ def tuned(
         except RuleError:  # a scale at which a threshold or all weights vanish
             return np.inf
         seen = activity(artifact, _up_to(program, name), raster, episodes)
-        return float(van_rossum(twin.spikes[name], seen.spikes[name], tau).mean())
+        return mean_distance(twin.spikes[name], seen.spikes[name], tau, trains)
 
     for name in _layers(artifact, on, quantisation):
         old = quantisation.of(name)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.activity import Activity, chip_activity, float_activity, joined
+from spikedeploy.runtime.analysis.activity import Activity, activity, in_trains, trains_of
 from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
@@ -68,6 +68,21 @@ def van_rossum(one: NDArray[Any], other: NDArray[Any], tau: float = TAU) -> Floa
         total += apart**2 * (1 - decay_factor**2) / 2
     # what is left decays for ever: e^2 exp(-2/tau) / 2
     return np.asarray(total + apart**2 * decay_factor**2 / 2)
+
+
+def mean_distance(
+    one: NDArray[Any], other: NDArray[Any], tau: float = TAU, trains: Sequence[int] = ()
+) -> float:
+    """Mean over inferences and neurons of the distance of spike trains (B, T, N).
+
+    trains: numbers of successive inferences that are one train; empty where each is its own.
+    """
+    if not trains:
+        return float(van_rossum(one, other, tau).mean())
+    parts = zip(in_trains(one, trains), in_trains(other, trains), strict=True)
+    # a train of several inferences has the sum of their distances
+    total = sum(van_rossum(*part, tau).sum() for part in parts)
+    return float(total / (one.shape[0] * one.shape[2]))
 
 
 @dataclass(frozen=True)
@@ -178,7 +193,7 @@ def drift(
     _check(artifact, raster, episodes)
     program = compile_program(artifact, on, quantisation, limits=limits)
     floats = compile_program(artifact, chip("ideal")) if on.arithmetic.ablation_steps else None
-    twin = activity(artifact, None, raster, episodes)
+    twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
     steps = ablation_programs(floats, program) if floats else [("chip", program)]
     runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
     seen = list(runs.values())[-1]
@@ -189,35 +204,15 @@ def drift(
         inferences=raster.shape[0],
         timesteps=raster.shape[1],
         tau=tau,
-        layers=tuple(_layer(name, twin, seen, tau) for name in names),
+        layers=tuple(_layer(name, twin, seen, tau, trains) for name in names),
         diverged=_diverged(twin, seen, names),
         first=first(twin, seen, names),
         output=_output_drift(artifact, twin.output, seen.output),
-        ablation=tuple(_step(artifact, name, twin, ran, tau) for name, ran in runs.items())
+        ablation=tuple(_step(artifact, name, twin, ran, tau, trains) for name, ran in runs.items())
         if floats
         else (),
         findings=tuple(diagnose(floats, program, raster, twin, runs)),
     )
-
-
-def activity(
-    artifact: Artifact,
-    program: Program | None,
-    raster: NDArray[np.uint8],
-    episodes: Sequence[int] = (),
-) -> Activity:
-    """What a program, or without one the float twin, does with the raster (B, T, M).
-
-    Inferences begin anew or follow one another, as the convention says; see `drift`.
-    """
-
-    def ran(rows: NDArray[np.uint8]) -> Activity:
-        return chip_activity(program, rows) if program else float_activity(artifact, rows)
-
-    if artifact.convention.state != "kept":
-        return ran(raster)
-    parts = np.split(raster, np.cumsum(episodes, dtype=int)[:-1])
-    return joined([ran(part.reshape(1, -1, part.shape[2])).parted(len(part)) for part in parts])
 
 
 def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
@@ -230,14 +225,6 @@ def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDr
         share = float((actions[0] != actions[1]).mean())
         return OutputDrift("choice", share, float(share > 0))
     return _apart("action", actions[1] - actions[0])
-
-
-def _layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[str, float]:
-    """Mean distance of van Rossum of every layer over inferences and neurons."""
-    return {
-        name: float(van_rossum(twin.spikes[name], spikes, tau).mean())
-        for name, spikes in seen.spikes.items()
-    }
 
 
 def _check(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> None:
@@ -260,7 +247,9 @@ def _apart(kind: Literal["action", "output"], difference: Floats) -> OutputDrift
     )
 
 
-def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> _LayerDrift:
+def _layer(
+    name: str, twin: Activity, seen: Activity, tau: float, trains: Sequence[int]
+) -> _LayerDrift:
     before, after = twin.spikes[name], seen.spikes[name]
     spiked, spikes = before.any(axis=(0, 1)), after.any(axis=(0, 1))
     different = np.argwhere(before != after)
@@ -270,7 +259,7 @@ def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> _LayerDrift
         float_rate=float(before.mean()),
         chip_rate=float(after.mean()),
         differing=len(different) / before.size,
-        distance=float(van_rossum(before, after, tau).mean()),
+        distance=mean_distance(before, after, tau, trains),
         lost=int((spiked & ~spikes).sum()),
         woken=int((spikes & ~spiked).sum()),
         saturations=seen.saturations[name],
@@ -286,7 +275,15 @@ def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
 
 
 def _step(
-    artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float
+    artifact: Artifact,
+    name: str,
+    twin: Activity,
+    ran: Activity,
+    tau: float,
+    trains: Sequence[int],
 ) -> _AblationStep:
-    distances = _layer_distances(twin, ran, tau)
+    distances = {
+        layer: mean_distance(twin.spikes[layer], spikes, tau, trains)
+        for layer, spikes in ran.spikes.items()
+    }
     return _AblationStep(name, distances, _output_drift(artifact, twin.output, ran.output))

@@ -17,7 +17,7 @@ from spikedeploy.runtime.metadata import Record, Tree
 Code = Literal["unary", "one-hot"]
 _PARTS = 256  # of a step: what an observation is rounded to
 _MOST = 256  # events of one observation in a timestep; the table grows with its square
-_LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that 32 bits hold every sum
+_LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that no integer overflows
 
 
 class Levels:
