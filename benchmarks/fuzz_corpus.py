@@ -9,7 +9,7 @@ import numpy as np
 
 from spikedeploy import envs
 from spikedeploy.runtime.artifact.artifact import Artifact, save
-from spikedeploy.runtime.codec.codec import Codec, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser, PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metadata import Provenance
@@ -33,8 +33,9 @@ def write_corpus(folder: Path) -> list[Path]:
     }
     for name, graph in graphs.items():
         nir.write(folder / f"{name}.nir", graph)
-    for name, artifact in {"ours-population": population(), "ours-rate": rate()}.items():
-        save(artifact, folder / f"{name}.nir")
+    policies = {"population": population(), "rate": rate(), "delta": delta()}
+    for name, artifact in policies.items():
+        save(artifact, folder / f"ours-{name}.nir")
     traces = {name: loihi_trace(name) for name in ("lava", "brian2", "nengo", "loihi2")}
     for name, trace in {**traces, "xylo": xylo_trace()}.items():
         (folder / f"{name}.json").write_text(json.dumps(trace))
@@ -163,6 +164,19 @@ def rate() -> Artifact:
     code = RateEncoder(np.full(4, -1.0), np.ones(4))
     codec = Codec(Normaliser(np.zeros(4), np.ones(4), 1.0), code, 8, "argmax")
     return Artifact(chain([4], [3], **layers), codec, Convention(1e-3))
+
+
+def delta() -> Artifact:
+    """A policy with a delta code and states that are kept, without provenance."""
+    rng = np.random.default_rng(4)
+    code = DeltaEncoder(np.array([0.3, np.inf]), most=2)
+    layers = {
+        "in": nir.Affine(rng.normal(size=(5, code.width)), np.zeros(5)),
+        "cells": cuba(5),
+        "readout": nir.Affine(rng.normal(size=(3, 5)), np.zeros(3)),
+    }
+    codec = Codec(Normaliser(np.zeros(2), np.ones(2), 5.0), code, 1, "tanh")
+    return Artifact(chain([code.width], [3], **layers), codec, Convention(1e-3, state="kept"))
 
 
 def loihi_trace(source: str) -> dict[str, object]:

@@ -5,7 +5,8 @@ A NIR file must spike equally, in float64:
     torch policy  =  NumPy float of the file  =  its program on the chip `ideal`
 
 In float32, which training uses, a few membranes fall on the other side of a threshold; their number
-is reported, not checked. A random encoder uses the same generator on both sides. An ONNX file is
+is reported, not checked. A random encoder uses the same generator on both sides. Each observation
+is an inference of its own, before which states and levels of a code are 0. An ONNX file is
 compared in ONNX Runtime with the policy in torch.
 """
 

@@ -6,7 +6,7 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.codec.codec import Codec, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser, PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metadata import Provenance
@@ -80,3 +80,19 @@ def spiking_mlp(obs=6, act=4, hidden=(32, 24), timesteps=16, beta=0.9, squash="a
     code = RateEncoder(np.full(obs, -1.0), np.ones(obs))
     identity = Normaliser(np.zeros(obs), np.ones(obs), 1.0)
     return Artifact(network, Codec(identity, code, timesteps, squash), Convention(dt), ORIGIN)
+
+
+def event_driven(obs=3, act=2, hidden=8, code="unary", timesteps=1, seed=0, dt=1e-3):
+    """A layer of CuBa-LIF neurons on a delta code, states kept, with random weights."""
+    rng = np.random.default_rng(seed)
+    encoder = DeltaEncoder(np.append(np.full(obs - 1, 0.2), np.inf), most=2, code=code)
+    neurons = cuba(hidden, alpha=4095 / 4096, beta=0.6, dt=dt, threshold=1.0)
+    nodes = [
+        nir.Affine(0.3 * rng.normal(size=(hidden, encoder.width)), np.full(hidden, 1e-4)),
+        neurons,
+        nir.Affine(rng.normal(size=(act, hidden)), 0.1 * rng.normal(size=act)),
+    ]
+    normaliser = Normaliser(rng.normal(size=obs), rng.uniform(0.5, 2, obs), 5.0)
+    network = chain(*nodes, width=encoder.width, act=act)
+    convention = Convention(dt).with_options({"state": "kept"})
+    return Artifact(network, Codec(normaliser, encoder, timesteps), convention, ORIGIN)

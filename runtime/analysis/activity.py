@@ -3,7 +3,7 @@
 The float twin and chips are recorded in the same form, so that they can be compared.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,6 +51,59 @@ class Activity:
             reached={name: part(rows) for name, rows in self.reached.items()},
             output=part(self.output),
         )
+
+
+def _concatenated(parts: Sequence[Activity]) -> Activity:
+    """The inferences of several activities of a network, one after another."""
+
+    def join(rows: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+        return {name: np.concatenate([each[name] for each in rows]) for name in rows[0]}
+
+    saturations = [part.saturations for part in parts]
+    return replace(
+        parts[0],
+        spikes=join([part.spikes for part in parts]),
+        reached=join([part.reached for part in parts]),
+        output=np.concatenate([part.output for part in parts]),
+        saturations={name: sum(lost[name] for lost in saturations) for name in saturations[0]},
+    )
+
+
+def activity(
+    artifact: Artifact,
+    program: Program | None,
+    raster: NDArray[np.uint8],
+    episodes: Sequence[int] = (),
+) -> Activity:
+    """What a program, or without one the float twin, does with the raster (B, T, M).
+
+    Inferences begin anew or follow one another, as the convention says.
+
+    episodes: inferences of each episode in the raster; empty where it is a single one.
+    """
+
+    def ran(rows: NDArray[np.uint8]) -> Activity:
+        return chip_activity(program, rows) if program else float_activity(artifact, rows)
+
+    trains = trains_of(artifact, raster, episodes)
+    if not trains:
+        return ran(raster)
+    parts = zip(in_trains(raster, trains), trains, strict=True)
+    return _concatenated([ran(part).parted(inferences) for part, inferences in parts])
+
+
+def trains_of(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> Sequence[int]:
+    """The numbers of inferences of a raster (B, T, M) that share a state; empty where none do.
+
+    episodes: as in `activity`.
+    """
+    return (episodes or (len(raster),)) if artifact.convention.state == "kept" else ()
+
+
+def in_trains(rows: NDArray[Any], lengths: Sequence[int]) -> list[NDArray[Any]]:
+    """Rows (1, T, N) of each train, from the inferences (B, T, N) of all."""
+    parts = np.split(rows, np.cumsum(lengths)[:-1])
+    return [part.reshape(1, -1, part.shape[2]) for part in parts]
 
 
 def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:

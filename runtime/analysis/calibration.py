@@ -5,13 +5,14 @@ will have on the chip. What was chosen on one recording says nothing about anoth
 on a second one.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.activity import Activity
-from spikedeploy.runtime.analysis.drift import TAU, activity, van_rossum
+from spikedeploy.runtime.analysis.activity import activity, trains_of
+from spikedeploy.runtime.analysis.drift import TAU, mean_distance
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning
@@ -32,12 +33,25 @@ _NEAR = 1.02
 
 
 def with_calibrated_headroom(
-    artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation = PLAIN
+    artifact: Artifact,
+    on: Chip,
+    raster: Raster,
+    quantisation: Quantisation = PLAIN,
+    episodes: Sequence[int] = (),
 ) -> Quantisation:
-    """The largest scales at which no number overflows on the raster (B, T, M)."""
+    """The largest scales at which no number overflows on the raster (B, T, M).
+
+    episodes: as in `drift`.
+    """
+
+    def lost(tried: Quantisation) -> list[str]:
+        program = compile_program(artifact, on, tried, limits=False)
+        seen = activity(artifact, program, raster, episodes)
+        return [name for name, count in seen.saturations.items() if count]
+
     for name in _layers(artifact, on, quantisation):
-        quantisation = _with_headroom(artifact, on, raster, quantisation, name)
-    over = _overflowing(_ran(artifact, on, raster, quantisation))
+        quantisation = _with_headroom(lost, quantisation, name)
+    over = lost(quantisation)
     if over:
         raise RuleError(
             f"layer {over[0]!r}: its numbers overflow on these inputs at every scale tried, since "
@@ -52,21 +66,23 @@ def tuned(
     raster: Raster,
     quantisation: Quantisation = PLAIN,
     tau: float = TAU,
+    episodes: Sequence[int] = (),
 ) -> Quantisation:
     """The clip ratio, then the factor of thresholds, that bring each layer nearest to float.
 
     raster: (B, T, M).
     tau: [timesteps] of the distance of van Rossum, which is what is made small.
+    episodes: as in `drift`.
     """
-    twin = activity(artifact, None, raster)
+    twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
 
     def distance(name: str, tuning: Tuning) -> float:
         try:
             program = compile_program(artifact, on, _with(quantisation, name, tuning), limits=False)
         except RuleError:  # a scale at which a threshold or all weights vanish
             return np.inf
-        seen = activity(artifact, _up_to(program, name), raster)
-        return float(van_rossum(twin.spikes[name], seen.spikes[name], tau).mean())
+        seen = activity(artifact, _up_to(program, name), raster, episodes)
+        return mean_distance(twin.spikes[name], seen.spikes[name], tau, trains)
 
     for name in _layers(artifact, on, quantisation):
         old = quantisation.of(name)
@@ -90,12 +106,12 @@ def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[st
 
 
 def _with_headroom(
-    artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation, name: str
+    overflowing: Callable[[Quantisation], list[str]], quantisation: Quantisation, name: str
 ) -> Quantisation:
     """The quantisation with the largest clip ratio of a layer at which it does not overflow."""
 
     def fits(ratio: float) -> bool:
-        return name not in _overflowing(_ran(artifact, on, raster, clipped(ratio)))
+        return name not in overflowing(clipped(ratio))
 
     def clipped(ratio: float) -> Quantisation:
         return _with(quantisation, name, replace(old, clip_ratio=ratio))
@@ -112,20 +128,12 @@ def _with_headroom(
     return quantisation if low == old.clip_ratio else clipped(low)
 
 
-def _ran(artifact: Artifact, on: Chip, raster: Raster, quantisation: Quantisation) -> Activity:
-    return activity(artifact, compile_program(artifact, on, quantisation, limits=False), raster)
-
-
 def _up_to(program: Program, name: str) -> Program:
     """The program without what comes after a layer, which costs time and changes nothing."""
     if not program.feed_forward:
         return program
     place = [layer.name for layer in program.layers].index(name)
     return replace(program, layers=program.layers[: place + 1], output=name, readout=None)
-
-
-def _overflowing(seen: Activity) -> list[str]:
-    return [name for name, lost in seen.saturations.items() if lost]
 
 
 def _with(quantisation: Quantisation, layer: str, tuning: Tuning) -> Quantisation:

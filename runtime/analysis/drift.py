@@ -6,14 +6,14 @@ steps is the one thing that was rounded. The last step is the chip. Distances of
 those of van Rossum, exact for spikes on a grid.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.activity import Activity, chip_activity, float_activity
+from spikedeploy.runtime.analysis.activity import Activity, activity, in_trains, trains_of
 from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
@@ -68,6 +68,21 @@ def van_rossum(one: NDArray[Any], other: NDArray[Any], tau: float = TAU) -> Floa
         total += apart**2 * (1 - decay_factor**2) / 2
     # what is left decays for ever: e^2 exp(-2/tau) / 2
     return np.asarray(total + apart**2 * decay_factor**2 / 2)
+
+
+def mean_distance(
+    one: NDArray[Any], other: NDArray[Any], tau: float = TAU, trains: Sequence[int] = ()
+) -> float:
+    """Mean over inferences and neurons of the distance of spike trains (B, T, N).
+
+    trains: numbers of successive inferences that are one train; empty where each is its own.
+    """
+    if not trains:
+        return float(van_rossum(one, other, tau).mean())
+    parts = zip(in_trains(one, trains), in_trains(other, trains), strict=True)
+    # a train of several inferences has the sum of their distances
+    total = sum(van_rossum(*part, tau).sum() for part in parts)
+    return float(total / (one.shape[0] * one.shape[2]))
 
 
 @dataclass(frozen=True)
@@ -165,19 +180,22 @@ def drift(
     quantisation: Quantisation = PLAIN,
     tau: float = TAU,
     limits: bool = True,
+    episodes: Sequence[int] = (),
 ) -> Drift:
     """Compare the chip with the float twin on the raster (B, T, M).
 
     limits: refuse what breaks a design rule of the chip.
+    episodes: inferences of each episode in the raster; empty where it is a single one.
 
-    Where the convention keeps states, the B inferences follow one another; else each begins anew.
+    Where the convention keeps states, the inferences of an episode follow one another; else each
+    begins anew.
     """
-    _check(artifact, raster)
+    _check(artifact, raster, episodes)
     program = compile_program(artifact, on, quantisation, limits=limits)
     floats = compile_program(artifact, chip("ideal")) if on.arithmetic.ablation_steps else None
-    twin = activity(artifact, None, raster)
+    twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
     steps = ablation_programs(floats, program) if floats else [("chip", program)]
-    runs = {name: activity(artifact, step, raster) for name, step in steps}
+    runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
     seen = list(runs.values())[-1]
     names = [layer.name for layer in program.layers]
     return Drift(
@@ -186,26 +204,15 @@ def drift(
         inferences=raster.shape[0],
         timesteps=raster.shape[1],
         tau=tau,
-        layers=tuple(_layer(name, twin, seen, tau) for name in names),
+        layers=tuple(_layer(name, twin, seen, tau, trains) for name in names),
         diverged=_diverged(twin, seen, names),
         first=first(twin, seen, names),
         output=_output_drift(artifact, twin.output, seen.output),
-        ablation=tuple(_step(artifact, name, twin, ran, tau) for name, ran in runs.items())
+        ablation=tuple(_step(artifact, name, twin, ran, tau, trains) for name, ran in runs.items())
         if floats
         else (),
         findings=tuple(diagnose(floats, program, raster, twin, runs)),
     )
-
-
-def activity(artifact: Artifact, program: Program | None, raster: NDArray[np.uint8]) -> Activity:
-    """What a program, or without one the float twin, does with the raster (B, T, M).
-
-    Inferences begin anew or follow one another, as the convention says.
-    """
-    kept = artifact.convention.state == "kept"
-    rows = raster.reshape(1, -1, raster.shape[2]) if kept else raster
-    ran = chip_activity(program, rows) if program else float_activity(artifact, rows)
-    return ran.parted(len(raster))
 
 
 def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
@@ -220,20 +227,17 @@ def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDr
     return _apart("action", actions[1] - actions[0])
 
 
-def _layer_distances(twin: Activity, seen: Activity, tau: float = TAU) -> dict[str, float]:
-    """Mean distance of van Rossum of every layer over inferences and neurons."""
-    return {
-        name: float(van_rossum(twin.spikes[name], spikes, tau).mean())
-        for name, spikes in seen.spikes.items()
-    }
-
-
-def _check(artifact: Artifact, raster: NDArray[Any]) -> None:
+def _check(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> None:
     width = int(np.prod(next(iter(artifact.graph.inputs.values())).input_type["input"]))
     if raster.ndim != 3 or raster.shape[2] != width or not raster.size:
         raise ObservationError(
             f"the raster has shape {raster.shape}; the network takes (B, T, {width}), with at "
             "least one timestep. Give the raster of this network."
+        )
+    if episodes and (min(episodes) < 1 or sum(episodes) != len(raster)):
+        raise ObservationError(
+            f"the episodes have {', '.join(map(str, episodes))} inferences, the raster has "
+            f"{len(raster)}. Give the inferences of every episode, at least one each."
         )
 
 
@@ -243,7 +247,9 @@ def _apart(kind: Literal["action", "output"], difference: Floats) -> OutputDrift
     )
 
 
-def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> _LayerDrift:
+def _layer(
+    name: str, twin: Activity, seen: Activity, tau: float, trains: Sequence[int]
+) -> _LayerDrift:
     before, after = twin.spikes[name], seen.spikes[name]
     spiked, spikes = before.any(axis=(0, 1)), after.any(axis=(0, 1))
     different = np.argwhere(before != after)
@@ -253,7 +259,7 @@ def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> _LayerDrift
         float_rate=float(before.mean()),
         chip_rate=float(after.mean()),
         differing=len(different) / before.size,
-        distance=float(van_rossum(before, after, tau).mean()),
+        distance=mean_distance(before, after, tau, trains),
         lost=int((spiked & ~spikes).sum()),
         woken=int((spikes & ~spiked).sum()),
         saturations=seen.saturations[name],
@@ -269,7 +275,15 @@ def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
 
 
 def _step(
-    artifact: Artifact, name: str, twin: Activity, ran: Activity, tau: float
+    artifact: Artifact,
+    name: str,
+    twin: Activity,
+    ran: Activity,
+    tau: float,
+    trains: Sequence[int],
 ) -> _AblationStep:
-    distances = _layer_distances(twin, ran, tau)
+    distances = {
+        layer: mean_distance(twin.spikes[layer], spikes, tau, trains)
+        for layer, spikes in ran.spikes.items()
+    }
     return _AblationStep(name, distances, _output_drift(artifact, twin.output, ran.output))

@@ -46,8 +46,12 @@ class Encoder(Protocol):
         """Neurons: M."""
 
     @property
+    def random(self) -> bool:
+        """Whether the spikes depend on random numbers."""
+
+    @property
     def remembers(self) -> bool:
-        """Whether the spikes depend on more than the observation: inferences before, or a seed."""
+        """Whether the spikes depend on more than the observation: those before, or a seed."""
 
     def start(self, seed: int) -> EncoderState:
         """The state at the beginning of an episode; what is random in it comes from the seed."""

@@ -17,7 +17,7 @@ from spikedeploy.runtime.metadata import Record, Tree
 Code = Literal["unary", "one-hot"]
 _PARTS = 256  # of a step: what an observation is rounded to
 _MOST = 256  # events of one observation in a timestep; the table grows with its square
-_LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that 32 bits hold every sum
+_LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that no integer overflows
 
 
 class Levels:
@@ -97,6 +97,11 @@ class DeltaEncoder:
     def width(self) -> int:
         """Neurons: M = obs * 2 K; (2 i + (n < 0)) K + (k - 1) is the k-th of a sign of i."""
         return 2 * self.most * self.observed
+
+    @property
+    def random(self) -> bool:
+        """Whether the spikes depend on random numbers: never."""
+        return False
 
     @property
     def remembers(self) -> bool:

@@ -63,6 +63,11 @@ class PopulationEncoder:
         return int(self.mean.size)
 
     @property
+    def random(self) -> bool:
+        """Whether the spikes depend on random numbers: never."""
+        return False
+
+    @property
     def remembers(self) -> bool:
         """Whether the spikes depend on more than the observation: never."""
         return False

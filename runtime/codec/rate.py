@@ -69,9 +69,14 @@ class RateEncoder:
         return int(self.low.size)
 
     @property
+    def random(self) -> bool:
+        """Whether the spikes depend on random numbers."""
+        return self.mode == "bernoulli"
+
+    @property
     def remembers(self) -> bool:
         """Whether the spikes depend on more than the observation: on random numbers."""
-        return self.mode == "bernoulli"
+        return self.random
 
     def start(self, seed: int) -> Xorshift:
         """The generators of mode "bernoulli"; mode "regular" draws nothing from them."""

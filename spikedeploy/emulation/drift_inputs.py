@@ -26,20 +26,29 @@ Raster = NDArray[np.uint8]
 class DriftInputs:
     """Input spikes of B inferences.
 
-    raster  (B, T, M)
-    source  where they come from, in words
+    raster    (B, T, M)
+    source    where they come from, in words
+    episodes  inferences of each episode where states are kept from one to the next, else empty
     """
 
     raster: Raster
     source: str
+    episodes: tuple[int, ...] = ()
 
     def halves(self) -> "tuple[DriftInputs, DriftInputs]":
-        """Every other inference, for calibration, and the rest; a single one is both."""
-        if len(self.raster) < 2:
+        """Every other inference, for calibration, and the rest; a single one is both.
+
+        Where states are kept, every other episode: an inference means nothing without those before.
+        """
+        pieces = np.split(self.raster, np.cumsum(self.episodes or [1] * len(self.raster))[:-1])
+        if len(pieces) < 2:
             return self, self
-        parts = (self.raster[::2], self.raster[1::2])
-        first, second = (DriftInputs(part, f"{self.source}, {len(part)} of them") for part in parts)
-        return first, second
+        return self._of(pieces[::2]), self._of(pieces[1::2])
+
+    def _of(self, pieces: Sequence[Raster]) -> "DriftInputs":
+        part = np.concatenate(pieces)
+        lengths = tuple(map(len, pieces)) if self.episodes else ()
+        return DriftInputs(part, f"{self.source}, {len(part)} of them", lengths)
 
 
 def path_of(reference: str) -> Path:
@@ -106,8 +115,8 @@ def observed_inputs(
 
     env      short name or id; None takes the one that the policy was made for
     seeds    of the episodes that it plays
-    steps    control steps that are kept: the first ones where states are kept from one to the next,
-             else spread evenly over the episodes
+    steps    control steps that are used: the first ones of each episode where states are kept from
+             one to the next, else spread evenly over the episodes
     options  of the environment
     """
     where = env or candidate.env
@@ -120,16 +129,26 @@ def observed_inputs(
     player = open_policy(candidate, FLOAT, world)
     played = [rollout(world, player, seed) for seed in seeds]
     world.close()
-    rows = np.concatenate(
-        [artifact.codec.encode_episode(p.observation[:-1], p.seed) for p in played]
-    )
-    kept = min(steps, len(rows))
-    if artifact.convention.state == "kept":
-        raster = rows[:kept]
-    else:
-        raster = rows[np.linspace(0, len(rows) - 1, kept).round().astype(int)]
-    source = f"{kept} of {len(rows)} control steps of the float twin in {where}, {_seeds(seeds)}"
-    return DriftInputs(raster, source)
+    encoded = [artifact.codec.encode_episode(p.observation[:-1], p.seed) for p in played]
+    kept = artifact.convention.state == "kept"
+    used = _beginnings(encoded, steps) if kept else [_spread(np.concatenate(encoded), steps)]
+    raster, all_ = np.concatenate(used), sum(map(len, encoded))
+    source = f"{len(raster)} of {all_} control steps of the float twin in {where}, {_seeds(seeds)}"
+    return DriftInputs(raster, source, tuple(map(len, used)) if kept else ())
+
+
+def _beginnings(episodes: Sequence[Raster], steps: int) -> list[Raster]:
+    """The first inferences of each episode, at most `steps` altogether."""
+    share, more = divmod(steps, len(episodes))
+    parts = [rows[: share + (place < more)] for place, rows in enumerate(episodes)]
+    return [part for part in parts if len(part)]
+
+
+def _spread(rows: Raster, steps: int) -> Raster:
+    """At most `steps` inferences at equal distances, the first and the last among them."""
+    count = min(steps, len(rows))
+    chosen: Raster = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]
+    return chosen
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -52,7 +52,7 @@ def drift_report(
     tau: float = TAU,
     limits: bool = True,
 ) -> DriftReport:
-    """Calibrate on every other inference and measure on the rest; without calibration on all.
+    """Calibrate on half of the inputs and measure on the rest; without calibration on all.
 
     headroom  choose scales at which nothing overflows on the calibration inputs
     tune      choose clipping and thresholds that bring each layer nearest to the float twin
@@ -64,8 +64,10 @@ def drift_report(
         first, inputs = inputs.halves()
         calibrated = first.source
         if tune:
-            quantisation = tuned(artifact, on, first.raster, quantisation, tau)
+            quantisation = tuned(artifact, on, first.raster, quantisation, tau, first.episodes)
         if headroom:
-            quantisation = with_calibrated_headroom(artifact, on, first.raster, quantisation)
-    found = measured(artifact, on, inputs.raster, quantisation, tau, limits)
+            quantisation = with_calibrated_headroom(
+                artifact, on, first.raster, quantisation, first.episodes
+            )
+    found = measured(artifact, on, inputs.raster, quantisation, tau, limits, inputs.episodes)
     return DriftReport(policy, artifact.convention, inputs.source, calibrated, found)

@@ -122,7 +122,7 @@ def test_a_spiking_mlp_is_lif_neurons_between_affine_maps(tmp_path):
 def test_code_and_head_are_those_of_the_policy(settings, kind, squash, tmp_path):
     found = load(to_nir(spiking_mlp(**settings), ORIGIN, tmp_path / "p.nir")).codec
     assert (found.encoder.kind, found.squash, found.timesteps) == (kind, squash, 16)
-    assert found.encoder.remembers == (settings["coding"] == "bernoulli")
+    assert found.encoder.random == (settings["coding"] == "bernoulli")
 
 
 def test_a_file_may_ask_for_membranes_to_be_kept(policy, tmp_path):

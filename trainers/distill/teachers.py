@@ -119,6 +119,12 @@ def _from_nir(path: str) -> Teacher:
     codec, graph = artifact.codec, FloatGraph(artifact)
     if codec is None:
         raise ConfigError(f"{path} has no codec, so it cannot act on observations")
+    encoder = codec.encoder
+    if artifact.convention.state == "kept" or (encoder.remembers and not encoder.random):
+        raise ConfigError(
+            f"{path} acts on the observations before, too, and a teacher labels single ones. Give "
+            "the float policy that it was made from"
+        )
 
     def act_all(observation: FloatArray) -> FloatArray:
         output = graph.run(codec.encode(observation))["output"].astype(np.float64)
@@ -126,7 +132,7 @@ def _from_nir(path: str) -> Teacher:
 
     actions = graph.outputs[0].size
     env = artifact.provenance.env if artifact.provenance else ""
-    return Teacher(act_all, codec.encoder.observed, actions, env)
+    return Teacher(act_all, encoder.observed, actions, env)
 
 
 _FILES: dict[str, Callable[[str], Teacher]] = {".onnx": _from_onnx, ".nir": _from_nir}

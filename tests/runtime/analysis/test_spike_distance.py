@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.analysis.drift import van_rossum
+from spikedeploy.runtime.analysis.drift import mean_distance, van_rossum
 
 
 def train(*times, length=8):
@@ -49,3 +49,11 @@ def test_it_is_the_integral_of_the_definition(seed, tau):
     ]
     integral = ((traces[0] - traces[1]) ** 2).sum() / fine / tau
     assert van_rossum(one, other, tau).item() == pytest.approx(integral, abs=1e-3)
+
+
+def test_inferences_that_go_on_are_one_train():
+    # four inferences of one timestep: the spike moves by one timestep, over the border of two
+    one, other = (train(time, length=4).reshape(4, 1, 1) for time in (1, 2))
+    assert mean_distance(one, other) == pytest.approx((0.5 + 0.5) / 4)
+    assert mean_distance(one, other, trains=(4,)) == pytest.approx((1 - np.exp(-1 / 5)) / 4)
+    assert mean_distance(one, other, trains=(2, 2)) == pytest.approx((0.5 + 0.5) / 4)

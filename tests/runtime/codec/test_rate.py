@@ -116,7 +116,9 @@ def test_a_codec_of_rates_survives_its_record(mode):
 
 
 def test_only_the_random_mode_is_random():
+    assert encoder("bernoulli").random
     assert encoder("bernoulli").remembers
+    assert not encoder("regular").random
     assert not encoder("regular").remembers
 
 

@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.controllers import Sampler, SpikingController
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
-from tests.networks import chain, cuba, popsan, spiking_mlp
+from tests.networks import chain, cuba, event_driven, popsan, spiking_mlp
 
 LOIHI1 = chip("loihi1")
 OBSERVATIONS = np.random.default_rng(5).normal(size=(200, 3))
@@ -190,6 +190,7 @@ def test_what_remembers_says_so():
     assert SpikingController(policy, sampled=True).remembers
     assert SpikingController(random(policy)).remembers
     assert SpikingController(kept(policy)).remembers
+    assert SpikingController(event_driven()).remembers
 
 
 @pytest.mark.parametrize("name", CHIPS)
@@ -222,3 +223,43 @@ def test_a_kept_state_is_one_long_inference():
         halves = [parts.infer(raster[:, :16]), parts.infer(raster[:, 16:])]
         joined = np.concatenate(halves, axis=1)
         np.testing.assert_allclose(whole.infer(raster), joined, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_delta_code_starts_anew_with_every_episode(name):
+    controller = SpikingController(event_driven(), name and chip(name))
+    seen = np.random.default_rng(1).normal(0, 2, (15, 3))
+    first = [controller.act(each).tolist() for each in seen]
+    assert controller.ledger.counts.sum(axis=0).any()
+    controller.reset(7)
+    assert [controller.act(each).tolist() for each in seen] == first
+    assert [controller.act(each).tolist() for each in seen] != first
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_robots_in_a_batch_have_their_own_levels(name):
+    seen = np.random.default_rng(1).normal(0, 2, (12, 3, 3))
+    together = SpikingController(event_driven(timesteps=2), name and chip(name))
+    actions = np.stack([together.act_batch(step) for step in seen])
+    for robot in range(3):
+        alone = SpikingController(event_driven(timesteps=2), name and chip(name))
+        expected = np.stack([alone.act(step[robot]) for step in seen])
+        np.testing.assert_allclose(actions[:, robot], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("state", ["kept", "reset"])
+def test_another_number_of_robots_needs_a_reset(state):
+    policy = event_driven()
+    policy = replace(policy, convention=replace(policy.convention, state=state))
+    controller = SpikingController(policy)
+    controller.act_batch(np.zeros((2, 3)))
+    with pytest.raises(ObservationError, match=r"levels of 2 robots, .* of 5\. Call reset"):
+        controller.act_batch(np.zeros((5, 3)))
+    controller.reset(0)
+    assert controller.act_batch(np.zeros((5, 3))).shape == (5, 2)
+
+
+def test_a_delta_code_on_the_ideal_chip_acts_as_in_float():
+    np.testing.assert_allclose(
+        driven(event_driven(), "ideal"), driven(event_driven(), None), atol=1e-12
+    )

@@ -19,7 +19,7 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from tests.equality import runs
-from tests.networks import popsan, spiking_mlp
+from tests.networks import event_driven, popsan, spiking_mlp
 from tests.programs import random_programs, rasters
 
 BACKENDS = ["interpreter", "numpy", *(["numba"] if find_spec("numba") else [])]
@@ -122,6 +122,7 @@ POLICIES = {
     "kept": (lambda: kept(popsan()), {}),
     "sampled": (spiking_mlp, {"sampled": True}),
     "random": (lambda: kept(random(spiking_mlp())), {}),
+    "delta": (event_driven, {}),
 }
 CHIPS = [(None, "numpy"), ("ideal", "numpy"), *(("loihi1", backend) for backend in BACKENDS)]
 

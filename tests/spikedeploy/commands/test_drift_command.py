@@ -1,19 +1,23 @@
 """`spikedeploy drift`: what it says of files and shipped policies, and how it refuses."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from spikedeploy.emulation.drift_inputs import observed_inputs, random_inputs
-from spikedeploy.policies.registry import find
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.errors import ObservationError
 from tests import toy_stroll_env
-from tests.networks import popsan
+from tests.networks import event_driven, popsan
 from tests.runtime.families.test_headroom import crowd
 
 
@@ -141,6 +145,56 @@ def test_kept_states_are_heard_from_the_first_step_on(stroll):
     all_of_them = observed_inputs(load(candidate.path), candidate, None, [10_000], 1000)
     first = observed_inputs(artifact, candidate, None, [10_000], 3)
     np.testing.assert_array_equal(first.raster, all_of_them.raster[:3])
+
+
+def test_kept_states_begin_anew_with_each_episode(stroll):
+    candidate = find("stroll/popsan")
+    artifact = load(candidate.path, state="kept")
+    seeds = range(10_000, 10_003)
+    inputs = observed_inputs(artifact, candidate, None, seeds, 14)
+    assert inputs.episodes == (5, 5, 4)
+    on = chip("loihi1")
+    whole = drift(artifact, on, inputs.raster, episodes=inputs.episodes)
+    alone = [
+        drift(artifact, on, observed_inputs(artifact, candidate, None, [seed], n).raster)
+        for seed, n in zip(seeds, inputs.episodes, strict=True)
+    ]
+    assert whole.inferences == 14
+    for found, *each in zip(whole.layers, *(one.layers for one in alone), strict=True):
+        differ = sum(part.differing * n for part, n in zip(each, inputs.episodes, strict=True))
+        assert found.differing == pytest.approx(differ / 14)
+    first, rest = inputs.halves()
+    assert (first.episodes, rest.episodes) == ((5, 4), (5,))
+    np.testing.assert_array_equal(rest.raster, inputs.raster[5:10])
+
+
+def test_episodes_must_be_those_of_the_raster():
+    artifact = event_driven()
+    raster = np.zeros((6, 1, artifact.codec.encoder.width), np.uint8)
+    with pytest.raises(ObservationError, match="have 4, 3 inferences, the raster has 6"):
+        drift(artifact, chip("loihi1"), raster, episodes=(4, 3))
+
+
+def test_a_delta_code_is_compared_on_whole_episodes(command, stroll):
+    policy = event_driven()
+    provenance = replace(policy.provenance, env=toy_stroll_env.ID)
+    save(replace(policy, provenance=provenance), "event.nir")
+    words = ("drift", "event.nir", "--episodes", 2, "--steps", 30, "--json")
+    found = json.loads(command(*words)[1])
+    assert (found["inferences"], found["timesteps"]) == (30, 1)
+    found = json.loads(command(*words, "--calibrate", "--tune")[1])
+    assert found["calibrated"].endswith("seeds 10000 to 10001, 15 of them")
+    inputs = observed_inputs(load("event.nir"), find("event.nir"), None, [10_000], 20)
+    with np.load(played()) as episode:
+        seen = episode["observation"][:-1]
+    np.testing.assert_array_equal(inputs.raster, policy.codec.encode_episode(seen))
+
+
+def played():
+    """A file with the episode that the float twin plays."""
+    world = make_env("stroll", {})
+    rollout(world, open_policy(find("event.nir"), "float", world), 10_000).save("event.npz")
+    return "event.npz"
 
 
 def test_run_and_compare_take_the_same_quantisation_and_report_it(command, stroll):

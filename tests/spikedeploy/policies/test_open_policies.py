@@ -1,5 +1,6 @@
 """The registry: one way to open files, run folders, shipped names and the gait."""
 
+from dataclasses import replace
 from importlib import import_module
 
 import gymnasium
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs, zoo
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.play.spike_recorder import SpikeRecorder
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import FORMATS, find, open_policy
@@ -14,6 +17,7 @@ from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from tests import toy_stroll_env
+from tests.networks import event_driven
 
 
 @pytest.fixture
@@ -46,6 +50,23 @@ def test_every_format_opens_acts_replays_and_is_priced(kind, world, tmp_path):
     player.reset(10_000)
     np.testing.assert_allclose(player.replay(observations), acted, atol=1e-6)
     assert set(dir(import_module(FORMATS[kind]))) >= {"describe", "controller", "costs"}
+
+
+@pytest.mark.parametrize("chip", ["float", "loihi1"])
+def test_an_event_driven_policy_answers_for_an_episode_in_its_order(chip, world, tmp_path):
+    policy = event_driven()
+    save(replace(policy, provenance=toy_stroll_env.ORIGIN), tmp_path / "event.nir")
+    candidate = find(str(tmp_path / "event.nir"))
+    player = open_policy(candidate, chip, world)
+    played = rollout(world, player, 10_000)
+    ledger = player.ledger
+    player.reset(10_000)
+    np.testing.assert_array_equal(player.replay(played.observation[:-1]), played.action)
+    np.testing.assert_array_equal(player.ledger.counts, ledger.counts)
+    traced = SpikeRecorder(candidate, chip).record(played.observation[:-1], 10_000)
+    raster = policy.codec.encode_episode(played.observation[:-1])
+    np.testing.assert_array_equal(traced.rasters["input"], raster)
+    np.testing.assert_array_equal(np.tanh(traced.scores), played.action)
 
 
 @pytest.mark.parametrize(

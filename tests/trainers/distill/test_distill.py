@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ import torch
 from spikedeploy import envs
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
+from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig, resolve
@@ -19,6 +21,7 @@ from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
+from tests.networks import event_driven
 
 HEXAPOD = "spikedeploy/Hexapod-v0"
 STUDENTS = ("distill", "distill-256", "linear", "phase", "bilinear")
@@ -198,6 +201,15 @@ def test_a_policy_may_learn_from_a_run_an_onnx_file_or_a_nir_file(onnx, tmp_path
     run = RunFolder.create(tmp_path, config())
     run.save("last", policy.float(), {})
     assert teacher(str(run.path), HEXAPOD).env == "hexapod"
+
+
+@pytest.mark.parametrize("state", ["kept", "reset"])
+def test_a_policy_that_acts_on_earlier_observations_is_no_teacher(state, tmp_path):
+    policy = event_driven()
+    convention = replace(policy.convention, state=state)
+    save(replace(policy, convention=convention), tmp_path / "event.nir")
+    with pytest.raises(ConfigError, match="acts on the observations before"):
+        teacher(str(tmp_path / "event.nir"), "hexapod")
 
 
 def test_the_teachers_score_is_its_return_on_the_validation_seeds():

@@ -1,0 +1,143 @@
+"""A script of h5py and NumPy, written from docs/codec.md, counts what the toolchain counts."""
+
+import ast
+import subprocess
+import sys
+from dataclasses import replace
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy import zoo
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.ledger import EVENTS
+from tests.networks import chain, cuba, event_driven, graph
+from tests.paths import ROOT
+
+SCRIPT = ROOT / "tests/project/recount.py"
+STEPS = 25
+
+
+def recounted(policy, rollout, folder):
+    """What the script writes, run where nothing of ours is on the path."""
+    words = [sys.executable, "-I", SCRIPT, policy, rollout, folder / "recount.npz"]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with np.load(folder / "recount.npz") as found:
+        return dict(found)
+
+
+def acted(artifact, path, observed):
+    """The float twin on a random walk of observations, which it writes as a rollout."""
+    rng = np.random.default_rng(3)
+    seen = rng.normal(0, 0.5, (STEPS + 1, observed)).cumsum(axis=0)
+    seen = artifact.codec.normaliser.mean + artifact.codec.normaliser.std * seen
+    controller = SpikingController(artifact)
+    controller.reset(0)
+    actions, spikes = [], []
+    for row in seen[:-1]:
+        actions.append(controller.act(row))
+        spikes.append({name: rows.sum() for name, rows in controller.network.spikes.items()})
+    none = np.zeros(STEPS)
+    Rollout("test", 0, seen, np.stack(actions), none, False, True, {"success": none}).save(path)
+    return controller, np.stack(actions), spikes
+
+
+def check(path, tmp_path):
+    """The script on a file finds the spikes, SOPs and actions of the float twin."""
+    artifact = load(path)
+    played = acted(artifact, tmp_path / "walk.npz", artifact.codec.encoder.observed)
+    controller, actions, spikes = played
+    found = recounted(path, tmp_path / "walk.npz", tmp_path)
+    np.testing.assert_allclose(found["action"], actions, rtol=0, atol=1e-9)
+    assert len(np.unique(actions, axis=0)) > 1
+    for name in spikes[0]:
+        np.testing.assert_array_equal(found[f"spikes/{name}"], [each[name] for each in spikes])
+        assert found[f"spikes/{name}"].any()
+    return found, controller
+
+
+def check_operations(found, ledger):
+    sops = ledger.counts[:, :, EVENTS.index("sop")]
+    for index, layer in enumerate(ledger.layers):
+        np.testing.assert_array_equal(found[f"sops/{layer}"], sops[:, index])
+    assert sops.sum(axis=0).all()
+
+
+def test_the_script_uses_h5py_and_numpy_alone():
+    tree = ast.parse(SCRIPT.read_text("utf-8"))
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    assert imported == {"sys", "h5py", "numpy"}
+
+
+@pytest.mark.parametrize("name", ["hexapod/popsan", "kart-grid/snn"])
+def test_a_shipped_policy_is_recounted(name, tmp_path):
+    found, controller = check(zoo.resolve(name), tmp_path)
+    check_operations(found, controller.ledger)
+
+
+@pytest.mark.parametrize("code", ["unary", "one-hot"])
+@pytest.mark.parametrize("timesteps", [1, 3])
+def test_a_delta_code_with_kept_states_is_recounted(code, timesteps, tmp_path):
+    path = tmp_path / "event.nir"
+    save(event_driven(code=code, timesteps=timesteps), path)
+    found, controller = check(path, tmp_path)
+    check_operations(found, controller.ledger)
+    assert 0 < found["spikes/input"].mean() < 6 * timesteps
+
+
+@pytest.mark.parametrize(
+    ("membranes", "state", "squash"),
+    [
+        ("LI", "kept", "tanh"),
+        ("LI", "reset", "argmax"),
+        ("CubaLI", "kept", "none"),
+        ("CubaLI", "reset", "tanh"),
+        ("I", "kept", "tanh"),
+    ],
+)
+def test_readouts_of_membranes_with_a_skip_are_recounted(membranes, state, squash, tmp_path):
+    policy = with_membranes(membranes)
+    policy = replace(
+        policy,
+        convention=replace(policy.convention, state=state),
+        codec=replace(policy.codec, squash=squash),
+    )
+    save(policy, tmp_path / "event.nir")
+    found, _ = check(tmp_path / "event.nir", tmp_path)
+    assert found["sops/n2"].any()
+    assert found["sops/read"].any()
+
+
+def with_membranes(kind):
+    """The event-driven network with neurons that are read, from the input and the hidden layer."""
+    policy = event_driven()
+    nodes = dict(policy.graph.nodes)
+    width, act = policy.codec.encoder.width, 2
+    full = {name: np.full(act, value) for name, value in READ[kind].items()}
+    nodes["skip"] = nir.Linear(np.random.default_rng(1).normal(size=(act, width)))
+    nodes["read"] = getattr(nir, kind)(**full)
+    edges = "input->n1, n1->n2, n2->n3, n3->read, input->skip, skip->read, read->output"
+    return replace(policy, graph=graph(edges, **nodes))
+
+
+READ = {
+    "LI": {"tau": 2e-3, "r": 2.0, "v_leak": 0.1},
+    "CubaLI": {"tau_syn": 3e-3, "tau_mem": 2e-3, "r": 2.0, "v_leak": 0.0, "w_in": 3.0},
+    "I": {"r": 100.0},
+}
+
+
+@pytest.mark.parametrize(("reset", "integrator"), [("subtract", "euler"), ("zero", "exponential")])
+def test_another_convention_is_recounted(reset, integrator, tmp_path):
+    policy = event_driven()
+    convention = replace(policy.convention, reset=reset, integrator=integrator)
+    neurons = replace(cuba(8, alpha=0.5, beta=0.6), v_reset=np.full(8, 0.05))
+    nodes = policy.graph.nodes
+    network = chain(nodes["n1"], neurons, nodes["n3"], width=policy.codec.encoder.width, act=2)
+    save(replace(policy, graph=network, convention=convention), tmp_path / "p.nir")
+    check(tmp_path / "p.nir", tmp_path)

@@ -1,0 +1,249 @@
+"""The delta code: events when an observation has moved, exact in integers, with a state."""
+
+import copy
+import pickle
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.runtime.metadata import Record
+
+
+def encoder(step=(0.5,), **fields):
+    return DeltaEncoder(np.asarray(step, float), **fields)
+
+
+def sent(code, xs, timesteps=1):
+    """Signed events (S, T) of the first observation of one robot that sees xs."""
+    state = code.start(0)
+    return [code.events(np.array([[x]]), timesteps, state)[0, :, 0].tolist() for x in xs]
+
+
+def test_a_trace_worked_by_hand():
+    code = encoder(most=2)
+    state = code.start(0)
+    # step 0.5, K = 2, threshold 154/256 = 0.602; channels: +1 +2 -1 -2
+    for x, spikes in (
+        # X = 128, e = 128, not above 154
+        (0.25, [0, 0, 0, 0]),
+        # X = 154, e = 154, still not above
+        (0.30, [0, 0, 0, 0]),
+        # X = 155, e = 155, n = (155 + 128) >> 8 = 1, q = 1
+        (0.303, [1, 0, 0, 0]),
+        # X = 256, e = 0
+        (0.50, [0, 0, 0, 0]),
+        # X = 640, e = 384, n = (384 + 128) >> 8 = 2, q = 3: the half is sent
+        (1.25, [1, 1, 0, 0]),
+        # X = 614, e = 614 - 768 = -154
+        (1.20, [0, 0, 0, 0]),
+        # X = -512, e = -1280, n = -min(5, 2), q = 1
+        (-1.0, [0, 0, 1, 1]),
+        # e = -512 - 256 = -768, n = -2, q = -1
+        (-1.0, [0, 0, 1, 1]),
+        # e = -512 + 256 = -256, n = -1, q = -2
+        (-1.0, [0, 0, 1, 0]),
+        # e = 0
+        (-1.0, [0, 0, 0, 0]),
+    ):
+        assert code.encode(np.array([[x]]), 1, state).tolist() == [[spikes]], x
+    assert state.sent.tolist() == [[-2]]
+
+
+def test_a_jump_is_caught_up_in_the_timesteps_of_an_inference_as_in_several():
+    # X = 2560, ten events of at most 3: 3 3 3 1
+    assert sent(encoder(), [5.0], 5) == [[3, 3, 3, 1, 0]]
+    assert sent(encoder(), [5.0] * 5) == [[3], [3], [3], [1], [0]]
+    assert sent(encoder(), [5.0, -5.0], 4) == [[3, 3, 3, 1], [-3, -3, -3, -3]]
+
+
+def slow(x, step, most, threshold, q):
+    """Events and new level of one observation, in Python's integers and fractions."""
+    parts = 0 if step == np.inf else round(Fraction(256 * x / step))  # halves to even
+    e = min(max(parts, -(2**30)), 2**30) - 256 * q
+    n = min((abs(e) + 128) // 256, most) if abs(e) > threshold else 0
+    n = -n if e < 0 else n
+    return n, q + n
+
+
+def channels(n, most, code):
+    """Spikes of both signs of one observation."""
+    spikes = [0] * (2 * most)
+    for k in range(1, most + 1):
+        if (k <= abs(n)) if code == "unary" else (k == abs(n)):
+            spikes[(n < 0) * most + k - 1] = 1
+    return spikes
+
+
+numbers = st.floats(-40, 40).map(lambda x: x if abs(x) > 1e-300 else 0.0)
+steps = st.one_of(st.floats(1e-4, 50), st.just(np.inf))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    data=st.data(),
+    most=st.integers(1, 5),
+    code=st.sampled_from(["unary", "one-hot"]),
+    timesteps=st.integers(1, 3),
+)
+def test_every_spike_is_that_of_a_slow_version_in_integers(data, most, code, timesteps):
+    step = data.draw(st.lists(steps, min_size=1, max_size=4))
+    threshold = data.draw(st.integers(128, 256 * most))
+    rows = st.lists(numbers, min_size=len(step), max_size=len(step))
+    xs = data.draw(st.lists(rows, min_size=1, max_size=6))
+    fast = encoder(step, most=most, code=code, threshold=threshold)
+    state, levels = fast.start(0), [0] * len(step)
+    for x in xs:
+        expected = []
+        for _ in range(timesteps):
+            moved = [
+                slow(*each, most, threshold, q)
+                for each, q in zip(zip(x, step, strict=True), levels, strict=True)
+            ]
+            levels = [q for _, q in moved]
+            expected.append([s for n, _ in moved for s in channels(n, most, code)])
+        assert fast.encode(np.array([x]), timesteps, state)[0].tolist() == expected
+        assert state.sent.tolist() == [levels]
+
+
+def test_a_step_of_infinity_never_sends():
+    code = encoder([np.inf, 0.5])
+    state = code.start(0)
+    for x in (0.0, 7.0, -1e300):
+        assert not code.encode(np.array([[x, 0.0]]), 2, state).any()
+
+
+def test_what_is_too_many_steps_is_clipped_without_a_warning():
+    code = encoder([1e-300, 1e-9], most=256)
+    state = code.start(0)
+    for _ in range(4):
+        events = code.events(np.array([[1e10, -1e10]]), 5000, state)
+    assert state.sent.tolist() == [[2**22, -(2**22)]]
+    assert not events[:, -1].any()
+
+
+@pytest.mark.parametrize("timesteps", [1, 3])
+def test_one_hot_and_unary_say_the_same(timesteps):
+    x = np.random.default_rng(0).normal(size=(50, 4, 6))
+    unary, one_hot = (encoder(np.full(6, 0.3), code=code) for code in ("unary", "one-hot"))
+    states = unary.start(0), one_hot.start(0)
+    k = np.arange(1, 4)
+    for row in x:
+        one = unary.encode(row, timesteps, states[0]).reshape(4, timesteps, 6, 2, 3)
+        other = one_hot.encode(row, timesteps, states[1]).reshape(4, timesteps, 6, 2, 3)
+        np.testing.assert_array_equal(one.sum(axis=-1), (other * k).sum(axis=-1))
+        assert other.sum(axis=(-1, -2)).max() <= 1
+
+
+def test_the_level_follows_the_observation_within_the_threshold():
+    x = np.cumsum(np.random.default_rng(1).normal(0, 0.2, (300, 1, 8)), axis=0)
+    code = encoder(np.full(8, 0.4))
+    state = code.start(0)
+    for row in x:
+        code.encode(row, 2, state)
+        assert (np.abs(row / 0.4 - state.sent) <= (154 + 0.5) / 256).all()
+
+
+def test_single_precision_sends_the_same_events_away_from_borders():
+    x = np.random.default_rng(2).normal(size=(400, 1, 28))
+    double = encoder(np.random.default_rng(3).uniform(0.1, 1, 28))
+    single = double.astype(np.float32)
+    one, other = double.start(0), single.start(0)
+    # X differs where 256 x / step is within a rounding error of a half: 1 in 10^4 here
+    differ = sum(
+        (double.encode(row, 1, one) != single.encode(row.astype(np.float32), 1, other)).sum()
+        for row in x
+    )
+    assert differ < 20
+    assert (one.sent == other.sent).all()
+
+
+def test_robots_in_a_batch_are_as_each_alone():
+    x = np.random.default_rng(4).normal(size=(20, 5, 3))
+    code = encoder([0.2, 0.4, 0.8])
+    state = code.start(0)
+    together = np.stack([code.encode(row, 2, state) for row in x])
+    for robot in range(5):
+        own = code.start(0)
+        alone = np.stack([code.encode(row[robot, None], 2, own)[0] for row in x])
+        np.testing.assert_array_equal(together[:, robot], alone)
+
+
+def test_another_batch_is_refused_before_anything_moves():
+    code, x = encoder(), np.full((2, 1), 0.7)
+    state = code.start(0)
+    code.encode(x, 1, state)
+    with pytest.raises(ObservationError, match=r"levels of 2 robots, .* of 3\. Call reset\(\)"):
+        code.encode(np.zeros((3, 1)), 1, state)
+    assert state.sent.tolist() == [[1], [1]]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
+def test_a_copy_of_the_state_goes_its_own_way(copied):
+    code = encoder()
+    state = code.start(0)
+    code.encode(np.array([[0.5]]), 1, state)
+    other = copied(state)
+    code.encode(np.array([[3.0]]), 1, other)
+    assert (state.sent.tolist(), other.sent.tolist()) == ([[1]], [[4]])
+
+
+def test_without_a_state_an_episode_starts():
+    code, x = encoder(), np.array([[0.5]])
+    np.testing.assert_array_equal(code.encode(x, 2), code.encode(x, 2))
+    assert code.remembers
+    assert not code.random
+
+
+def whole(step=(0.5, np.inf), timesteps=1, **fields):
+    obs = len(step)
+    return Codec(
+        Normaliser(np.ones(obs), np.full(obs, 2.0), 5.0), encoder(step, **fields), timesteps
+    )
+
+
+def test_an_episode_is_its_observations_one_after_another():
+    c = whole(timesteps=2)
+    seen = np.random.default_rng(5).normal(0, 3, (30, 2))
+    state = c.encoder.start(0)
+    steps = [c.encode(row[None], state)[0] for row in seen]
+    np.testing.assert_array_equal(c.encode_episode(seen), np.stack(steps))
+
+
+def test_a_file_keeps_every_field():
+    before = whole(timesteps=3, most=4, code="one-hot", threshold=200)
+    after = Codec.from_record(Record(before.to_record(), "codec"))
+    code = after.encoder
+    assert (code.kind, code.most, code.code, code.threshold) == ("delta", 4, "one-hot", 200)
+    np.testing.assert_array_equal(code.step, [0.5, np.inf])
+    assert (code.observed, code.width) == (2, 16)
+
+
+@pytest.mark.parametrize(
+    ("step", "fields", "said"),
+    [
+        ([0.5, 0.0], {}, r"step must have shape \(obs,\) and be above 0, found 0\.0"),
+        ([np.nan], {}, ".* be above 0, found nan"),
+        ([[0.5]], {}, r".* found shape \(1, 1\)"),
+        ([0.5], {"most": 0}, "most must be from 1 to 256, found 0"),
+        ([0.5], {"most": 257}, "most must be from 1 to 256, found 257"),
+        ([0.5], {"code": "binary"}, "code 'binary' is unknown; known are unary, one-hot"),
+        ([0.5], {"threshold": 127}, "threshold must be from 128 to 768 .* found 127"),
+        ([0.5], {"threshold": 300, "most": 1}, "threshold must be from 128 to 256 .* found 300"),
+    ],
+)
+def test_a_wrong_field_is_refused_with_its_limit(step, fields, said):
+    with pytest.raises(ArtifactError, match=f"delta encoder: {said}"):
+        encoder(step, **fields)
+
+
+def test_a_file_with_no_number_as_step_is_refused():
+    record = whole().to_record()
+    record["encoder"]["step"] = np.array([0.5, np.nan])
+    with pytest.raises(ArtifactError, match="step must be"):
+        Codec.from_record(Record(record, "codec"))
