@@ -151,6 +151,9 @@ class DeltaSnnPolicy(Policy):
         burn_in: control steps without gradient at the beginning, which bring the states up
         begins: (B,) whether an episode begins behind the burn-in: then states are at rest there
         """
+        if not self.hidden:  # the readouts hold what currents would hold
+            mean = seen @ weights.past.T + self.action_bias
+            return mean, mean.new_zeros(*mean.shape[:2], 0)
         membrane = seen.new_zeros(len(seen), self.hidden)
         readout = seen.new_zeros(len(seen), self.actions)
         drives = seen @ weights.into.T + self.bias

@@ -46,7 +46,7 @@ class SparseConfig(RunConfig):
     budget: Rate = 100.0
     levels: tuple[Rate, ...] = ()
     polish: Count = 2
-    teacher_walks: Positive = 60
+    teacher_walks: Count = 60
     noisy_walks: Count = 30
     walks: Positive = 50
     noise: float = Field(default=0.3, ge=0)

@@ -71,7 +71,7 @@ class WalkPool:
         return sum(len(walk.label) for walk in self.walks)
 
     def add(self, walks: Iterable[Walk]) -> None:
-        """Take over walks; `encode` before the next window."""
+        """Take over walks; their windows are drawn after the next `encode`."""
         self.walks += walks
 
     def observations(self) -> Single:
@@ -88,38 +88,34 @@ class WalkPool:
         """
         rows = [np.asarray(each) for each in normalised]
         self._length = np.array([len(each) for each in rows])
-        x = np.zeros((self._length.max(), len(rows), encoder.observed))
-        for k, each in enumerate(rows):
-            x[: len(each), k], x[len(each) :, k] = each, each[-1]
+        shape = self._length.max(), len(rows), encoder.observed
+        moved, seen = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         step = np.where(np.isfinite(encoder.step), encoder.step, 0.0)
-        moved, seen = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.float32)
-        held, levels = np.zeros(x.shape[1:]), encoder.start(0)
-        for t, now in enumerate(x):
-            moved[t] = step * encoder.events(now, 1, levels)[:, 0]
+        held, before, levels = np.zeros(shape[1:]), np.zeros(shape[1:]), encoder.start(0)
+        spikes, moves = np.zeros(encoder.observed), np.zeros(encoder.observed)
+        for t in range(len(moved)):
+            now = np.stack([each[min(t, len(each) - 1)] for each in rows])
+            events = encoder.events(now, 1, levels)[:, 0]
+            moved[t] = step * events
             held = decay * held + moved[t]
             seen[t] = held
+            sizes = np.abs(events[t < self._length])
+            spikes += sizes.sum(0) if encoder.code == "unary" else (sizes > 0).sum(0)
+            moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
+            before = now
         self._moved, self._seen = torch.from_numpy(moved), torch.from_numpy(seen)
-        self._measure(x, step, encoder)
-
-    def _measure(
-        self, x: NDArray[np.float64], step: NDArray[np.float64], encoder: DeltaEncoder
-    ) -> None:
-        """Compute mean events and moves over the control steps that were walked."""
-        walked = np.arange(len(x))[:, None] < self._length
-        moved = self._moved.numpy()[walked]
-        events = np.rint(np.abs(moved) / np.where(step > 0, step, 1.0))
-        spikes = events if encoder.code == "unary" else events > 0
-        self.event_rate = torch.from_numpy(spikes.mean(0, dtype=np.float64)).float()
-        self.mean_move = np.abs(np.diff(x, axis=0))[walked[1:]].mean(0)
+        self.event_rate = torch.from_numpy(spikes / self.steps).float()
+        self.mean_move = moves / self.steps
 
     def sample(
         self, rng: np.random.Generator, count: int, window: int, burn_in: int,
         first: float, crash: float, crash_steps: int,
     ) -> Windows:  # fmt: skip
         """Return windows drawn at random; arguments as in SparseConfig."""
-        which = rng.integers(len(self.walks), size=count)
+        encoded = len(self._length)  # walks that came later wait for `encode`
+        which = rng.integers(encoded, size=count)
         kind = rng.random(count)
-        crashed = np.array([k for k, walk in enumerate(self.walks) if walk.crashed])
+        crashed = np.array([k for k in range(encoded) if self.walks[k].crashed])
         near = (kind >= first) & (kind < first + crash)
         if len(crashed):
             which[near] = rng.choice(crashed, size=int(near.sum()))

@@ -133,9 +133,9 @@ class Sparse(Runner[SparseConfig]):
     def _end_phase(self, phase: Phase) -> None:
         """Walk, set the encoder's steps anew, and start the next phase with a new optimiser."""
         if self.updates < self._total:
+            # the walks are of the policy as it is, the steps of the next phase
             self._collect(in_float(self.policy), self._config.walks)
             if self._config.retune and isinstance(self.policy, DeltaSnnPolicy):
-                self._student.prepare(self.pool)
                 step = retuned(self.policy, self.pool, self._binary, self._config)
                 self.policy.step.copy_(torch.from_numpy(step))
             self._student.prepare(self.pool)
