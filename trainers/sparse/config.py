@@ -31,6 +31,8 @@ class SparseConfig(RunConfig):
         last `crash_steps` before a crash or fall
     learning_rate, level_rate, polish_rate: at the beginning of each phase; falls by a half cosine
     penalty: weight of the hidden neurons' operations over `max(budget, penalty_floor)`
+    rate_target, rate_cost: mean firing rate of the hidden layer above which it costs more, and the
+        operations that a rate of 1 above it counts for [spikes per neuron and control step]
     step: geometric mean of the encoder's steps [standard deviations]; binary observations have
         a step of their whole swing
     retune: whether steps are set anew after each round, by how much each observation matters
@@ -65,6 +67,8 @@ class SparseConfig(RunConfig):
     polish_rate: Rate = 1e-3
     penalty: float = Field(default=0.02, ge=0)
     penalty_floor: Rate = 300.0
+    rate_target: Share = 0.07
+    rate_cost: float = Field(default=0.0, ge=0)
     step: Rate = 0.5
     retune: bool = True
     prune_every: Positive = 20

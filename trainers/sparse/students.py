@@ -84,7 +84,8 @@ class DeltaStudent:
         error = imitation(*after, self.policy, c.sharpness).mean()
         rate = spikes[:, c.burn_in :].mean((0, 1))
         self.hidden_rate = torch.lerp(self.hidden_rate, rate.detach(), _SMOOTHING)
-        return error, (rate * self.policy.out.fan_out).sum()
+        excess = (rate.sum() / max(len(rate), 1) - c.rate_target).relu()
+        return error, (rate * self.policy.out.fan_out).sum() + c.rate_cost * excess
 
     def _weights(self) -> DeltaWeights:
         weights = self.policy.weights()
