@@ -69,6 +69,8 @@ def tuned(
         return float(van_rossum(twin.spikes[name], seen.spikes[name], tau).mean())
 
     for name in _layers(artifact, on, quantisation):
+        if name not in twin.spikes:  # a readout: there are no spikes to bring nearer
+            continue
         old = quantisation.of(name)
         ratios = [replace(old, clip_ratio=old.clip_ratio * ratio) for ratio in _CLIP_RATIOS]
         best = min(ratios, key=lambda each: distance(name, each))
@@ -121,7 +123,8 @@ def _up_to(program: Program, name: str) -> Program:
     if not program.feed_forward:
         return program
     place = [layer.name for layer in program.layers].index(name)
-    return replace(program, layers=program.layers[: place + 1], output=name, readout=None)
+    layers = program.layers[: place + 1]
+    return replace(program, layers=layers, output=name, readout=None, outlets=(), host=())
 
 
 def _overflowing(seen: Activity) -> list[str]:

@@ -110,14 +110,15 @@ def _program(
 
 def _on_host(layer: Layer, chip_name: str) -> str:
     """What the host does for a readout layer, in a sentence."""
-    decays = 2 - (not layer.current_decay.any())
+    factors = np.concatenate([layer.current_decay, layer.membrane_decay])
+    decays = np.count_nonzero((factors != 0) & (factors != 1))
     fan_outs = [
         f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
         for synapses in layer.synapses
     ]
     return (
         f"readout {layer.name!r}: membranes do not leave {chip_name}, so the host integrates it in "
-        f"float64: {decays * layer.size} multiplications in each timestep, and on average "
+        f"float64: {decays} multiplications in each timestep, and on average "
         f"{', '.join(fan_outs)}"
     )
 
@@ -232,7 +233,8 @@ def check(artifact: Artifact, on: Chip) -> DesignCheck:
 def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
     """Whether it compiles; without limits where a rule has already failed."""
     try:
-        compile_program(artifact, on, limits=limits)
+        program = compile_program(artifact, on, limits=limits)
     except SpikedeployError as error:
         return RuleResult(COMPILE, None, "fail", str(error))
-    return RuleResult(COMPILE, None, "pass", "a program")
+    note = "; ".join(program.remarks) if program.reads_membranes else ""
+    return RuleResult(COMPILE, None, "pass", "a program", note=note)
