@@ -36,20 +36,22 @@ def linear(rng, size, inputs, scale=0.5):
     return nir.Linear(weight)
 
 
-def spiking(leaky):
-    if not leaky:
+def spiking(kind):
+    if kind == "CubaLIF":
         return cuba(HIDDEN, SLOW, 0.6, threshold=1.0)
+    if kind == "IF":
+        return nir.IF(np.full(HIDDEN, 1 / DT), np.ones(HIDDEN), np.zeros(HIDDEN))
     neurons = lif(HIDDEN, 2e-3, 2.0)
     neurons.v_reset = np.zeros(HIDDEN)
     return neurons
 
 
-def network(kind, state="kept", reset="zero", leaky=False, seed=0):
+def network(kind, state="kept", reset="zero", neurons="CubaLIF", seed=0):
     """A policy of T timesteps with the skip of that kind, and random weights.
 
     kind: "none"; from the input to the "same" readout, or to a "second" one; a readout of "two
         layers"; or the input alone on CubaLI, LI or I, without a neuron that spikes.
-    leaky: LIF and not CuBa-LIF hidden neurons.
+    neurons: kind of the hidden neurons: CubaLIF, LIF or IF.
     """
     rng = np.random.default_rng(seed)
     decays = rng.uniform(0.5, 0.7, ACTIONS)
@@ -63,12 +65,12 @@ def network(kind, state="kept", reset="zero", leaky=False, seed=0):
     if not kind.startswith("only"):
         edges += ",input->w1,w1->hidden,hidden->w2,w2->readout,readout->affine"
         nodes |= {"w1": linear(rng, HIDDEN, INPUTS), "w2": linear(rng, ACTIONS, HIDDEN)}
-        nodes |= {"hidden": spiking(leaky), "readout": li(*decays)}
+        nodes |= {"hidden": spiking(neurons), "readout": li(*decays)}
     if kind == "same":
         edges += ",input->skip,skip->readout"
     elif kind == "two layers":
         edges += ",hidden->w3,w3->more,more->w4,w4->readout"
-        nodes |= {"w3": linear(rng, HIDDEN, HIDDEN), "more": spiking(leaky)}
+        nodes |= {"w3": linear(rng, HIDDEN, HIDDEN), "more": spiking(neurons)}
         nodes["w4"] = linear(rng, ACTIONS, HIDDEN)
     elif kind != "none":
         edges += ",input->skip,skip->fast,fast->affine"

@@ -110,15 +110,13 @@ def _program(
 
 def _on_host(layer: Layer, chip_name: str) -> str:
     """What the host does for a readout layer, in a sentence."""
-    factors = np.concatenate([layer.current_decay, layer.membrane_decay])
-    decays = np.count_nonzero((factors != 0) & (factors != 1))
     fan_outs = [
         f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
         for synapses in layer.synapses
     ]
     return (
         f"readout {layer.name!r}: membranes do not leave {chip_name}, so the host integrates it in "
-        f"float64: {decays} multiplications in each timestep, and on average "
+        f"float64: {layer.multiplications} multiplications in each timestep, and on average "
         f"{', '.join(fan_outs)}"
     )
 

@@ -16,6 +16,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.metrics.host_work import host_work
 from tests.networks import chain, cuba
 from tests.readouts import ACTIONS, DT, HIDDEN, INPUTS, KINDS, SLOW, cubali, events, li, network
 
@@ -169,7 +170,7 @@ def test_the_host_integrates_as_the_float_twin_does(kind, state):
 
 def test_the_host_adds_up_the_spikes_of_the_chip():
     # by itself: V = b V + W s of the spikes that the chip sent
-    artifact = network("none", leaky=True)
+    artifact = network("none", neurons="LIF")
     program = compile_program(artifact, chip("spiker"))
     machine = Machine(program, 3, trace=True)
     found = machine.infer(events())
@@ -184,20 +185,27 @@ def test_the_host_adds_up_the_spikes_of_the_chip():
     assert spikes.any()
 
 
-@pytest.mark.parametrize("name", ["truenorth", "odin", "spiker", "speck2f"])
-def test_chips_without_a_way_out_leave_readouts_to_the_host_and_say_so(name):
-    artifact = network("same", reset="zero", leaky=True)
-    on = chip(name)
-    try:
-        program = compile_program(artifact, on, limits=False)
-    except RuleError as error:  # speck2f has no leak at all
-        assert name == "speck2f", error
-        return
+@pytest.mark.parametrize(
+    ("name", "neurons"), [("truenorth", "IF"), ("odin", "IF"), ("spiker", "LIF"), ("speck2f", "IF")]
+)
+def test_chips_without_a_way_out_leave_readouts_to_the_host_and_say_so(name, neurons):
+    program = compile_program(network("same", neurons=neurons), chip(name), limits=False)
     (remark,) = [each for each in program.remarks if "the host integrates it" in each]
     assert "'readout': membranes do not leave" in remark
     assert f"{ACTIONS} multiplications in each timestep" in remark
     assert "additions for each spike of 'input'" in remark
     assert "additions for each spike of 'hidden'" in remark
+    machine = Machine(program, 3, trace=True)
+    output = machine.infer(events())
+    assert np.ptp(output) > 0
+    # of 3 x 25 timesteps: a product for each readout; additions by the synapses of each spike
+    spikes = {"input": events(), "hidden": machine.recordings["hidden"].spikes}
+    work = host_work(program, spikes)
+    assert work.multiplications == 75 * ACTIONS
+    assert work.additions == sum(
+        (spikes[s.source].sum(axis=(0, 1)) * np.count_nonzero(s.weight, axis=1)).sum()
+        for s in program.host[0].synapses
+    )
 
 
 def test_what_the_host_needs_leaves_the_chip_as_messages():
@@ -286,7 +294,7 @@ def test_outputs_of_xylo_are_scaled_back_to_float():
 
 
 def test_xylo_refuses_a_skip_to_its_outputs():
-    with pytest.raises(RuleError, match="^rule outputs: layer 'readout' is no output population"):
+    with pytest.raises(RuleError, match=r"^rule outputs: layer 'readout' is no output population"):
         compile_program(network("same", reset="subtract"), chip("xylo-a2"))
 
 
