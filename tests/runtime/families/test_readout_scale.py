@@ -1,17 +1,21 @@
 """Readout layers in Loihi's integers: exponent, room, and the choices of quantisation."""
 
+import nir
 import numpy as np
 import pytest
 
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.readouts import NET_EVENTS, exponent_and_share
 from spikedeploy.runtime.float_model.graph import FloatGraph
-from tests.readouts import INPUTS, events, network
+from tests.networks import chain
+from tests.readouts import DT, INPUTS, cubali, events, network
 
 LOIHI1 = chip("loihi1").arithmetic
 
@@ -92,6 +96,18 @@ def test_readouts_take_the_choices_of_quantisation(quantisation):
     wanted = FloatGraph(artifact).run(events())["output"]
     found = Machine(program, 3).infer(events())
     assert np.abs(found - wanted).max() < 0.25 * np.abs(wanted).max()
+
+
+def test_all_that_can_arrive_at_once_fits_the_accumulator():
+    # a reach of 64 net spikes would allow an exponent of 2; 300 equal weights leave none
+    nodes = [nir.Linear(np.ones((1, 300))), cubali(1, membrane=1 / 4096)]
+    wide = Artifact(chain(*nodes, width=300, act=1), None, Convention(DT, state="kept"))
+    (layer,) = compile_program(wide, chip("loihi1"), limits=False).layers
+    assert layer.synapses[0].weight.max() == 255
+    narrow = Artifact(
+        chain(nir.Linear(np.ones((1, 3))), nodes[1], width=3, act=1), None, wide.convention
+    )
+    assert compile_program(narrow, chip("loihi1")).layers[0].synapses[0].weight.max() == 255 << 2
 
 
 def test_a_clip_ratio_leaves_room_and_no_exponent_takes_it_back():
