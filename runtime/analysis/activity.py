@@ -4,7 +4,7 @@ The float twin and chips are recorded in the same form, so that they can be comp
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,12 +25,15 @@ Floats = NDArray[np.float64]
 class Activity:
     """What a network did with a raster.
 
-    spikes: layer -> (B, T, N).
+    spikes: layer -> (B, T, N), of layers that can spike, as the next two.
     reached: layer -> (B, T, N) membranes before a spike resets them [float units]; NaN where the
         recording cannot tell, since they were reset to 0.
     thresholds: layer -> (N,) above which a membrane spikes [float units].
     output: (B, T, act) of the readout, or the spikes of the last layer.
     saturations: layer -> numbers that did not fit a register.
+    membranes: readout layer -> (B, T, N) [float units].
+    filled: readout layer -> largest part of a register that a current or a membrane took; empty
+        where nothing has registers.
     """
 
     spikes: Mapping[str, NDArray[Any]]
@@ -38,6 +41,8 @@ class Activity:
     thresholds: Mapping[str, Floats]
     output: Floats
     saturations: Mapping[str, int]
+    membranes: Mapping[str, Floats] = field(default_factory=dict)
+    filled: Mapping[str, float] = field(default_factory=dict)
 
     def parted(self, batch: int) -> "Activity":
         """The same with its timesteps as B inferences, one after another."""
@@ -49,6 +54,7 @@ class Activity:
             self,
             spikes={name: part(rows) for name, rows in self.spikes.items()},
             reached={name: part(rows) for name, rows in self.reached.items()},
+            membranes={name: part(rows) for name, rows in self.membranes.items()},
             output=part(self.output),
         )
 
@@ -118,18 +124,25 @@ def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
         for name, node in graph.nodes.items()
         if isinstance(node, FloatNeurons) and name in graph.spiking
     }
+    readouts = {
+        name: node
+        for name, node in graph.nodes.items()
+        if isinstance(node, FloatNeurons) and node.threshold is None
+    }
     before: dict[str, NDArray[Any] | None] = dict.fromkeys(nodes)
-    steps, reached = [], []
+    steps, reached, membranes = [], [], []
     for t in range(x.shape[1]):
         steps.append(graph.run(x[:, t : t + 1]))
         reached.append({name: _reached(node, before[name]) for name, node in nodes.items()})
         before = {name: node.membrane for name, node in nodes.items()}
+        membranes.append({name: np.asarray(node.membrane) for name, node in readouts.items()})
     return Activity(
         spikes={name: _joined([step[name][:, 0] for step in steps]) for name in nodes},
         reached={name: _joined([step[name] for step in reached]) for name in nodes},
         thresholds={name: np.asarray(node.threshold).ravel() for name, node in nodes.items()},
         output=_joined([step["output"][:, 0] for step in steps]).astype(np.float64),
-        saturations=dict.fromkeys(nodes, 0),
+        saturations=dict.fromkeys((*nodes, *readouts), 0),
+        membranes={name: _joined([step[name] for step in membranes]) for name in readouts},
     )
 
 
@@ -137,16 +150,36 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
     """What the program does with the raster (B, T, M), from zero states."""
     machine = Machine(program, len(raster), "total", trace=True)
     output, seen = machine.infer(raster), machine.recordings
+    readouts = [layer for layer in program.layers if not layer.spiking]
     return Activity(
-        spikes={name: ran.spikes for name, ran in seen.items()},
+        spikes={layer.name: seen[layer.name].spikes for layer in program.spiking},
         reached={
             layer.name: layer.scale * _before_reset(program, layer, seen[layer.name])
-            for layer in program.layers
+            for layer in program.spiking
         },
-        thresholds={layer.name: layer.threshold * layer.scale for layer in program.layers},
+        thresholds={layer.name: layer.threshold * layer.scale for layer in program.spiking},
         output=output,
         saturations=machine.ledger.by_layer("saturation"),
+        membranes={layer.name: layer.scale * seen[layer.name].membrane for layer in readouts},
+        filled=_filled(program, readouts, seen),
     )
+
+
+def _filled(
+    program: Program, readouts: Sequence[Layer], seen: Mapping[str, Recording]
+) -> dict[str, float]:
+    """Readout layer -> largest part of a register of integers that a state took."""
+    if not program.chip.arithmetic.rounds:
+        return {}
+    bits = program.chip.arithmetic.state_bits
+    found = {}
+    for layer in readouts:
+        states = (seen[layer.name].current, seen[layer.name].membrane)
+        if states[1].dtype.kind == "i":
+            widths = (bits[0], bits[-1])
+            pairs = zip(states, widths, strict=True)
+            found[layer.name] = max(float(np.abs(x).max() / ((1 << (n - 1)) - 1)) for x, n in pairs)
+    return found
 
 
 def _reached(node: FloatNeurons, before: NDArray[Any] | None) -> NDArray[Any]:

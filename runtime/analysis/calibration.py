@@ -85,6 +85,8 @@ def tuned(
         return mean_distance(twin.spikes[name], seen.spikes[name], tau, trains)
 
     for name in _layers(artifact, on, quantisation):
+        if name not in twin.spikes:  # a readout: there are no spikes to bring nearer
+            continue
         old = quantisation.of(name)
         ratios = [replace(old, clip_ratio=old.clip_ratio * ratio) for ratio in _CLIP_RATIOS]
         best = min(ratios, key=lambda each: distance(name, each))
@@ -133,7 +135,8 @@ def _up_to(program: Program, name: str) -> Program:
     if not program.feed_forward:
         return program
     place = [layer.name for layer in program.layers].index(name)
-    return replace(program, layers=program.layers[: place + 1], output=name, readout=None)
+    layers = program.layers[: place + 1]
+    return replace(program, layers=layers, output=name, readout=None, outlets=(), host=())
 
 
 def _with(quantisation: Quantisation, layer: str, tuning: Tuning) -> Quantisation:

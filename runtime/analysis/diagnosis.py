@@ -59,7 +59,7 @@ def diagnose(
     """
     return [
         Finding(layer.name, found, *_cause(floats, program, layer, raster, twin, steps))
-        for layer in program.layers
+        for layer in program.spiking
         if (found := health(_last(steps).spikes[layer.name]))
     ]
 

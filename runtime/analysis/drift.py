@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.analysis.activity import Activity, activity, in_trains, trains_of
 from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
+from spikedeploy.runtime.analysis.readout_drift import ReadoutDrift, readout_drifts
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -154,6 +155,7 @@ class Drift:
     output: of the whole network.
     ablation: from rounded weights to the chip; empty where the arithmetic has none.
     findings: layers that are dead or saturated.
+    readouts: layers on the chip whose membranes leave it.
     """
 
     chip: str
@@ -167,6 +169,7 @@ class Drift:
     output: OutputDrift
     ablation: tuple[_AblationStep, ...]
     findings: tuple[Finding, ...]
+    readouts: tuple[ReadoutDrift, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The fields, plain; the ablation is called rungs there."""
@@ -197,7 +200,7 @@ def drift(
     steps = ablation_programs(floats, program) if floats else [("chip", program)]
     runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
     seen = list(runs.values())[-1]
-    names = [layer.name for layer in program.layers]
+    names = [layer.name for layer in program.spiking]
     return Drift(
         chip=on.name,
         quantisation=quantisation.describe(),
@@ -212,6 +215,7 @@ def drift(
         if floats
         else (),
         findings=tuple(diagnose(floats, program, raster, twin, runs)),
+        readouts=readout_drifts(twin, seen),
     )
 
 
@@ -270,6 +274,8 @@ def _layer(
 
 
 def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
+    if not names:
+        return 0
     differ = [(twin.spikes[name] != seen.spikes[name]).any(axis=(1, 2)) for name in names]
     return int(np.any(differ, axis=0).sum())
 

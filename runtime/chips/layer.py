@@ -77,6 +77,12 @@ class Layer:
         """Neurons: N."""
         return int(self.threshold.size)
 
+    @property
+    def multiplications(self) -> int:
+        """Products with decay factors that are neither 0 nor 1, of a float layer in a timestep."""
+        factors = np.concatenate([self.current_decay, self.membrane_decay])
+        return int(np.count_nonzero((factors != 0) & (factors != 1)))
+
     @cached_property
     def bias_fan_out(self) -> int:
         """Non-zero biases: what the always-on axon costs in SOPs per timestep."""

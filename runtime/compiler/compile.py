@@ -1,6 +1,6 @@
 """The compiler: an artifact becomes the program of a chip; and the check of all design rules."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,7 +89,8 @@ def _program(
     remarks: Sequence[str],
 ) -> Program:
     """What the layers become together, with those that the host integrates."""
-    output, readout, outlets = _ways_out(graph, artifact.convention, bool(host))
+    silent = {layer.name for layer in (*layers, *host) if not layer.spiking}
+    output, readout, outlets = _ways_out(graph, artifact.convention, bool(host), silent)
     if host and output in {layer.name for layer in host}:
         output = layers[-1].name
     return Program(
@@ -110,14 +111,13 @@ def _program(
 
 def _on_host(layer: Layer, chip_name: str) -> str:
     """What the host does for a readout layer, in a sentence."""
-    decays = 2 - (not layer.current_decay.any())
     fan_outs = [
         f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
         for synapses in layer.synapses
     ]
     return (
         f"readout {layer.name!r}: membranes do not leave {chip_name}, so the host integrates it in "
-        f"float64: {decays * layer.size} multiplications in each timestep, and on average "
+        f"float64: {layer.multiplications} multiplications in each timestep, and on average "
         f"{', '.join(fan_outs)}"
     )
 
@@ -174,11 +174,12 @@ def _window(artifact: Artifact) -> int | None:
 
 
 def _ways_out(
-    graph: LayerGraph, convention: Convention, on_host: bool
+    graph: LayerGraph, convention: Convention, on_host: bool, silent: Collection[str]
 ) -> tuple[str, Readout | None, tuple[HostOutput, ...]]:
     """The layer that leaves the chip and its readout; outlets where there is more than that.
 
     on_host: whether the host integrates a layer, which only outlets can say.
+    silent: names of the readout layers; where there are some, the host remembers what is late.
     """
     taps = [tap for outlet in graph.outlets for tap in outlet.taps]
     first, outlet = taps[0], graph.outlets[0]
@@ -186,7 +187,7 @@ def _ways_out(
         plain = first.weight is None and not first.lag and not outlet.bias.any()
         weight = np.eye(outlet.port.size) if first.weight is None else first.weight
         return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
-    if not on_host and convention.state == "kept" and any(tap.lag for tap in taps):
+    if not silent and convention.state == "kept" and any(tap.lag for tap in taps):
         raise RuleError(
             f"rule delay: node {outlet.port.name!r}: it receives several layers, some of "
             "them late, while states are kept. Remove the delay before it, or choose state 'reset'."
@@ -232,7 +233,8 @@ def check(artifact: Artifact, on: Chip) -> DesignCheck:
 def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
     """Whether it compiles; without limits where a rule has already failed."""
     try:
-        compile_program(artifact, on, limits=limits)
+        program = compile_program(artifact, on, limits=limits)
     except SpikedeployError as error:
         return RuleResult(COMPILE, None, "fail", str(error))
-    return RuleResult(COMPILE, None, "pass", "a program")
+    note = "; ".join(program.remarks) if program.reads_membranes else ""
+    return RuleResult(COMPILE, None, "pass", "a program", note=note)

@@ -211,10 +211,12 @@ class Program:
 
     def _check(self, layer: Layer, synapses: Synapses, presynaptic: set[str]) -> None:
         edge = f"layer {layer.name!r}: the synapses from {synapses.source!r}"
+        way_out = "" if layer.spiking else " Or let the host integrate it: membrane_output=none."
         if synapses.delay > self.chip.delay_max:
             raise RuleError(
                 f"rule delay: {edge} need a delay of {synapses.delay} timesteps; {self.chip.name} "
                 f"has at most {self.chip.delay_max}. Shorten the delay, or the skip connection."
+                f"{way_out}"
             )
         if self.lag(layer, synapses) < 0 or (
             synapses.delay == 0 and synapses.source not in presynaptic

@@ -6,6 +6,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.limits import READOUTS
 from spikedeploy.runtime.design_rules.rule import (
     PlacedNetwork,
     RuleResult,
@@ -34,7 +35,11 @@ def primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
             yield RuleResult("primitive", name, "pass", kind, note="computed by the host")
         else:
             remedy = "Replace the node, or run the network in float."
-            yield allowed("primitive", name, kind, design.limits.primitives, remedy)
+            possible: tuple[str, ...] = design.limits.primitives
+            if kind in READOUTS and design.network.leaving(name):
+                kind = f"{kind} before neurons"
+                possible = tuple(each for each in possible if each not in READOUTS)
+            yield allowed("primitive", name, kind, possible, remedy)
 
 
 def reset(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -78,6 +83,8 @@ def recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
 def decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
     """What a current and a membrane lose in a timestep is rounded to what the registers hold."""
     for name, neuron in sorted(design.neurons.items()):
+        if name in design.network.host:
+            continue
         losses = {"membrane": (1 - neuron.membrane_decay, design.limits.membrane_loss)}
         if neuron.current_decay is not None:
             losses["current"] = (1 - neuron.current_decay, design.limits.current_loss)

@@ -73,7 +73,7 @@ def design(artifact: Artifact, chip: Chip, limits: Limits) -> PlacedNetwork:
         artifact=artifact,
         chip=chip,
         limits=limits,
-        network=topology(artifact.graph),
+        network=topology(artifact.graph, chip.membrane_output != "none"),
         neurons={
             name: discretise(name, node, artifact.convention)
             for name, node in artifact.graph.nodes.items()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.design_rules.fan import SynapseCounts, merged, one_to_one, through
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.graph.neurons import NEURONS
+from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
 from spikedeploy.runtime.graph.order import Edge, order, sources
 
 Counts = NDArray[np.int64]
@@ -75,7 +75,8 @@ class Topology:
 
     inputs: M of each input.
     populations: in an order in which those that close no loop come after their sources.
-    host: names of the maps behind the last neurons, which the host computes.
+    host: names of the maps behind the last neurons, which the host computes, and of the neurons
+        that it integrates.
     """
 
     inputs: dict[str, int]
@@ -92,19 +93,24 @@ class Topology:
         return np.sum(out, axis=0) if out else np.zeros(1, np.int64)
 
 
-def topology(graph: nir.NIRGraph) -> Topology:
-    """The topology of a sound, flat graph."""
+def topology(graph: nir.NIRGraph, membranes: bool = True) -> Topology:
+    """The topology of a sound, flat graph.
+
+    membranes: whether they can leave the chip; else the host integrates neurons without a
+        threshold that only outputs are reached from.
+    """
     names, late = _order(graph)
     ways = _ways(graph, names, late)
     ahead = {name: {t for s, t in graph.edges if s == name} for name in graph.nodes}
+    host = _host(graph, ahead, (*SPIKING, nir.Threshold) if not membranes else _POPULATIONS)
     return Topology(
         inputs={name: _size(node) for name, node in sorted(graph.inputs.items())},
         populations=tuple(
-            _population(graph, name, ways, late, ahead)
+            _population(graph, name, ways, late, ahead[name] & (host | set(graph.outputs)))
             for name in names
-            if isinstance(graph.nodes[name], _POPULATIONS)
+            if isinstance(graph.nodes[name], _POPULATIONS) and name not in host
         ),
-        host=tuple(sorted(_host(graph, ahead))),
+        host=tuple(sorted(host)),
     )
 
 
@@ -153,8 +159,9 @@ def _population(
     name: str,
     ways: dict[str, dict[str, SynapseCounts]],
     late: frozenset[Edge],
-    ahead: dict[str, set[str]],
+    leaving: set[str],
 ) -> Population:
+    """The population of a node; what of it leaves the chip goes to the `leaving`."""
     node = graph.nodes[name]
     presynaptic = tuple(
         Projection(source, name, fan) for source, fan in _arriving(graph, name, ways, late)
@@ -165,7 +172,7 @@ def _population(
         shape=tuple(int(n) for n in node.output_type["output"]),
         presynaptic=presynaptic,
         biased=any(projection.fan.biased for projection in presynaptic),
-        leaves=bool(ahead[name] & (_host(graph, ahead) | set(graph.outputs))),
+        leaves=bool(leaving),
         decays=_different(node, ("tau", "tau_syn", "tau_mem")),
         thresholds=_different(node, ("v_threshold", "threshold")),
     )
@@ -177,15 +184,17 @@ def _different(node: nir.NIRNode, fields: tuple[str, ...]) -> int:
     return len(np.unique(np.stack(found), axis=1).T) if found else 1
 
 
-def _host(graph: nir.NIRGraph, ahead: dict[str, set[str]]) -> set[str]:
-    """Maps from which only outputs are reached, and no neuron."""
+def _host(
+    graph: nir.NIRGraph, ahead: dict[str, set[str]], on_chip: tuple[type[nir.NIRNode], ...]
+) -> set[str]:
+    """Nodes from which only outputs are reached, and none of the kinds that a chip computes."""
     found: set[str] = set()
     waiting = list(graph.outputs)
     while waiting:
         target = waiting.pop()
         for name in sources(graph, target):
             node = graph.nodes[name]
-            inside = isinstance(node, (*_POPULATIONS, nir.Input)) or name in found
+            inside = isinstance(node, (*on_chip, nir.Input)) or name in found
             if not inside and ahead[name] <= found | set(graph.outputs):
                 found.add(name)
                 waiting.append(name)

@@ -125,8 +125,11 @@ class Backend(Protocol):
     def membranes(self, layer: str) -> NDArray[Any]:
         """Membranes (T, B, N) of a layer after each timestep of the last window [state units].
 
-        Where T is above 1 the schedule must have a trace.
+        Where T is above 1 the schedule must have a trace, for spikes too.
         """
+
+    def spikes(self, layer: str) -> NDArray[Any]:
+        """Spikes (T, B, N) of a layer in the last window."""
 
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""

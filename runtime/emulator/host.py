@@ -56,12 +56,10 @@ class Host:
         """(T, B, N) of the input and of all that leaves the chip: spikes, or membranes."""
         program = self._program
         rows = {program.input: raster.astype(np.float64)}
-        spiking = [name for name in program.to_host if program.layer(name).spiking]
-        seen = backend.recordings() if spiking else {}
         for name in program.to_host:
             layer = program.layer(name)
             if layer.spiking:
-                rows[name] = seen[name].spikes.swapaxes(0, 1).astype(np.float64)
+                rows[name] = backend.spikes(name).astype(np.float64)
             else:
                 rows[name] = backend.membranes(name) * layer.scale
         return rows

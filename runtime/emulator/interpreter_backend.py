@@ -75,6 +75,10 @@ class InterpreterBackend:
         """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
         return np.asarray(self._traces[layer].membrane.swapaxes(0, 1))
 
+    def spikes(self, layer: str) -> NDArray[Any]:
+        """Spikes (T, B, N) of a layer in the last window."""
+        return np.asarray(self._traces[layer].spikes.swapaxes(0, 1))
+
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""
         states = self._interpreter.states

@@ -81,7 +81,7 @@ class Machine:
         self.program, self.batch = program, batch
         self.recordings: dict[str, Recording] = {}
         # where several layers leave the chip, the host needs the spikes of all
-        self._trace = trace or bool(program.outlets)
+        self._trace = trace or (bool(program.outlets) and not program.reads_membranes)
         self._host = Host(program, batch) if program.reads_membranes else None
         self._backend_class = backend_class(program, backend)
         self._ledger = (

@@ -5,6 +5,7 @@ by another table.
 
 energy           energy and time of a ledger by a table
 energy_tables    the tables, with source and uncertainty, and static power of chips
+host_work        what the host computes for readouts
 memory           bits read and written
 neurobench       NeuroBench's metrics by its own formulas
 traffic          messages between cores under a layout

@@ -38,7 +38,8 @@ class NeuroBench:
         constants of the neurons.
     footprint_packed: [bytes] of weights and biases in the chip's widths; not of NeuroBench.
     connection_sparsity: fraction of all weights that is 0, to 4 decimals.
-    activation_sparsity: fraction of all neurons and timesteps without a spike.
+    activation_sparsity: fraction of all neurons and timesteps without a spike, of the layers that
+        can spike; 0 where none can.
     activation_sparsity_by_layer: the same of each layer.
     effective_macs, effective_acs: products of non-zero inputs and non-zero weights; MACs in the
         timesteps in which some input of the matrix is neither 0 nor 1, ACs in the others.
@@ -98,9 +99,9 @@ def neurobench(
     membranes: (B, T, N) of each layer after each timestep, resets included.
     """
     samples = len(spikes[program.input])
-    acs, macs = _synaptic_operations(program, spikes)
+    acs, macs = _synaptic_operations(program, _sent(program, spikes, membranes))
     timesteps = spikes[program.input].shape[1]
-    layers = {layer.name: spikes[layer.name] for layer in program.layers}
+    layers = {layer.name: spikes[layer.name] for layer in program.spiking}
     updates = _updates(membranes) if membranes is not None else None
     operations = _neuron_operations(program)
     each = {layer.name: timesteps * layer.size for layer in program.layers}
@@ -144,10 +145,28 @@ def connection_sparsity(graph: nir.NIRGraph) -> float:
 
 
 def sparsity(rasters: Any) -> float:  # noqa: ANN401
-    """Fraction of all neurons and timesteps of some rasters without a spike."""
+    """Fraction of all neurons and timesteps of some rasters without a spike; 0 of none."""
     rasters = list(rasters)
     every = sum(rows.size for rows in rasters)
+    if not every:
+        return 0.0
     return float((every - sum(np.count_nonzero(rows) for rows in rasters)) / every)
+
+
+def _sent(
+    program: Program,
+    spikes: Mapping[str, NDArray[Any]],
+    membranes: Mapping[str, NDArray[Any]] | None,
+) -> dict[str, NDArray[Any]]:
+    """(B, T, N) of what each layer sends: spikes, or 2 for a membrane, which is no spike."""
+    sent = dict(spikes)
+    for layer in program.layers:
+        if not layer.spiking:
+            ones = np.ones((*spikes[program.input].shape[:2], layer.size), np.uint8)
+            sent[layer.name] = 2 * (ones if membranes is None else membranes[layer.name] != 0)
+    for layer in program.host:
+        sent[layer.name] = np.full((*spikes[program.input].shape[:2], layer.size), 2, np.uint8)
+    return sent
 
 
 def _synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
@@ -187,6 +206,10 @@ def _presynaptic(
         for synapses, lag in zip(layer.synapses, lags, strict=True):
             rows = spikes[synapses.source]
             yield rows[:, : rows.shape[1] - lag], synapses.fan_out
+    for layer in program.host:
+        for synapses in layer.synapses:
+            rows = spikes[synapses.source]
+            yield rows[:, : max(rows.shape[1] - synapses.delay, 0)], synapses.fan_out
     for tap in (tap for outlet in program.outlets for tap in outlet.taps):
         if tap.weight is not None:
             rows = spikes[tap.layer]

@@ -51,6 +51,7 @@ def chips(
                 {
                     **dict(zip((c.replace(" ", "_") for c in CHIP_COLUMNS), row, strict=True)),
                     "resets": each.resets,
+                    "membrane_output": each.membrane_output,
                     "summary": each.summary,
                     "energy_tables": each.energy_tables,
                     "sources": each.sources,

@@ -105,6 +105,7 @@ def _chip(found: DesignCheck) -> dict[str, Any]:
     return {
         "chip": found.chip.name,
         "passed": found.passed,
+        "membrane_output": found.chip.membrane_output,
         "rules": statuses(found),
         "rulings": [ruling.as_json() for ruling in found.rulings],
         "mapping": {

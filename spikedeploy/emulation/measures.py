@@ -17,6 +17,7 @@ from spikedeploy.runtime.metrics.energy import (
     latency_estimate,
     static_energy,
 )
+from spikedeploy.runtime.metrics.host_work import HostWork, host_work
 from spikedeploy.runtime.metrics.memory import MemoryTraffic, memory_traffic
 from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
 from spikedeploy.runtime.metrics.xylo_clocks import TIME_MODELS
@@ -31,6 +32,7 @@ class Measures:
     memory      layer -> weights and states read and written
     latencies   energy table -> [s]; for a Xylo from its clock cycles
     static      energy table -> [J] of static power in that time, where it is known
+    host        operations of the host for readouts that the chip has no way out for, or None
     """
 
     neurobench: NeuroBench
@@ -38,6 +40,7 @@ class Measures:
     memory: Mapping[str, MemoryTraffic]
     latencies: Mapping[str, EnergyEstimate]
     static: Mapping[str, float]
+    host: HostWork | None = None
 
     def as_json(self) -> dict[str, Any]:
         """All measurements as plain data."""
@@ -48,6 +51,7 @@ class Measures:
             "latency_s": {name: each.value for name, each in self.latencies.items()},
             "latency_interval_s": {n: [each.low, each.high] for n, each in self.latencies.items()},
             "static_energy_j": dict(self.static),
+            "host": asdict(self.host) if self.host else None,
         }
 
 
@@ -66,6 +70,7 @@ def measured(
         memory_traffic(ledger, program),
         latencies,
         {name: static_energy(t.value, power) for name, t in latencies.items()} if power else {},
+        host_work(program, spikes),
     )
 
 

@@ -81,6 +81,17 @@ class Emulation:
             for name, rows in self.spikes.items()
         }
 
+    def readouts(self) -> dict[str, dict[str, int]]:
+        """Readout layer on the chip -> neurons, SOPs and messages; it never spikes."""
+        if self.ledger is None:
+            return {}
+        neurons = dict(zip(self.ledger.layers, self.ledger.neurons, strict=True))
+        sops, messages = self.ledger.by_layer("sop"), self.ledger.by_layer("message")
+        return {
+            name: {"neurons": neurons[name], "sops": sops[name], "messages": messages[name]}
+            for name in self.ledger.readouts
+        }
+
     def as_json(self) -> dict[str, Any]:
         """Counts over the whole raster, by layer too, energies, and the convention."""
         return {
@@ -96,6 +107,7 @@ class Emulation:
             "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
             **(self.measures.as_json() if self.measures else {"neurobench": None}),
             "layers": self.layers(),
+            "readouts": self.readouts(),
             "outputs": {name: list(rows.shape[1:]) for name, rows in self.outputs.items()},
             "uncounted": self.uncounted or None,
             "remarks": list(self.remarks),

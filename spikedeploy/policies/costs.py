@@ -106,11 +106,11 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
     return Costs(
         sparsity=ledger.sparsity,
         spikes=ledger.per_inference("spike_out"),
-        input_spikes=ledger.by_layer("spike_in")[program.layers[0].name] / ledger.inferences,
+        input_spikes=_input_spikes(ledger, program) / ledger.inferences,
         sops=sops,
         bias_sops=ledger.per_inference("bias_sop"),
         effective_acs=sops + _readout_acs(ledger, program),
-        effective_macs=0.0,  # every weight matrix takes spikes
+        effective_macs=_readout_macs(ledger, program),
         dense=_weights(program) * ledger.timesteps / ledger.inferences,
         saturations=ledger.total("saturation") if chip else None,
         # by every table, so that a report can choose
@@ -128,14 +128,32 @@ def priced_by(chip: Chip | None) -> tuple[str, ...]:
     return (*chip.energy_tables, "horowitz45-int8")
 
 
+def _input_spikes(ledger: Ledger, program: Program) -> int:
+    """Spikes of the input, as the first layer received them."""
+    return ledger.by_layer("spike_in")[program.layers[0].name]
+
+
 def _weights(program: Program) -> int:
     """All weights of all matrices, zeros and the readout included."""
-    weights = [s.weight.size for layer in program.layers for s in layer.synapses]
+    layers = (*program.layers, *program.host)
+    weights = [s.weight.size for layer in layers for s in layer.synapses]
     return sum(weights) + sum(weight.size for _, weight in program.readouts)
 
 
 def _readout_acs(ledger: Ledger, program: Program) -> float:
     """Accumulates of the host's readout; exact where all neurons have the same fan-out."""
-    spikes = ledger.by_layer("spike_out")
-    fan_outs = [(np.count_nonzero(weight, axis=1).mean(), of) for of, weight in program.readouts]
+    spikes = {**ledger.by_layer("spike_out"), program.input: _input_spikes(ledger, program)}
+    taken = [(s.source, s.weight) for layer in program.host for s in layer.synapses]
+    fan_outs = [
+        (np.count_nonzero(weight, axis=1).mean(), of)
+        for of, weight in (*program.readouts, *taken)
+        if of in spikes
+    ]
     return float(sum(fan_out * spikes[of] for fan_out, of in fan_outs) / ledger.inferences)
+
+
+def _readout_macs(ledger: Ledger, program: Program) -> float:
+    """Multiply-accumulates of the host with membranes; all other matrices take spikes."""
+    graded = {layer.name for layer in (*program.layers, *program.host) if not layer.spiking}
+    products = [np.count_nonzero(weight) for of, weight in program.readouts if of in graded]
+    return float(sum(products) * ledger.timesteps / ledger.inferences)

@@ -22,6 +22,8 @@ def tables(report: DriftReport) -> Iterator[Table]:
     drift = report.drift
     yield f"Drift of {report.policy} on {drift.chip}", ("what", "found"), _summary(report)
     yield "Layers", _LAYER_HEADS, _layers(drift)
+    if drift.readouts:
+        yield "Readouts", _READOUT_HEADS, _readouts(drift)
     if drift.ablation:
         yield (
             "Which rounding costs what",
@@ -52,6 +54,23 @@ _LAYER_HEADS = (
     "saturations",
     "first difference",
 )
+
+
+_READOUT_HEADS = ("readout", "neurons", "error, rms", "range, float", "register", "saturations")
+
+
+def _readouts(drift: Drift) -> list[tuple[str, ...]]:
+    return [
+        (
+            each.name,
+            f"{each.neurons:,}",
+            f"{each.rms:.4g}",
+            f"{each.range:.4g}",
+            "–" if each.filled is None else f"{each.filled:.1%} filled",
+            f"{each.saturations:,}",
+        )
+        for each in drift.readouts
+    ]
 
 
 def markdown(report: DriftReport) -> str:

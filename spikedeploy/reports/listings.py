@@ -12,13 +12,19 @@ from spikedeploy.runtime.metrics.energy import (
     describe_certainty,
 )
 
-CHIP_COLUMNS = ("name", "neurons", "weights", "membrane", "resets", "compared with")
+CHIP_COLUMNS = ("name", "neurons", "weights", "membrane", "resets", "readouts", "compared with")
 
 
 def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
     """A row of COLUMNS for each chip."""
     return [
-        (chip.name, *chip.arithmetic.describe(), ", ".join(chip.resets), chip.evidence)
+        (
+            chip.name,
+            *chip.arithmetic.describe(),
+            ", ".join(chip.resets),
+            "on the host" if chip.membrane_output == "none" else chip.membrane_output,
+            chip.evidence,
+        )
         for chip in chips
     ]
 

@@ -61,6 +61,7 @@ def print_emulation(emulation: Emulation) -> None:
         },
         **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **energies,
+        **({"host": _host(found["host"])} if found.get("host") else {}),
         **({"not counted": escape(emulation.uncounted)} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
@@ -76,9 +77,18 @@ def print_emulation(emulation: Emulation) -> None:
         )
         for name, layer in found["layers"].items()
     ]
+    rows += [
+        (escape(name), f"{readout['neurons']:,}", "–", "–", f"{readout['sops']:,}")
+        for name, readout in found["readouts"].items()
+    ]
     if rows:
         heads = ("layer", "neurons", "spikes", "rate", "SOPs")
         print_table("Layers; rate per neuron and timestep", heads, rows, numbers=True)
+
+
+def _host(work: Mapping[str, int]) -> str:
+    """What the host does for readouts."""
+    return f"{work['multiplications']:,} multiplications, {work['additions']:,} additions"
 
 
 def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:

@@ -238,6 +238,12 @@ def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> No
     """A layer with weights must not lose all of them to the range of its threshold or bias."""
     before = max(_magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
+        if not layer.spiking:
+            raise RuleError(
+                f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
+                f"{before:g}, is too small beside its bias, or beside what its registers would "
+                "have to hold. Choose a faster leak, or headroom 'none'."
+            )
         raise RuleError(
             f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
             f"{before:g}, is too small beside its threshold ({_magnitude(layer.threshold):g}, of "

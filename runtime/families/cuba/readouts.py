@@ -36,19 +36,19 @@ def exponent_and_share(
     scale: mantissas per float unit, (N,) or one for all.
     """
     unit = scale * (1 << registers.mantissa_shift)
-    arriving, reach = _arriving(layer), _reach(layer)
     states = min(registers.current.limit, registers.push.limit, registers.membrane.limit)
     widest_bias = registers.bias_mantissa_max << registers.bias_exponent_max
     filled = max(
-        _most(reach * unit) / (_SHARE * states),
-        _most(arriving * unit) / registers.accumulator.limit,
+        _most(_reach(layer) * unit) / (_SHARE * states),
         _most(np.abs(layer.voltage_bias) * unit) / max(widest_bias, 1),
     )
     if filled > 1:
         return 0, 1 / filled
+    # whatever arrives at once is to fit the accumulator, or kernels would be slow
+    filled = max(filled, _most(_arriving(layer) * unit) / registers.accumulator.limit)
     widest = int(np.log2(_WIDEST // registers.weight_max))
     most = min(registers.weight_exponent_max, widest)
-    return (min(int(np.log2(1 / filled)), most) if filled else 0), 1.0
+    return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
 
 
 def range_of(layer: Layer, registers: CubaRegisters) -> str:
@@ -83,10 +83,9 @@ def _weighed(layer: Layer) -> tuple[Floats, Floats, Floats]:
 
 
 def _arriving(layer: Layer) -> Floats:
-    """The most that arrives in a timestep (N,), no more than NET_EVENTS of the heaviest synapse."""
-    positive, negative, heaviest = _weighed(layer)
-    most = np.minimum(np.maximum(positive, negative), NET_EVENTS * heaviest)
-    return np.asarray(most + np.abs(layer.bias))
+    """The most that arrives in a timestep (N,)."""
+    positive, negative, _ = _weighed(layer)
+    return np.asarray(np.maximum(positive, negative) + np.abs(layer.bias))
 
 
 def _reach(layer: Layer) -> Floats:

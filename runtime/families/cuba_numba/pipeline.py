@@ -101,6 +101,11 @@ class NumbaPipeline:
         rows = states[:, 1:] if self.schedule.trace else states[:, :1]
         return np.asarray(rows[:, :, 1].swapaxes(0, 1))
 
+    def spikes(self, layer: str) -> NDArray[Any]:
+        """Spikes (T, B, N) of a layer in the last window."""
+        place = [each.name for each in self._program.layers].index(layer)
+        return np.asarray(self._memory.rows(place + 1).swapaxes(0, 1))
+
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer."""
         names = [layer.name for layer in self._program.layers]

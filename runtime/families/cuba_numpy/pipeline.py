@@ -150,6 +150,12 @@ class NumpyPipeline:
             return np.stack(rows)
         return next(each.states[1:, 1] for each in self._windows if each.layer.name == layer)
 
+    def spikes(self, layer: str) -> NDArray[Any]:
+        """Spikes (T, B, N) of a layer in the last window."""
+        if self._recorded:
+            return np.stack([recording[layer].spikes[:, 0] for recording in self._recorded])
+        return self._output_spikes[layer].rows
+
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer."""
         dtype = np.int64 if self._fixed else np.float64

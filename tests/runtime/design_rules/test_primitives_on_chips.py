@@ -6,7 +6,7 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import CHIPS, chip
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from tests.networks import chain
@@ -24,6 +24,16 @@ def neurons(kind, *shape):
     if kind == "LIF":
         return nir.LIF(membrane, gain, zero, threshold, zero)
     return nir.CubaLIF(current, membrane, gain, zero, threshold, zero, gain / 2)
+
+
+def readout(kind):
+    """Neurons without a threshold; their membranes keep 7/8."""
+    zero, gain, leak = (np.full(4, float(v)) for v in (0, 8, 8e-3))
+    if kind == "I":
+        return nir.I(np.full(4, 1000.0))
+    if kind == "LI":
+        return nir.LI(leak, gain, zero)
+    return nir.CubaLI(leak / 2, leak, gain, zero, gain / 2)
 
 
 def convolved(kind):
@@ -45,6 +55,9 @@ def network(primitive, kind):
     width = [1, 4, 4] if primitive.startswith("Conv") else 4
     last = [neurons(kind, 4), nir.Linear(np.eye(4)), neurons(kind, 4)]
     return chain(*former, *last, width=width, act=4)
+
+
+READOUTS = ("LI", "CubaLI", "I")
 
 
 def table():
@@ -77,3 +90,39 @@ def test_a_chip_has_what_the_page_says(name, primitive):
     else:
         with pytest.raises(RuleError, match=f"^rule {cells[primitive]}: "):
             compile_program(artifact, on)
+
+
+@pytest.mark.parametrize("name", CHIPS)
+@pytest.mark.parametrize("primitive", READOUTS)
+def test_a_chip_reads_what_the_page_says(name, primitive):
+    cell, on = table()[name][primitive], chip(name)
+    kind = "IF" if table()[name]["IF"] == "yes" else "LIF"
+    nodes = [nir.Linear(np.eye(4)), neurons(kind, 4), nir.Linear(np.eye(4)), readout(primitive)]
+    artifact = Artifact(chain(*nodes, width=4, act=4), None, Convention(DT, on.resets[0]))
+    if cell in ("yes", "host"):
+        program = compile_program(artifact, on)
+        assert [layer.name for layer in program.host] == (["n4"] if cell == "host" else [])
+        assert check(artifact, on).passed
+    else:
+        with pytest.raises(RuleError, match=f"^rule {cell}: "):
+            compile_program(artifact, on)
+
+
+@pytest.mark.parametrize("name", ["loihi1", "spinnaker2", "truenorth"])
+def test_membranes_between_neurons_break_the_rule_of_kinds(name):
+    nodes = [neurons("IF", 4), readout("LI"), nir.Linear(np.eye(4)), neurons("IF", 4)]
+    artifact = Artifact(chain(*nodes, width=4, act=4), None, Convention(DT, "zero"))
+    (broken,) = [r for r in check(artifact, chip(name)).of("primitive") if r.failed]
+    assert (broken.node, broken.found) == ("n2", "LI before neurons")
+
+
+@pytest.mark.parametrize("name", ["loihi1", "loihi1:membrane_output=none"])
+def test_readouts_take_cores_where_they_are_on_the_chip(name):
+    nodes = [nir.Linear(np.eye(4)), neurons("LIF", 4), nir.Linear(np.eye(4)), readout("LI")]
+    artifact = Artifact(chain(*nodes, width=4, act=4), None, Convention(DT, "zero"))
+    found = check(artifact, chip(name))
+    here = "none" not in name
+    assert [p.name for p in found.mapping.placements] == ["input", "n2", "n4"][: 2 + here]
+    assert {r.node for r in found.of("fan-in") if r.found} == ({"n2", "n4"} if here else {"n2"})
+    (compiled,) = found.of("compile")
+    assert ("the host integrates it" in compiled.note) != here

@@ -81,6 +81,7 @@ def test_its_datasheet_has_a_row_beside_the_others():
         weights,
         membrane,
         "zero",
+        "on the host",
         "compared with nothing",
     )
 

@@ -46,6 +46,7 @@ LAYER = {
 CHIP = {
     "chip": str,
     "passed": bool,
+    "membrane_output": str,
     "rules": dict,
     "rulings": list,
     "mapping": dict,

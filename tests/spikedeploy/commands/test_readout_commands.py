@@ -1,0 +1,114 @@
+"""Files that end in readouts, on the command line: check, emulate, drift, and a robot's loop."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from tests.networks import ORIGIN
+from tests.readouts import ACTIONS, INPUTS, events, network
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for kind in ("second", "only"):
+        save(network(kind), tmp_path / f"{kind}.nir")
+    np.save(tmp_path / "raster.npy", events()[0])
+    return tmp_path
+
+
+def told(command, *arguments):
+    code, out, err = command(*arguments)
+    assert (code, err) == (0, ""), err
+    return out
+
+
+def emulated(command, file, chip_name, *more):
+    return told(
+        command, "emulate", file, "--chip", chip_name, "--input", "raster.npy", "-o", "o.npz", *more
+    )
+
+
+@pytest.mark.parametrize("file", ["second.nir", "only.nir"])
+def test_emulate_reports_readouts_apart_from_spiking_layers(command, files, file):
+    found = json.loads(emulated(command, file, "loihi1", "--json"))
+    assert "fast" in found["readouts"]
+    assert not found["readouts"].keys() & found["layers"].keys()
+    each = [*found["layers"].values(), *found["readouts"].values()]
+    assert sum(layer["sops"] for layer in each) == found["sops"]
+    assert found["readouts"]["fast"]["messages"] >= 25 * ACTIONS
+    assert found["host"] is None
+    assert any("net spikes over a heaviest synapse" in remark for remark in found["remarks"])
+    twin = json.loads(emulated(command, file, "float", "--json"))
+    if file == "only.nir":  # no spike of a hidden neuron that rounding could move
+        assert twin["sops"] == found["sops"]
+    assert np.load("o.npz")["output"].shape == (25, ACTIONS)
+
+
+def test_emulate_counts_what_the_host_computes(command, files):
+    found = json.loads(emulated(command, "second.nir", "loihi1:membrane_output=none", "--json"))
+    # a membrane, and a current with its membrane, of three neurons each, in 25 timesteps
+    assert found["host"]["multiplications"] == 25 * 3 * ACTIONS
+    assert found["host"]["additions"] > 0
+    text = emulated(command, "second.nir", "loihi1:membrane_output=none")
+    assert f"{25 * 3 * ACTIONS} multiplications" in text
+
+
+def test_check_tells_the_range_and_the_way_out(command, files):
+    text = told(command, "check", "second.nir", "--chip", "loihi1")
+    assert "compile: readout 'fast': its leaks do not bound what it adds up" in text
+    (found,) = json.loads(told(command, "check", "second.nir", "--chip", "loihi2", "--json"))[
+        "chips"
+    ]
+    assert found["membrane_output"] == "graded"
+    assert found["passed"]
+
+
+@pytest.mark.parametrize("file", ["second.nir", "only.nir"])
+def test_drift_has_a_table_of_readouts(command, files, file):
+    text = told(command, "drift", file, "--chip", "loihi1", "--input", "raster.npy")
+    assert "Readouts" in text
+    assert "filled" in text
+    found = json.loads(told(command, "drift", file, "--input", "raster.npy", "--json"))
+    assert "fast" in json.dumps(found)
+
+
+def test_chips_say_how_membranes_leave(command):
+    found = {each["name"]: each for each in json.loads(told(command, "chips", "--json"))}
+    assert found["loihi1"]["membrane_output"] == "probe"
+    assert found["truenorth"]["membrane_output"] == "none"
+    assert found["xylo-a2"]["sources"]["membrane_output"].startswith("rockpool")
+
+
+def policy():
+    """One timestep a control step, and states that live on."""
+    code = RateEncoder(np.full(INPUTS, -1.0), np.ones(INPUTS))
+    identity = Normaliser(np.zeros(INPUTS), np.ones(INPUTS), 1.0)
+    bare = network("second")
+    return Artifact(bare.graph, Codec(identity, code, 1, "tanh"), bare.convention, ORIGIN)
+
+
+@pytest.mark.parametrize("name", ["float", "ideal", "loihi1", "loihi1:membrane_output=none"])
+def test_a_policy_of_one_timestep_acts_as_its_copies_and_its_file_do(name, tmp_path):
+    save(policy(), tmp_path / "p.nir")
+    on = None if name == "float" else chip(name)
+    rng = np.random.default_rng(0)
+    observations = rng.uniform(-1, 1, (20, 4, INPUTS))
+    controller = SpikingController(load(tmp_path / "p.nir"), on)
+    controller.reset(7)
+    first = [controller.act_batch(row) for row in observations[:10]]
+    twin = copy.deepcopy(controller)
+    rest = [controller.act_batch(row) for row in observations[10:]]
+    np.testing.assert_array_equal([twin.act_batch(row) for row in observations[10:]], rest)
+    controller.reset(7)
+    np.testing.assert_array_equal(
+        [controller.act_batch(row) for row in observations], [*first, *rest]
+    )
+    assert np.ptp(rest) > 0
