@@ -63,8 +63,8 @@ def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
     k = np.arange(1, policy.most + 1)
     each = k if policy.code == "one-hot" else np.ones_like(k)
     signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
-    moved = weight * _array(policy.step)
-    return (moved[:, :, None] * signed).reshape(len(weight), -1)
+    moved: Array = weight * _array(policy.step)
+    return np.reshape(moved[:, :, None] * signed, (len(weight), -1))
 
 
 def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
@@ -73,7 +73,7 @@ def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
     sign = np.array([[1], [-1]])
     signed = np.where(_used(policy).numpy(), events, 0)[:, :, None, None] * sign
     spikes = signed == k if policy.code == "one-hot" else signed >= k
-    return spikes.reshape(len(events), -1).astype(np.uint8)
+    return np.reshape(spikes, (len(events), -1)).astype(np.uint8)
 
 
 def _used(policy: DeltaSnnPolicy) -> Tensor:
@@ -125,4 +125,5 @@ def _readout(policy: DeltaSnnPolicy, dt: float) -> nir.LI:
 
 
 def _array(tensor: Tensor) -> Array:
-    return tensor.detach().cpu().numpy().astype(np.float64)
+    array: Array = tensor.detach().cpu().numpy().astype(np.float64)
+    return array

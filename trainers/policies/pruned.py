@@ -26,18 +26,18 @@ class PrunedWeight(nn.Module):
 
     @property
     def fan_out(self) -> Tensor:
-        """Synapses (M,) that are left of each presynaptic neuron."""
+        """SynapseGroup (M,) that are left of each presynaptic neuron."""
         return self.mask.sum(0)
 
     @property
     def fan_in(self) -> Tensor:
-        """Synapses (N,) that are left onto each neuron."""
+        """SynapseGroup (N,) that are left onto each neuron."""
         return self.mask.sum(1)
 
 
 @dataclass(frozen=True)
-class Synapses:
-    """Synapses of one kind, for penalties and pruning.
+class SynapseGroup:
+    """SynapseGroup of one kind, for penalties and pruning.
 
     matrix: their weights and masks
     rate: (M,) mean number of operations that one synapse of each presynaptic neuron takes in a

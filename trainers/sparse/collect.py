@@ -94,9 +94,6 @@ class Episodes:
                 crashed[k] = terminated and not infos[k].get("success", False)
         if label is None:
             return [], totals.tolist(), infos
-        arrays = [np.stack(rows, axis=1).astype(np.float32) for rows in (seen, labels)]
-        walks = [
-            Walk(*(rows[k, :n] for rows in arrays), crashed=bool(crashed[k]))
-            for k, n in enumerate(lengths)
-        ]
+        shown, wanted = (np.stack(rows, axis=1).astype(np.float32) for rows in (seen, labels))
+        walks = [Walk(shown[k, :n], wanted[k, :n], bool(crashed[k])) for k, n in enumerate(lengths)]
         return walks, totals.tolist(), infos

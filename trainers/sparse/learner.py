@@ -49,8 +49,9 @@ class SparseLearner:
         synapses, squares = self.student.synapses(), self._squares()
         if not squares:
             return
-        if len(self.student.hidden_rate) and len(synapses) > 1:
-            remove_neurons(*synapses[:2], squares, self._config.neuron_cost, _REMOVED)
+        if len(self.student.hidden_rate):
+            into, out, *_ = synapses
+            remove_neurons(into, out, squares, self._config.neuron_cost, _REMOVED)
         prune(synapses, squares, goal)
 
     def _squares(self) -> Mapping[PrunedWeight, Tensor]:

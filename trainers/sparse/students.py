@@ -13,7 +13,7 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta_graph import delta_codec
 from spikedeploy.trainers.policies.delta_snn import DeltaWeights
-from spikedeploy.trainers.policies.pruned import Synapses
+from spikedeploy.trainers.policies.pruned import SynapseGroup
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import WalkPool
 
@@ -23,8 +23,11 @@ _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
 class Student(Protocol):
     """A policy that learns from walks."""
 
-    policy: Policy
     hidden_rate: Tensor
+
+    @property
+    def policy(self) -> Policy:
+        """What is trained."""
 
     def prepare(self, pool: WalkPool) -> None:
         """Take over new walks."""
@@ -32,7 +35,7 @@ class Student(Protocol):
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of a batch, and the hidden neurons' operations in a control step."""
 
-    def synapses(self) -> list[Synapses]:
+    def synapses(self) -> list[SynapseGroup]:
         """Return all synapses; those into and out of hidden neurons first."""
 
 
@@ -93,13 +96,13 @@ class DeltaStudent:
         kinds = {name: getattr(weights, name) + added for name, added in self.offsets.items()}
         return replace(weights, **kinds)
 
-    def synapses(self) -> list[Synapses]:
+    def synapses(self) -> list[SynapseGroup]:
         """Return all synapses; those into and out of hidden neurons first."""
         policy, events = self.policy, self._event_rate
         found = []
         if policy.hidden:
-            found = [Synapses(policy.into, events), Synapses(policy.out, self.hidden_rate)]
-        return [*found, Synapses(policy.past, events)] if policy.skip else found
+            found = [SynapseGroup(policy.into, events), SynapseGroup(policy.out, self.hidden_rate)]
+        return [*found, SynapseGroup(policy.past, events)] if policy.skip else found
 
 
 class MlpStudent:
@@ -120,7 +123,7 @@ class MlpStudent:
 
     @hidden_rate.setter
     def hidden_rate(self, rate: Tensor) -> None:
-        self._rates = list(rate.split(list(self.policy.hidden))) if len(rate) else []
+        self._rates = list(torch.split(rate, list(self.policy.hidden))) if len(rate) else []
 
     def prepare(self, pool: WalkPool) -> None:
         """Do nothing: states are drawn from the walks as they are."""
@@ -131,7 +134,6 @@ class MlpStudent:
         count = c.batch * (c.window - c.burn_in)
         observation, label = pool.states(rng, count, c.crash_windows, c.crash_steps)
         mean, inputs = self.policy.activations(observation)
-        matrices = list(self.policy.matrices)[1:]
         rates = [(hidden > 0).float().mean(0) for hidden in inputs[1:]]
         self._rates = [
             torch.lerp(a, b, _SMOOTHING) for a, b in zip(self._rates, rates, strict=True)
@@ -139,18 +141,18 @@ class MlpStudent:
         # the share of active neurons has no gradient; their activations stand for it
         costs = [
             (hidden.mean(0) * matrix.fan_out).sum()
-            for hidden, matrix in zip(inputs[1:], matrices, strict=True)
+            for hidden, matrix in zip(inputs[1:], self.policy.layers[1:], strict=True)
         ]
         error = imitation(mean, label, self.policy, c.sharpness).mean()
         return error, sum(costs, start=torch.zeros(()))
 
-    def synapses(self) -> list[Synapses]:
+    def synapses(self) -> list[SynapseGroup]:
         """Return all synapses; those into and out of hidden neurons first."""
         policy = self.policy
         always = torch.ones(policy.observations)
         rates = [always, *self._rates]
-        found = [Synapses(m, rate) for m, rate in zip(policy.matrices, rates, strict=True)]
-        return [*found, Synapses(policy.past, always)] if policy.skip else found
+        found = [SynapseGroup(m, rate) for m, rate in zip(policy.layers, rates, strict=True)]
+        return [*found, SynapseGroup(policy.past, always)] if policy.skip else found
 
 
 def student(policy: Policy, config: SparseConfig) -> Student:
