@@ -26,18 +26,18 @@ class PrunedWeight(nn.Module):
 
     @property
     def fan_out(self) -> Tensor:
-        """SynapseGroup (M,) that are left of each presynaptic neuron."""
+        """Synapses (M,) that are left of each presynaptic neuron."""
         return self.mask.sum(0)
 
     @property
     def fan_in(self) -> Tensor:
-        """SynapseGroup (N,) that are left onto each neuron."""
+        """Synapses (N,) that are left onto each neuron."""
         return self.mask.sum(1)
 
 
 @dataclass(frozen=True)
 class SynapseGroup:
-    """SynapseGroup of one kind, for penalties and pruning.
+    """Synapses of one kind, for penalties and pruning.
 
     matrix: their weights and masks
     rate: (M,) mean number of operations that one synapse of each presynaptic neuron takes in a
