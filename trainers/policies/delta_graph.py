@@ -40,15 +40,20 @@ def delta_artifact(
 
 
 def delta_codec(policy: DeltaSnnPolicy) -> Codec:
-    """Return the codec; observations that no synapse reads send nothing."""
+    """Return normaliser, encoder and decoder, as a file holds them."""
     normalizer = policy.normalizer
-    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
     return Codec(
         Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
-        DeltaEncoder(step, policy.most, policy.code, policy.events_above),
+        delta_encoder(policy),
         policy.timesteps,
         "argmax" if policy.head == "discrete" else "tanh",
     )
+
+
+def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
+    """Return the encoder; observations that no synapse reads send nothing."""
+    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
+    return DeltaEncoder(step, policy.most, policy.code, policy.events_above)
 
 
 def live_neurons(policy: DeltaSnnPolicy) -> Tensor:

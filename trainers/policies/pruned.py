@@ -29,11 +29,6 @@ class PrunedWeight(nn.Module):
         """Synapses (M,) that are left of each presynaptic neuron."""
         return self.mask.sum(0)
 
-    @property
-    def fan_in(self) -> Tensor:
-        """Synapses (N,) that are left onto each neuron."""
-        return self.mask.sum(1)
-
 
 @dataclass(frozen=True)
 class SynapseGroup:
