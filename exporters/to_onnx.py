@@ -51,7 +51,7 @@ def _macs(policy: MlpPolicy | PrunedMlpPolicy) -> int:
 
 def _fan_outs(policy: PrunedMlpPolicy) -> list[Tensor]:
     """Weights that are left of each input (M,) of each matrix; the skip's with the first."""
-    first, *others = (matrix.fan_out for matrix in policy.matrices)
+    first, *others = (matrix.fan_out for matrix in policy.layers)
     return [first + policy.past.fan_out if policy.skip else first, *others]
 
 
@@ -147,13 +147,13 @@ def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
 def _pruned_layers(graph: OnnxGraph, policy: PrunedMlpPolicy, seen: str) -> None:
     """Add the network with its skip connection, up to its output."""
     hidden = seen
-    pairs = zip(policy.matrices, policy.biases, strict=True)
+    pairs = zip(policy.layers, policy.biases, strict=True)
     for number, (matrix, bias) in enumerate(pairs, start=1):
         graph.presynaptic(hidden, matrix.weight.shape[1])
         weight = graph.constant(f"weight{number}", _array(matrix()))
         offset = graph.constant(f"bias{number}", _array(bias))
         hidden = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
-        if number < len(policy.matrices):
+        if number < len(policy.layers):
             hidden = graph.node("Relu", [hidden], f"hidden{number}")
     if policy.skip:
         past = graph.constant("skip_weight", _array(policy.past().T))

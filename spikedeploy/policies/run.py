@@ -40,8 +40,10 @@ class TorchController:
 
     def reset(self, seed: int) -> None:
         """Seed the encoder's generator, and put states to rest; both run on between inferences."""
+        from spikedeploy.trainers.policies import DeltaSnnPolicy
+
         self._rng = Xorshift(seed, self.policy.observations)
-        self._state = self.policy.rest(1) if self.policy.kind == "delta-snn" else None
+        self._state = self.policy.rest(1) if isinstance(self.policy, DeltaSnnPolicy) else None
         if self._sampler is not None:
             self._sampler.reset(seed)
 

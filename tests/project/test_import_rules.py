@@ -39,6 +39,7 @@ LIBRARIES = {
     "trainers": {
         "numpy", "torch", "snntorch", "pydantic", "safetensors", "tomli", "gymnasium",
         "matplotlib", "onnxruntime", "rich",
+        "nir",  # the graph of an event-driven policy, which chips validate while it is trained
     },
     "exporters": {"numpy", "torch", "nir", "onnx", "onnxruntime"},
     "spikedeploy": {

@@ -40,15 +40,20 @@ def delta_artifact(
 
 
 def delta_codec(policy: DeltaSnnPolicy) -> Codec:
-    """Return the codec; observations that no synapse reads send nothing."""
+    """Return normaliser, encoder and decoder, as a file holds them."""
     normalizer = policy.normalizer
-    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
     return Codec(
         Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
-        DeltaEncoder(step, policy.most, policy.code, policy.events_above),
+        delta_encoder(policy),
         policy.timesteps,
         "argmax" if policy.head == "discrete" else "tanh",
     )
+
+
+def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
+    """Return the encoder; observations that no synapse reads send nothing."""
+    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
+    return DeltaEncoder(step, policy.most, policy.code, policy.events_above)
 
 
 def live_neurons(policy: DeltaSnnPolicy) -> Tensor:
@@ -63,8 +68,8 @@ def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
     k = np.arange(1, policy.most + 1)
     each = k if policy.code == "one-hot" else np.ones_like(k)
     signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
-    moved = weight * _array(policy.step)
-    return (moved[:, :, None] * signed).reshape(len(weight), -1)
+    moved: Array = weight * _array(policy.step)
+    return np.reshape(moved[:, :, None] * signed, (len(weight), -1))
 
 
 def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
@@ -73,7 +78,7 @@ def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
     sign = np.array([[1], [-1]])
     signed = np.where(_used(policy).numpy(), events, 0)[:, :, None, None] * sign
     spikes = signed == k if policy.code == "one-hot" else signed >= k
-    return spikes.reshape(len(events), -1).astype(np.uint8)
+    return np.reshape(spikes, (len(events), -1)).astype(np.uint8)
 
 
 def _used(policy: DeltaSnnPolicy) -> Tensor:
@@ -125,4 +130,5 @@ def _readout(policy: DeltaSnnPolicy, dt: float) -> nir.LI:
 
 
 def _array(tensor: Tensor) -> Array:
-    return tensor.detach().cpu().numpy().astype(np.float64)
+    array: Array = tensor.detach().cpu().numpy().astype(np.float64)
+    return array

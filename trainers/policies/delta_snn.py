@@ -100,7 +100,7 @@ class DeltaSnnPolicy(Policy):
     def gamma(self) -> Tensor:
         """Decay factor of each readout (act,)."""
         if not self.hidden:
-            return torch.full((self.actions,), self.current_decay, dtype=self._gamma.dtype)
+            return torch.full_like(self._gamma, self.current_decay)
         return torch.sigmoid(self._gamma)
 
     def events(self, observation: Tensor, level: Tensor) -> Tensor:
@@ -109,7 +109,7 @@ class DeltaSnnPolicy(Policy):
         parts = torch.round(256 * (self.normalizer(observation) / self.step))
         apart = parts.clamp(-(2**30), 2**30) - 256 * level
         far = apart.abs()
-        events = torch.floor((far + 128) / 256).clamp(max=self.most) * apart.sign()
+        events: Tensor = torch.floor((far + 128) / 256).clamp(max=self.most) * apart.sign()
         return torch.where(far > self.events_above, events, torch.zeros_like(events))
 
     def rest(self, robots: int) -> DeltaState:
@@ -137,8 +137,10 @@ class DeltaSnnPolicy(Policy):
 
     def _drive(self, spikes: Tensor, moved: Tensor) -> Tensor:
         """Return what spikes (B, H) and moves of the observation (B, obs) add to the readout."""
-        drive = spikes @ self.out().T
-        return drive + moved @ self.past().T if self.skip else drive
+        drive: Tensor = spikes @ self.out().T
+        if self.skip:
+            drive = drive + moved @ self.past().T
+        return drive
 
     def unrolled(
         self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor

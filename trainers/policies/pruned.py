@@ -29,14 +29,9 @@ class PrunedWeight(nn.Module):
         """Synapses (M,) that are left of each presynaptic neuron."""
         return self.mask.sum(0)
 
-    @property
-    def fan_in(self) -> Tensor:
-        """Synapses (N,) that are left onto each neuron."""
-        return self.mask.sum(1)
-
 
 @dataclass(frozen=True)
-class Synapses:
+class SynapseGroup:
     """Synapses of one kind, for penalties and pruning.
 
     matrix: their weights and masks

@@ -17,7 +17,7 @@ class PrunedMlpPolicy(Policy):
 
     hidden: widths of the hidden layers; none make it a linear policy
     skip: whether the observation also reaches the output directly
-    matrices, biases: of each hidden layer, then of the output
+    layers, biases: weights of each hidden layer, then of the output; and their biases
     past: weights of the skip connection
     """
 
@@ -42,13 +42,19 @@ class PrunedMlpPolicy(Policy):
         self.past = PrunedWeight(torch.zeros(actions, observations if self.skip else 0))
         self.latent_size = widths[-1][0]
 
+    @property
+    def layers(self) -> list[PrunedWeight]:
+        """Weights of each hidden layer, then of the output."""
+        return [matrix for matrix in self.matrices if isinstance(matrix, PrunedWeight)]
+
     def activations(self, observation: Tensor) -> tuple[Tensor, list[Tensor]]:
         """Return mean (B, act), and the inputs (B, M) of every matrix."""
         seen = self.normalizer(observation)
         inputs = [seen]
-        for matrix, bias in zip(self.matrices[:-1], self.biases, strict=False):
+        *hidden, last = zip(self.layers, self.biases, strict=True)
+        for matrix, bias in hidden:
             inputs.append(torch.relu(inputs[-1] @ matrix().T + bias))
-        mean = inputs[-1] @ self.matrices[-1]().T + self.biases[-1]
+        mean = inputs[-1] @ last[0]().T + last[1]
         if self.skip:
             mean = mean + seen @ self.past().T
         return mean, inputs

@@ -11,6 +11,7 @@ from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.sparse.pool import Walk
 
 FloatArray = NDArray[np.float64]
+Label = Callable[[FloatArray], FloatArray]
 
 
 class BatchController(Protocol):
@@ -34,22 +35,14 @@ class Stateless:
 
 
 class Episodes:
-    """Copies of an environment for whole episodes.
-
-    walked: walks of the last call of `play`
-    returns: their returns
-    infos: info of the last step of each
-    """
+    """Copies of an environment, for whole episodes of at most `limit` control steps."""
 
     def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
         self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
         self._limit = limit
 
     def play(
-        self,
-        seeds: Sequence[int],
-        controller: BatchController,
-        label: Callable[[FloatArray], FloatArray] | None = None,
+        self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
     ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
         """Return walks (none without `label`), returns and last infos, one for each seed.
 
@@ -59,44 +52,59 @@ class Episodes:
         returns: list[float] = []
         infos: list[dict[str, Any]] = []
         for at in range(0, len(seeds), len(self._envs)):
-            found = self._together(seeds[at : at + len(self._envs)], controller, label)
-            walks += found[0]
-            returns += found[1]
-            infos += found[2]
+            batch = _Batch(self._envs, seeds[at : at + len(self._envs)])
+            walks += self._walks(batch, controller, label)
+            returns += batch.totals.tolist()
+            infos += batch.infos
         return walks, returns, infos
 
-    def _together(
-        self,
-        seeds: Sequence[int],
-        controller: BatchController,
-        label: Callable[[FloatArray], FloatArray] | None,
-    ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
-        chosen = self._envs[: len(seeds)]
-        now = np.stack([e.reset(seed=int(s))[0] for e, s in zip(chosen, seeds, strict=True)])
-        controller.reset(len(seeds))
+    def _walks(
+        self, batch: "_Batch", controller: BatchController, label: Label | None
+    ) -> list[Walk]:
+        """Play the episodes of a batch to their ends."""
         seen: list[FloatArray] = []
         labels: list[FloatArray] = []
-        lengths, totals = np.zeros(len(seeds), np.int64), np.zeros(len(seeds))
-        infos: list[dict[str, Any]] = [{} for _ in seeds]
-        ended = np.zeros(len(seeds), np.bool_)
-        crashed = np.zeros(len(seeds), np.bool_)
-        while not ended.all() and len(seen) != self._limit:
-            seen.append(now.copy())
+        controller.reset(len(batch.now))
+        while not batch.ended.all() and len(seen) != self._limit:
+            seen.append(batch.now.copy())
             if label is not None:
-                labels.append(label(now))
-            # robots at their end keep their place in the batch: states belong to places
-            actions = controller.act_batch(now)
-            for k in np.flatnonzero(~ended):
-                now[k], reward, terminated, truncated, infos[k] = chosen[k].step(actions[k])
-                totals[k] += reward
-                lengths[k] += 1
-                ended[k] = terminated or truncated
-                crashed[k] = terminated and not infos[k].get("success", False)
-        if label is None:
-            return [], totals.tolist(), infos
-        arrays = [np.stack(rows, axis=1).astype(np.float32) for rows in (seen, labels)]
-        walks = [
-            Walk(*(rows[k, :n] for rows in arrays), crashed=bool(crashed[k]))
-            for k, n in enumerate(lengths)
-        ]
-        return walks, totals.tolist(), infos
+                labels.append(label(batch.now))
+            batch.step(controller.act_batch(batch.now))
+        return batch.cut(np.stack(seen, 1), np.stack(labels, 1)) if labels else []
+
+
+class _Batch:
+    """Episodes side by side; those that ended keep their places, as states belong to places.
+
+    now: (B, obs) latest observations
+    totals: (B,) returns so far
+    ended: (B,) whether each has ended
+    infos: of the last step of each
+    """
+
+    def __init__(self, copies: Sequence[Any], seeds: Sequence[int]) -> None:
+        self._envs = copies[: len(seeds)]
+        pairs = zip(self._envs, seeds, strict=True)
+        self.now: FloatArray = np.stack([env.reset(seed=int(seed))[0] for env, seed in pairs])
+        self.totals = np.zeros(len(seeds))
+        self.infos: list[dict[str, Any]] = [{} for _ in seeds]
+        self.ended = np.zeros(len(seeds), np.bool_)
+        self._crashed = np.zeros(len(seeds), np.bool_)
+        self._lengths = np.zeros(len(seeds), np.int64)
+
+    def step(self, actions: NDArray[Any]) -> None:
+        """Take one step of each episode that has not ended."""
+        for k in np.flatnonzero(~self.ended).tolist():
+            self.now[k], reward, terminated, truncated, self.infos[k] = self._envs[k].step(
+                actions[k]
+            )
+            self.totals[k] += reward
+            self._lengths[k] += 1
+            self.ended[k] = terminated or truncated
+            self._crashed[k] = terminated and not self.infos[k].get("success", False)
+
+    def cut(self, seen: FloatArray, labels: FloatArray) -> list[Walk]:
+        """Return each walk up to its end, from observations and labels (B, S, ...)."""
+        shown, wanted = seen.astype(np.float32), labels.astype(np.float32)
+        ends = zip(self._lengths, self._crashed, strict=True)
+        return [Walk(shown[k, :n], wanted[k, :n], bool(fell)) for k, (n, fell) in enumerate(ends)]

@@ -46,12 +46,12 @@ class SparseLearner:
 
     def prune(self, goal: float) -> None:
         """Take out synapses, and neurons that are not worth their updates, down to the goal."""
-        synapses, squares = self.student.synapses(), self._squares()
+        squares = self._squares()
         if not squares:
             return
-        if len(self.student.hidden_rate) and len(synapses) > 1:
-            remove_neurons(*synapses[:2], squares, self._config.neuron_cost, _REMOVED)
-        prune(synapses, squares, goal)
+        for into, out in self.student.hidden_layers():
+            remove_neurons(into, out, squares, self._config.neuron_cost, _REMOVED)
+        prune(self.student.synapses(), squares, goal)
 
     def _squares(self) -> Mapping[PrunedWeight, Tensor]:
         """Adam's second moment of each weight; nothing before its first step."""
@@ -62,11 +62,11 @@ class SparseLearner:
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors of a checkpoint except the policy's, by name."""
         state = adam.tensors(self.optimizer)
-        rate = {"student.hidden_rate": self.student.hidden_rate.clone()}
-        return {**rate, **{f"adam.{name}": value for name, value in state.items()}}
+        own = {f"student.{name}": value for name, value in self.student.tensors().items()}
+        return {**own, **{f"adam.{name}": value for name, value in state.items()}}
 
     def load(self, named: dict[str, Tensor]) -> None:
         """Restore the tensors of a checkpoint, the policy's under "policy." included."""
         self.student.policy.load_state_dict(adam.under("policy", named))
-        self.student.hidden_rate = named["student.hidden_rate"]
+        self.student.load(adam.under("student", named))
         adam.load(self.optimizer, adam.under("adam", named))

@@ -17,23 +17,10 @@ FloatArray = NDArray[np.float64]
 
 
 class DeltaController:
-    """A DeltaSnnPolicy in torch as a BatchController, with its mean operations.
-
-    sops: mean synaptic operations in a control step of the episodes so far
-    """
+    """A DeltaSnnPolicy in torch as a BatchController."""
 
     def __init__(self, policy: DeltaSnnPolicy) -> None:
         self._policy = policy
-        self._inputs = (
-            (policy.into.fan_out + policy.past.fan_out) if policy.skip else (policy.into.fan_out)
-        )
-        self._operations = 0.0
-        self._steps = 0
-
-    @property
-    def sops(self) -> float:
-        """Mean synaptic operations in a control step of the episodes so far."""
-        return self._operations / max(self._steps, 1)
 
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
@@ -42,12 +29,8 @@ class DeltaController:
     @torch.no_grad()
     def act_batch(self, observation: FloatArray) -> NDArray[Any]:
         """Return actions (B, act), or (B,) if discrete."""
-        policy = self._policy
-        mean, events, hidden = policy.advance(torch.from_numpy(observation).float(), self._state)
-        spikes = events.abs() if policy.code == "unary" else (events != 0).float()
-        self._operations += float((spikes @ self._inputs + hidden @ policy.out.fan_out).sum())
-        self._steps += len(observation)
-        return _numbers(policy.decide(mean))
+        mean, _, _ = self._policy.advance(torch.from_numpy(observation).float(), self._state)
+        return _numbers(self._policy.decide(mean))
 
 
 def in_float(policy: Policy) -> BatchController:
@@ -66,12 +49,12 @@ class ChipController:
     """An artifact on a chip as a BatchController."""
 
     def __init__(self, artifact: Artifact, chip: Chip) -> None:
-        self.controller = SpikingController(artifact, chip, ledger="total")
-        self.act_batch = self.controller.act_batch
+        self._controller = SpikingController(artifact, chip, ledger="none")
+        self.act_batch = self._controller.act_batch
 
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
-        self.controller.reset(0)
+        self._controller.reset(0)
 
 
 def on_chip(policy: Policy, chip: Chip) -> BatchController:

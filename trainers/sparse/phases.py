@@ -35,7 +35,7 @@ class Phase:
 
     def prunes(self, update: int) -> bool:
         """Whether synapses are still taken out."""
-        return self.last is not None and self._progress(update) < self.prune_until
+        return self.last is not None and self._progress(update) <= self.prune_until
 
     def goal(self, update: int, first: float) -> float | None:
         """Operations allowed at an update, along a quadratic ramp; None while dense.

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -79,7 +80,7 @@ class WalkPool:
         return np.concatenate([walk.observation for walk in self.walks])
 
     def encode(
-        self, normalised: Iterable[NDArray[np.float64]], encoder: DeltaEncoder, decay: float
+        self, normalised: Iterable[NDArray[np.floating[Any]]], encoder: DeltaEncoder, decay: float
     ) -> None:
         """Compute the events of all walks.
 
@@ -104,6 +105,7 @@ class WalkPool:
             moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
             before = now
         self._moved, self._seen = torch.from_numpy(moved), torch.from_numpy(seen)
+        self._label = torch.from_numpy(self._labels())
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
 
@@ -138,7 +140,7 @@ class WalkPool:
         return Windows(
             self._seen[at, row].masked_fill(before, 0.0),
             self._moved[at, row].masked_fill(before, 0.0),
-            self._labels()[at, row],
+            self._label[at, row],
             torch.from_numpy(start < 0),
         )
 
@@ -158,18 +160,12 @@ class WalkPool:
         label = np.stack([self.walks[k].label[t] for k, t in pairs])
         return torch.from_numpy(observation), torch.from_numpy(label)
 
-    def _labels(self) -> Tensor:
+    def _labels(self) -> Single:
         """Labels (S, W, act), the last of each walk repeated."""
-        if getattr(self, "_label", None) is None or self._label.shape[1] != len(self.walks):
-            longest = max(len(walk.label) for walk in self.walks)
-            label = np.zeros((longest, len(self.walks), self.walks[0].label.shape[1]), np.float32)
-            for k, walk in enumerate(self.walks):
-                label[: len(walk.label), k] = walk.label
-                label[len(walk.label) :, k] = walk.label[-1]
-            self._label = torch.from_numpy(label)
-        return self._label
-
-    _label: Tensor | None = None
+        labels = [walk.label for walk in self.walks]
+        longest = max(map(len, labels))
+        padded = [np.pad(each, ((0, longest - len(each)), (0, 0)), "edge") for each in labels]
+        return np.stack(padded, axis=1)
 
 
 def save_walks(walks: list[Walk], path: Path) -> None:
@@ -190,11 +186,9 @@ def load_walks(path: Path) -> list[Walk]:
     try:
         arrays = load_file(path)
         ends = np.cumsum(arrays["length"])[:-1]
-        parts = (np.split(arrays[name], ends) for name in ("observation", "label"))
-        return [
-            Walk(*each, bool(crashed))
-            for *each, crashed in zip(*parts, arrays["crashed"], strict=True)
-        ]
+        seen, labels = (np.split(arrays[name], ends) for name in ("observation", "label"))
+        crashed = [bool(each) for each in arrays["crashed"]]
+        return [Walk(*each) for each in zip(seen, labels, crashed, strict=True)]
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise ConfigError(
             f"{path} holds no walks that can be read ({error}). Delete the run and train again."

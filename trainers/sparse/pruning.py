@@ -5,19 +5,19 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from spikedeploy.trainers.policies.pruned import PrunedWeight, Synapses
+from spikedeploy.trainers.policies.pruned import PrunedWeight, SynapseGroup
 
 _TINY = 1e-12
 
 
-def operations(synapses: Sequence[Synapses]) -> float:
+def operations(synapses: Sequence[SynapseGroup]) -> float:
     """Mean number of operations in a control step, over all synapses."""
     return float(sum(float(each.operations) for each in synapses))
 
 
 @torch.no_grad()
 def prune(
-    synapses: Sequence[Synapses], squares: Mapping[PrunedWeight, Tensor], target: float
+    synapses: Sequence[SynapseGroup], squares: Mapping[PrunedWeight, Tensor], target: float
 ) -> int:
     """Take out the synapses that matter least for each operation; return how many.
 
@@ -36,27 +36,27 @@ def prune(
     taken = min(taken, int(torch.isfinite(worth).sum()))
     drop = torch.zeros_like(worth)
     drop[order[:taken]] = 1.0
-    parts = drop.split([each.matrix.mask.numel() for each in synapses])
+    parts = torch.split(drop, [each.matrix.mask.numel() for each in synapses])
     for each, part in zip(synapses, parts, strict=True):
         each.matrix.mask[part.view_as(each.matrix.mask) > 0] = 0.0
     return taken
 
 
-def saliency(synapses: Synapses, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
+def saliency(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
     """Return what the loss would gain by each synapse (N, M), about; 0 where it is out."""
     matrix = synapses.matrix
     return matrix.weight.square() * (squares[matrix].sqrt() + _TINY) * matrix.mask
 
 
-def _worth(synapses: Synapses, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
+def _worth(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
     worth = saliency(synapses, squares) / (synapses.rate + 1e-4)
     return torch.where(synapses.matrix.mask > 0, worth, torch.inf)
 
 
 @torch.no_grad()
 def remove_neurons(
-    into: Synapses,
-    out: Synapses,
+    into: SynapseGroup,
+    out: SynapseGroup,
     squares: Mapping[PrunedWeight, Tensor],
     neuron_cost: float,
     most: int,

@@ -27,7 +27,7 @@ from spikedeploy.trainers.sparse.collect import Episodes, Stateless
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.learner import SparseLearner
 from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
-from spikedeploy.trainers.sparse.phases import Phase, phases
+from spikedeploy.trainers.sparse.phases import phases
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, load_walks, save_walks
 from spikedeploy.trainers.sparse.pruning import operations
 from spikedeploy.trainers.sparse.rounding import check_rounding, rounding_offsets
@@ -41,8 +41,8 @@ _TOGETHER = 50  # copies of the environment
 class Sparse(Runner[SparseConfig]):
     """One run.
 
-    updates, phase, start: counters, continued by a resumed run; `start` are the operations when the
-        phase began
+    updates, phase, start, collections: counters, continued by a resumed run; `start` are the
+        operations when the phase began, `collections` the files of walks
     pool: all walks so far
     teacher_return: mean return of the teacher on the validation seeds
     """
@@ -53,7 +53,7 @@ class Sparse(Runner[SparseConfig]):
         "episode_return", "eval_return", "eval_of_teacher", "eval_operations", "eval_falls",
         "eval_finish",
     )  # fmt: skip
-    COUNTERS = ("updates", "phase", "start", "teacher_return", "best")
+    COUNTERS = ("updates", "phase", "start", "collections", "teacher_return")
     SPEED = "updates_per_s"
     VALIDATES_AT_END = False
     learner: "SparseLearner"
@@ -91,7 +91,7 @@ class Sparse(Runner[SparseConfig]):
         self._chip = chip(config.chip)
         if config.rounding:
             check_rounding(self._chip)
-        self.updates = self.phase = 0
+        self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self.teacher_return = np.nan
         self._loss = math.nan
@@ -111,6 +111,8 @@ class Sparse(Runner[SparseConfig]):
         self._student.prepare(self.pool)
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        if self.updates == self._phases[self.phase].end:
+            self._next_phase()
         phase = self._phases[self.phase]
         goal = phase.goal(self.updates, self.start)
         self._loss = self.learner.update(
@@ -121,8 +123,6 @@ class Sparse(Runner[SparseConfig]):
                 self.learner.prune(goal)
             self._round()
         self.updates += 1
-        if self.updates >= phase.end:
-            self._end_phase(phase)
         return True
 
     def _round(self) -> None:
@@ -130,15 +130,14 @@ class Sparse(Runner[SparseConfig]):
         if self._config.rounding and isinstance(self._student, DeltaStudent):
             self._student.offsets = rounding_offsets(self._student.policy, self._chip)
 
-    def _end_phase(self, phase: Phase) -> None:
+    def _next_phase(self) -> None:
         """Walk, set the encoder's steps anew, and start the next phase with a new optimiser."""
-        if self.updates < self._total:
-            # the walks are of the policy as it is, the steps of the next phase
-            self._collect(in_float(self.policy), self._config.walks)
-            if self._config.retune and isinstance(self.policy, DeltaSnnPolicy):
-                step = retuned(self.policy, self.pool, self._binary, self._config)
-                self.policy.step.copy_(torch.from_numpy(step))
-            self._student.prepare(self.pool)
+        # the walks are of the policy as it was validated, the steps of the next phase
+        self._collect(in_float(self.policy), self._config.walks)
+        if self._config.retune and isinstance(self.policy, DeltaSnnPolicy):
+            step = retuned(self.policy, self.pool, self._binary, self._config)
+            self.policy.step.copy_(torch.from_numpy(step))
+        self._student.prepare(self.pool)
         self.phase += 1
         self.start = operations(self._student.synapses())
         self.learner.restart()
@@ -165,8 +164,9 @@ class Sparse(Runner[SparseConfig]):
         self._keep(walks)
 
     def _keep(self, walks: list[Walk]) -> None:
-        number = len(list(_pool_folder(self._run.path).glob("*.safetensors")))
-        save_walks(walks, _pool_folder(self._run.path) / f"{number:03d}.safetensors")
+        # over what a run that was killed may have left after its last checkpoint
+        save_walks(walks, _pool_folder(self._run.path) / f"{self.collections:03d}.safetensors")
+        self.collections += 1
         self.pool.add(walks)
 
     @torch.no_grad()
@@ -224,13 +224,6 @@ class Sparse(Runner[SparseConfig]):
             return -math.inf
         return float(self._run.load(name)[0]["eval_return"])
 
-    def _report(self, journal: Any, before: int) -> None:  # noqa: ANN401
-        # the phase of the update that was just made
-        ended = self.phase and self.updates == self._phases[self.phase - 1].end
-        self.phase -= bool(ended)
-        super()._report(journal, before)
-        self.phase += bool(ended)
-
     def _metrics(self) -> dict[str, float]:
         synapses = self._student.synapses()
         return {
@@ -239,16 +232,19 @@ class Sparse(Runner[SparseConfig]):
             "walks": len(self.pool),
             "loss": self._loss,
             "operations": operations(synapses),
-            "goal": self._phases[min(self.phase, len(self._phases) - 1)].last or math.nan,
-            "neurons": float(synapses[0].matrix.mask.any(1).sum()),
+            "goal": self._phases[self.phase].last or math.nan,
+            "neurons": self._student.neurons,
         }
 
+    def _tensors(self) -> dict[str, Tensor]:
+        return {"binary": torch.from_numpy(self._binary)}
+
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self.updates, self.phase, self.start = state["updates"], state["phase"], state["start"]
-        self.teacher_return = state["teacher_return"]
-        for path in sorted(_pool_folder(self._run.path).glob("*.safetensors")):
+        for name in self.COUNTERS:
+            setattr(self, name, state[name])
+        for path in _pool_files(self._run.path)[: self.collections]:
             self.pool.add(load_walks(path))
-        self._binary = binary_columns(self.pool.observations().astype(np.float64))
+        self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool)
 
 
@@ -256,9 +252,14 @@ def _pool_folder(run: Path) -> Path:
     return run / "pool"
 
 
+def _pool_files(run: Path) -> list[Path]:
+    """Return the files of walks, in the order in which they were collected."""
+    return sorted(_pool_folder(run).glob("*.safetensors"))
+
+
 def _walks_of(run: str) -> list[Walk]:
     """Return the walks of a run folder."""
-    files = sorted(_pool_folder(RunFolder.find(run).path).glob("*.safetensors"))
+    files = _pool_files(RunFolder.find(run).path)
     if not files:
         raise ConfigError(f"{run} has no pool of walks. Give a run of a sparse recipe.")
     return [walk for path in files for walk in load_walks(path)]

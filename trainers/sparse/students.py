@@ -1,7 +1,9 @@
 """What the algorithm asks of a student: the loss of a batch, and its synapses with their rates."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -9,11 +11,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.trainers import adam
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.delta_graph import delta_codec
+from spikedeploy.trainers.policies.delta_graph import delta_codec, delta_encoder, live_neurons
 from spikedeploy.trainers.policies.delta_snn import DeltaWeights
-from spikedeploy.trainers.policies.pruned import Synapses
+from spikedeploy.trainers.policies.pruned import SynapseGroup
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import WalkPool
 
@@ -23,8 +25,13 @@ _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
 class Student(Protocol):
     """A policy that learns from walks."""
 
-    policy: Policy
-    hidden_rate: Tensor
+    @property
+    def policy(self) -> Policy:
+        """What is trained."""
+
+    @property
+    def neurons(self) -> int:
+        """Hidden neurons that are left."""
 
     def prepare(self, pool: WalkPool) -> None:
         """Take over new walks."""
@@ -32,8 +39,17 @@ class Student(Protocol):
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of a batch, and the hidden neurons' operations in a control step."""
 
-    def synapses(self) -> list[Synapses]:
-        """Return all synapses; those into and out of hidden neurons first."""
+    def synapses(self) -> list[SynapseGroup]:
+        """Return all synapses."""
+
+    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
+        """Return the synapses onto and from the neurons of each hidden layer."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what a checkpoint holds beside the policy, by name."""
+
+    def load(self, named: Mapping[str, Tensor]) -> None:
+        """Restore what `tensors` returned."""
 
 
 def imitation(mean: Tensor, label: Tensor, policy: Policy, sharpness: float) -> Tensor:
@@ -60,15 +76,10 @@ class DeltaStudent:
 
     def prepare(self, pool: WalkPool) -> None:
         """Compute the pool's events with the policy's encoder."""
-        codec = delta_codec(self.policy.double())
-        self.policy.float()
-        encoder = codec.encoder
-        if not isinstance(encoder, DeltaEncoder):
-            raise TypeError("the codec of a DeltaSnnPolicy has a DeltaEncoder")
-        # all channels, so that what pruning left out could come back in other rounds
-        encoder = replace(encoder, step=self.policy.step.double().numpy())
-        rows = (codec.normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
-        pool.encode(rows, encoder, self.policy.current_decay)
+        precise = deepcopy(self.policy).double()
+        normaliser = delta_codec(precise).normaliser
+        rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
+        pool.encode(rows, delta_encoder(precise), self.policy.current_decay)
         self._event_rate = pool.event_rate
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
@@ -94,34 +105,43 @@ class DeltaStudent:
         kinds = {name: getattr(weights, name) + added for name, added in self.offsets.items()}
         return replace(weights, **kinds)
 
-    def synapses(self) -> list[Synapses]:
-        """Return all synapses; those into and out of hidden neurons first."""
-        policy, events = self.policy, self._event_rate
-        found = []
-        if policy.hidden:
-            found = [Synapses(policy.into, events), Synapses(policy.out, self.hidden_rate)]
-        return [*found, Synapses(policy.past, events)] if policy.skip else found
+    @property
+    def neurons(self) -> int:
+        """Hidden neurons that are left."""
+        return int(live_neurons(self.policy).sum())
+
+    def synapses(self) -> list[SynapseGroup]:
+        """Return all synapses."""
+        found = [group for pair in self.hidden_layers() for group in pair]
+        past = SynapseGroup(self.policy.past, self._event_rate)
+        return [*found, past] if self.policy.skip else found
+
+    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
+        """Return the synapses onto and from the neurons of the layer, if there is one."""
+        policy = self.policy
+        into = SynapseGroup(policy.into, self._event_rate)
+        out = SynapseGroup(policy.out, self.hidden_rate)
+        return [(into, out)] if policy.hidden else []
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return rates and offsets of rounding, by name."""
+        offsets = {f"offsets.{name}": added for name, added in self.offsets.items()}
+        return {"hidden_rate": self.hidden_rate.clone(), **offsets}
+
+    def load(self, named: Mapping[str, Tensor]) -> None:
+        """Restore what `tensors` returned."""
+        self.hidden_rate = named["hidden_rate"]
+        self.offsets = adam.under("offsets", dict(named))
 
 
 class MlpStudent:
-    """A PrunedMlpPolicy, which learns from single states.
-
-    hidden_rate: mean share of control steps in which each hidden neuron is not 0
-    """
+    """A PrunedMlpPolicy, which learns from single states."""
 
     def __init__(self, policy: PrunedMlpPolicy, config: SparseConfig) -> None:
         self.policy = policy
         self._config = config
+        # share of control steps in which each neuron is not 0, of each hidden layer
         self._rates = [torch.full((width,), 0.5) for width in policy.hidden]
-
-    @property
-    def hidden_rate(self) -> Tensor:
-        """Mean share of control steps in which each hidden neuron is not 0."""
-        return torch.cat(self._rates) if self._rates else torch.zeros(0)
-
-    @hidden_rate.setter
-    def hidden_rate(self, rate: Tensor) -> None:
-        self._rates = list(rate.split(list(self.policy.hidden))) if len(rate) else []
 
     def prepare(self, pool: WalkPool) -> None:
         """Do nothing: states are drawn from the walks as they are."""
@@ -132,7 +152,6 @@ class MlpStudent:
         count = c.batch * (c.window - c.burn_in)
         observation, label = pool.states(rng, count, c.crash_windows, c.crash_steps)
         mean, inputs = self.policy.activations(observation)
-        matrices = list(self.policy.matrices)[1:]
         rates = [(hidden > 0).float().mean(0) for hidden in inputs[1:]]
         self._rates = [
             torch.lerp(a, b, _SMOOTHING) for a, b in zip(self._rates, rates, strict=True)
@@ -140,18 +159,37 @@ class MlpStudent:
         # the share of active neurons has no gradient; their activations stand for it
         costs = [
             (hidden.mean(0) * matrix.fan_out).sum()
-            for hidden, matrix in zip(inputs[1:], matrices, strict=True)
+            for hidden, matrix in zip(inputs[1:], self.policy.layers[1:], strict=True)
         ]
         error = imitation(mean, label, self.policy, c.sharpness).mean()
         return error, sum(costs, start=torch.zeros(()))
 
-    def synapses(self) -> list[Synapses]:
-        """Return all synapses; those into and out of hidden neurons first."""
-        policy = self.policy
-        always = torch.ones(policy.observations)
-        rates = [always, *self._rates]
-        found = [Synapses(m, rate) for m, rate in zip(policy.matrices, rates, strict=True)]
-        return [*found, Synapses(policy.past, always)] if policy.skip else found
+    @property
+    def neurons(self) -> int:
+        """Hidden neurons that are left."""
+        return sum(int(matrix.mask.any(0).sum()) for matrix in self.policy.layers[1:])
+
+    def synapses(self) -> list[SynapseGroup]:
+        """Return all synapses."""
+        # an observation is never exactly 0
+        past = SynapseGroup(self.policy.past, torch.ones(self.policy.observations))
+        return [*self._layers(), past] if self.policy.skip else self._layers()
+
+    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
+        """Return the synapses onto and from the neurons of each hidden layer."""
+        return list(pairwise(self._layers()))
+
+    def _layers(self) -> list[SynapseGroup]:
+        rates = [torch.ones(self.policy.observations), *self._rates]
+        return [SynapseGroup(m, rate) for m, rate in zip(self.policy.layers, rates, strict=True)]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return rates, by name."""
+        return {f"rate{number}": rate.clone() for number, rate in enumerate(self._rates)}
+
+    def load(self, named: Mapping[str, Tensor]) -> None:
+        """Restore what `tensors` returned."""
+        self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
 
 
 def student(policy: Policy, config: SparseConfig) -> Student:
