@@ -39,6 +39,7 @@ MLP: Settings = {"policy": {"kind": "mlp"}}
 _NARROW: Settings = {"policy": {"hidden": [256, 256]}, "critic_hidden": [256, 256]}
 
 _HEXAPOD: Settings = {"env": {"name": "hexapod"}}
+_TEACHER: Settings = {"steps": 300_000}  # by then the float MLP no longer gets better
 
 # Following commands needs an early end of the support force and smoother actions.
 _COMMAND: Settings = {
@@ -172,7 +173,9 @@ _KARTS: dict[str, tuple[str, Settings]] = {
 }
 
 RECIPES: dict[str, Recipe] = {
-    "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(_HEXAPOD, MLP)),
+    "hexapod-sac": Recipe(
+        "sac", "float MLP 77-512-512-18 that walks", merged(_HEXAPOD, MLP, _TEACHER)
+    ),
     "hexapod-sac-256": Recipe(
         "sac", "float MLP 77-256-256-18 that walks", merged(_HEXAPOD, MLP, _NARROW)
     ),
