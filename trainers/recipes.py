@@ -51,14 +51,12 @@ _COMMAND: Settings = {
     "validation": {"episodes": 8},
 }
 
-# A walker that is gentle with its motors: while it learns, power counts four times and changes of
+# A walker that is gentle with its motors: while it learns, power counts three times and changes of
 # the action five times as much as in the published reward, by which it is judged all the same.
 _SMOOTH: Settings = {
-    "shaping": {"power": 3.0, "jerk": 4.0},
+    "shaping": {"power": 2.0, "jerk": 4.0},
     "smoothness": 0.2,
-    "steps": 400_000,
-    "update_every": 2,
-    "precision": "float32",
+    "steps": 300_000,
     "validation": {"episodes": 16},
 }
 
@@ -192,8 +190,8 @@ RECIPES: dict[str, Recipe] = {
     ),
     "hexapod-command-smooth": Recipe(
         "sac",
-        "float MLP 77-256-256-18 that follows commands with less power and calmer joints",
-        merged(_COMMAND, MLP, _NARROW, _SMOOTH),
+        "float MLP 77-512-512-18 that follows commands with less power and calmer joints",
+        merged(_COMMAND, MLP, _SMOOTH),
     ),
     "hexapod-command-popsan": Recipe(
         "sac", "PopSAN 77-770-512-512-180-18 that follows commands", merged(_COMMAND, _POPSAN)
