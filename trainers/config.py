@@ -278,7 +278,7 @@ def _overlaid(
     result = dict(settings)
     for key, value in change.items():
         name = path + key
-        if path != "env.options.":  # checked by the environment itself
+        if path not in ("env.options.", "shaping."):  # checked by the environment itself
             known(key, settings, f"setting ({source}) {path}".rstrip())
         old = settings.get(key)
         if isinstance(old, Mapping) and isinstance(value, Mapping):

@@ -64,14 +64,14 @@ def line_up(
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
     env     short name or id of the environment
-    files   policies to compare; none stands for all that are shipped for the environment
+    files   policies to compare; none stands for the shipped ones of the environment
     chips   for those that spike
     limits  refuse what breaks a design rule of a chip
     quantisation  of the SNNs on chips
     """
     spec = envs.spec(env)
     short = spec.short
-    shipped = [find(str(path)) for path in zoo.policies(short)]
+    shipped = [find(str(path)) for path in zoo.compared(short)]
     chosen = _distinct([find(file) for file in files]) or shipped
     if not chosen:
         raise ConfigError(

@@ -7,6 +7,7 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
+_ASIDE = ("hexapod-command/smooth",)  # a second float teacher; the published tables have one
 
 
 def policies(env: str | None = None) -> list[Path]:
@@ -14,15 +15,24 @@ def policies(env: str | None = None) -> list[Path]:
     return sorted(p for p in FOLDER.glob(f"{env or '*'}/*") if p.suffix in SUFFIXES)
 
 
+def compared(env: str) -> list[Path]:
+    """The shipped policies that a comparison shows where no files are named."""
+    return [file for file in policies(env) if _name(file) not in _ASIDE]
+
+
 def names() -> list[str]:
     """Names of the shipped policies on the command line: `hexapod/popsan`."""
-    return [f"{p.parent.name}/{p.stem}" for p in policies()]
+    return [_name(file) for file in policies()]
 
 
 def path(name: str) -> Path | None:
     """The file of a shipped policy by name, with or without suffix; None where there is none."""
     wanted = name.removesuffix(".onnx").removesuffix(".nir")
-    return next((p for p in policies() if f"{p.parent.name}/{p.stem}" == wanted), None)
+    return next((p for p in policies() if _name(p) == wanted), None)
+
+
+def _name(file: Path) -> str:
+    return f"{file.parent.name}/{file.stem}"
 
 
 def resolve(reference: str) -> Path | None:

@@ -77,7 +77,7 @@ def test_each_task_has_a_float_ann_a_spiking_policy_and_the_three_controls(env):
 
 @pytest.mark.parametrize("env", sorted({path.parent.name for path in SHIPPED}))
 def test_each_task_has_one_float_ann_that_others_are_measured_against(env):
-    kinds = [find(str(path)).kind for path in zoo.policies(env)]
+    kinds = [find(str(path)).kind for path in zoo.compared(env)]
     assert kinds.count("ann") == 1
     assert "snn" in kinds
 

@@ -3,4 +3,5 @@
 config.py   its settings
 sac.py      the algorithm, its networks and their gradient update
 replay.py   replay buffer
+shaping.py  the reward that updates see, where it differs from the environment's
 """

@@ -24,6 +24,11 @@ class SacConfig(RunConfig):
     averaging: weight of the newest parameters in the averaged policy, which is validated and
         saved; 1 saves the actor's own
     mean_penalty: weight of the squared pre-tanh mean in the actor's loss
+    smoothness: weight of the squared change of the policy's action, summed over actions, from each
+        state to the following one, in the actor's loss (Mysore et al. 2021, temporal term)
+    shaping: extra weights of reward terms by name, in training only: updates see
+        reward + sum of weight x term, so {"power": 2} counts power three times. Validation,
+        metrics and the choice of the best checkpoint stay with the environment's own reward
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
     support_force: fraction of the full upward force on the robot, along environment steps
@@ -42,6 +47,8 @@ class SacConfig(RunConfig):
     epsilon: Rate = 1e-6
     averaging: Share = 1e-4
     mean_penalty: float = Field(default=0.05, ge=0)
+    smoothness: float = Field(default=0.0, ge=0)
+    shaping: dict[str, float] = Field(default_factory=dict)
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.13
     support_force: Ramp = Ramp(start=1.0, end=0.0, finish=150_000)

@@ -20,6 +20,7 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import EnvRunner
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.replay import ReplayBatch, ReplayBuffer
+from spikedeploy.trainers.sac.shaping import check_shaping, shaped
 
 _AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
 _LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
@@ -118,7 +119,16 @@ class SacLearner:
         action, log_prob, latent = self.actor(batch.observation)
         value = torch.minimum(*self.critic(observation, action))
         loss = (temperature * log_prob - value).mean() + self._penalty(latent)
+        if self._config.smoothness:
+            loss = loss + self._config.smoothness * self._action_change(latent, batch.following)
         return loss, -log_prob.detach().mean()
+
+    def _action_change(self, latent: Latent, following: Tensor) -> Tensor:
+        """Return the mean squared change of the policy's action to the following states."""
+        # a policy whose action jumps between neighbouring states makes the joints chatter
+        after = self.actor.policy.latent(following).mean
+        change: Tensor = torch.tanh(after) - torch.tanh(latent.mean)
+        return change.square().sum(-1).mean()
 
     def _penalty(self, latent: Latent) -> Tensor:
         """Return the penalties of saturated actions and of high firing rates."""
@@ -200,6 +210,7 @@ class Sac(EnvRunner[SacConfig]):
             checkpoint_every=config.checkpoint_every,
         )
         self._envs.require_continuous("sac")
+        check_shaping(config.shaping, config.env)
         sizes = self._envs.observation.shape[1], self._envs.actions
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
         self.learner = SacLearner(config, self.policy)
@@ -224,9 +235,8 @@ class Sac(EnvRunner[SacConfig]):
         """Take one step in every environment, and store it."""
         self._envs.support_force(self._support_force)
         steps = self._envs.step(self._actions())
-        self._buffer.add(
-            steps.observation, steps.action, steps.reward, steps.terminated, steps.following
-        )
+        reward = shaped(self._config.shaping, steps)
+        self._buffer.add(steps.observation, steps.action, reward, steps.terminated, steps.following)
         if self.env_steps < self._config.normaliser.finish:
             self._moments.add(steps.observation)
             self.learner.adopt(self._moments)

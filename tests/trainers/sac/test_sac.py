@@ -122,6 +122,18 @@ def test_the_penalty_keeps_the_mean_away_from_saturation():
     assert sizes[1] < 0.5 * sizes[0]
 
 
+def test_smoothness_makes_the_policy_act_alike_in_neighbouring_states():
+    changes = []
+    for weight in (0.0, 10.0):
+        sac = learner(f"smoothness={weight}", "learning_rate=0.01", "mean_penalty=0")
+        batch = random_batch()
+        for _ in range(50):
+            sac.update(batch, temperature=0.05)
+        policy = sac.actor.policy
+        changes.append((policy(batch.following) - policy(batch.observation)).square().mean())
+    assert changes[1] < 0.2 * changes[0]
+
+
 def test_the_log_probability_is_that_of_a_squashed_gaussian():
     torch.manual_seed(0)
     actor = GaussianActor(MlpPolicy(2, 1, ()), epsilon=0.0).double().requires_grad_(False)
