@@ -188,33 +188,64 @@ _SPARSE_STUDENTS: dict[str, tuple[str, Settings]] = {
 _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
     "hexapod": (
         "walks",
-        {
-            "env": {"name": "hexapod"},
-            "teacher": "hexapod/sac",
-            "budget": 70,
-            "step": 0.8,
-        },
+        {"env": {"name": "hexapod"}, "teacher": "hexapod/sac", "step": 0.8},
     ),
     "hexapod-command": (
         "follows commands",
-        {
-            "env": {"name": "hexapod-command"},
-            "teacher": "hexapod-command/sac",
-            "budget": 480,
-        },
+        {"env": {"name": "hexapod-command"}, "teacher": "hexapod-command/smooth", "step": 0.8},
     ),
+    # episodes are short, and whether a kart crashes changes between rounds: more of everything
     **{
         env: (
             f"races {env}",
-            {"env": {"name": env}, "teacher": f"{env}/ann", "budget": 50, "crash_windows": 0.3},
+            {
+                "env": {"name": env},
+                "teacher": f"{env}/ann",
+                "crash_windows": 0.3,
+                "penalty": 0.05,
+                "penalty_floor": 100,
+                "dense_updates": 2_400,
+                "dense_rounds": 4,
+                "level_updates": 1_500,
+                "polish": 4,
+                "polish_updates": 1_000,
+                "walks": 60,
+                "validation": {"every": 500, "episodes": 100},
+            },
         )
         for env in _KART_ENVS
     },
 }
 
-_SPARSE_SIZES: dict[tuple[str, str], Settings] = {
-    ("hexapod-command", "sparse"): {"hidden": 128},
-    ("hexapod-command", "small-mlp"): {"hidden": [48, 32]},
+# operations of each student at the end, and on the way there; and sizes
+_SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
+    ("hexapod", "sparse"): {"budget": 50, "levels": [220, 140, 100, 75, 60]},
+    ("hexapod", "sparse-linear"): {"budget": 70, "levels": [250, 160, 110, 85]},
+    ("hexapod", "small-mlp"): {"budget": 120, "levels": [700, 400, 280, 200, 150]},
+    ("hexapod", "small-linear"): {"budget": 150, "levels": [700, 450, 300, 200]},
+    ("hexapod-command", "sparse"): {
+        "budget": 300,
+        "levels": [1_600, 1_000, 700, 480, 360],
+        "rate_cost": 4_000,
+        "policy": {"hidden": 128},
+    },
+    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [1_000, 600]},
+    ("hexapod-command", "small-mlp"): {
+        "budget": 400,
+        "levels": [2_000, 1_200, 800, 600, 500],
+        "policy": {"hidden": [48, 32]},
+    },
+    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [1_200, 700]},
+    **{
+        (env, student): settings
+        for env in _KART_ENVS
+        for student, settings in {
+            "sparse": {"budget": 25, "levels": [40, 32], "policy": {"most": 4}},
+            "sparse-linear": {"budget": 10, "levels": [30, 20, 14], "policy": {"most": 4}},
+            "small-mlp": {"budget": 30, "levels": [80, 55, 40], "policy": {"hidden": [8]}},
+            "small-linear": {"budget": 30, "levels": [70, 50, 40]},
+        }.items()
+    },
 }
 
 _SMOKE_SPARSE: Settings = {
@@ -242,8 +273,7 @@ def _sparse() -> dict[str, Recipe]:
     found = {}
     for task, (verb, settings) in _SPARSE_TASKS.items():
         for student, (network, policy) in _SPARSE_STUDENTS.items():
-            size = _SPARSE_SIZES.get((task, student), {})
-            changes = merged(settings, {"policy": {**policy, **size}})
+            changes = merged(settings, {"policy": policy}, _SPARSE_BUDGETS[task, student])
             found[f"{task}-{student}"] = Recipe("sparse", f"{network}, that {verb}", changes)
     return found
 
