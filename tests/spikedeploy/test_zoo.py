@@ -82,6 +82,18 @@ def test_each_task_has_one_float_ann_that_others_are_measured_against(env):
     assert "snn" in kinds
 
 
+def test_the_smooth_walker_is_shipped_and_waits_beside_the_published_tables():
+    assert zoo.path("hexapod-command/smooth") is not None
+    left_out = set(zoo.policies("hexapod-command")) - set(zoo.compared("hexapod-command"))
+    assert left_out == {zoo.path("hexapod-command/smooth")}
+
+
+def test_a_smooth_walker_earns_more_with_less_energy_than_the_first_teacher():
+    first, smooth = (zoo.card(f"hexapod-command/{n}")["evaluation"][0] for n in ("sac", "smooth"))
+    assert smooth["return_ci95"][0] > first["return_ci95"][1]
+    assert smooth["cot"] < 0.75 * first["cot"]
+
+
 def test_reports_name_shipped_files_without_the_folders_of_the_machine():
     assert all(zoo.called(str(path)) == "/".join(path.parts[-2:]) for path in zoo.policies())
     assert zoo.called("elsewhere/policy.nir") == "elsewhere/policy.nir"
