@@ -83,6 +83,7 @@ class _LayerDrift:
     lost, woken: neurons that spike in float and never on the chip, and the other way round.
     saturations: numbers that did not fit a register.
     first: (inference, timestep, neuron) of the first difference, or None.
+    filled: largest part of its register that a current took; None where that is not known.
     """
 
     name: str
@@ -95,6 +96,7 @@ class _LayerDrift:
     woken: int
     saturations: int
     first: tuple[int, int, int] | None
+    filled: float | None = None
 
 
 @dataclass(frozen=True)
@@ -264,6 +266,7 @@ def _layer(name: str, twin: Activity, seen: Activity, tau: float) -> _LayerDrift
         first=(int(different[0][0]), int(different[0][1]), int(different[0][2]))
         if len(different)
         else None,
+        filled=seen.filled.get(name),
     )
 
 
