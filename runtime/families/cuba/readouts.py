@@ -15,8 +15,8 @@ from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
 Floats = NDArray[np.float64]
 
-# spikes of one sign more than of the other, on the heaviest synapse: eight times the level that a
-# delta code of 0.3 standard deviations reaches at 2.4 of them
+# spikes of one sign more than of the other, on the heaviest synapse; a channel of a delta code with
+# steps of 0.3 standard deviations stays below 10, and several channels add up
 NET_EVENTS = 64
 # part of a register that they may fill
 _SHARE = 0.5

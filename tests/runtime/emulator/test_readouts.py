@@ -130,6 +130,20 @@ def test_steps_of_the_chip_give_the_rows_of_a_window_later(kind, name):
 
 
 @pytest.mark.parametrize("name", ["loihi1", "ideal", "loihi1:membrane_output=none"])
+def test_a_reset_forgets_readouts_whatever_ran_before(name):
+    program = compile_program(network("second"), chip(name))
+    for machine in backends(program).values():
+        fresh = [machine.step(row) for row in events().swapaxes(0, 1)]
+        machine.reset()
+        whole = machine.infer(events())
+        machine.reset()
+        again = [machine.step(row) for row in events().swapaxes(0, 1)]
+        np.testing.assert_array_equal(again, fresh)
+        machine.reset()
+        np.testing.assert_array_equal(machine.infer(events()), whole)
+
+
+@pytest.mark.parametrize("name", ["loihi1", "ideal", "loihi1:membrane_output=none"])
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_copies_of_a_running_machine_go_on_alike(name, duplicate):
     program = compile_program(network("second"), chip(name))
