@@ -3,7 +3,7 @@
 The float twin and chips are recorded in the same form, so that they can be compared.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -32,8 +32,8 @@ class Activity:
     output: (B, T, act) of the readout, or the spikes of the last layer.
     saturations: layer -> numbers that did not fit a register.
     membranes: readout layer -> (B, T, N) [float units].
-    filled: readout layer -> largest part of a register that a current or a membrane took; empty
-        where nothing has registers.
+    filled: layer -> largest part of its register that a current took, of readouts a membrane too;
+        empty where there are no such registers.
     """
 
     spikes: Mapping[str, NDArray[Any]]
@@ -161,25 +161,28 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
         output=output,
         saturations=machine.ledger.by_layer("saturation"),
         membranes={layer.name: layer.scale * seen[layer.name].membrane for layer in readouts},
-        filled=_filled(program, readouts, seen),
+        filled=_filled(program, seen),
     )
 
 
-def _filled(
-    program: Program, readouts: Sequence[Layer], seen: Mapping[str, Recording]
-) -> dict[str, float]:
-    """Readout layer -> largest part of a register of integers that a state took."""
-    if not program.chip.arithmetic.rounds:
-        return {}
+def _filled(program: Program, seen: Mapping[str, Recording]) -> dict[str, float]:
+    """Layer -> largest part of its register that a current took, of readouts a membrane too."""
     bits = program.chip.arithmetic.state_bits
+    if len(bits) < 2:  # no current
+        return {}
+    current, membrane = bits[0], bits[-1]
     found = {}
-    for layer in readouts:
-        states = (seen[layer.name].current, seen[layer.name].membrane)
-        if states[1].dtype.kind == "i":
-            widths = (bits[0], bits[-1])
-            pairs = zip(states, widths, strict=True)
-            found[layer.name] = max(float(np.abs(x).max() / ((1 << (n - 1)) - 1)) for x, n in pairs)
+    for layer in program.layers:
+        states = [(seen[layer.name].current, current)]
+        if not layer.spiking:
+            states.append((seen[layer.name].membrane, membrane))
+        if all(state.dtype.kind == "i" for state, _ in states):
+            found[layer.name] = max(_part(state, bits) for state, bits in states)
     return found
+
+
+def _part(state: NDArray[Any], bits: int) -> float:
+    return float(np.abs(state).max() / ((1 << (bits - 1)) - 1))
 
 
 def _reached(node: FloatNeurons, before: NDArray[Any] | None) -> NDArray[Any]:

@@ -98,6 +98,7 @@ class _LayerDrift:
     lost, woken: neurons that spike in float and never on the chip, and the other way round.
     saturations: numbers that did not fit a register.
     first: (inference, timestep, neuron) of the first difference, or None.
+    filled: largest part of its register that a current took; None where that is not known.
     """
 
     name: str
@@ -110,6 +111,7 @@ class _LayerDrift:
     woken: int
     saturations: int
     first: tuple[int, int, int] | None
+    filled: float | None = None
 
 
 @dataclass(frozen=True)
@@ -270,6 +272,7 @@ def _layer(
         first=(int(different[0][0]), int(different[0][1]), int(different[0][2]))
         if len(different)
         else None,
+        filled=seen.filled.get(name),
     )
 
 

@@ -92,8 +92,11 @@ class ArithmeticDefaults(Protocol):
         """Refuse an output layer whose spikes cannot leave the chip."""
         return
 
-    def ranges(self, readouts: Sequence[Layer]) -> list[str]:
-        """Of quantised readout layers what their registers hold, a sentence each."""
+    def ranges(self, layers: Sequence[Layer], timesteps: int | None) -> list[str]:
+        """Of quantised layers that their leaks do not bound what registers hold, a sentence each.
+
+        timesteps: T of an inference; None where it is not known, or states are kept.
+        """
         return []
 
     # what the design rules ask

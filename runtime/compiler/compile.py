@@ -54,7 +54,7 @@ def compile_program(
     )
     if plan:  # last: the compiler itself is more precise
         refuse(plan, ARITHMETIC)
-    ranges = chip.arithmetic.ranges([layer for layer in layers if not layer.spiking])
+    ranges = chip.arithmetic.ranges(layers, _window(artifact))
     return replace(program, layers=tuple(layers), remarks=(*program.remarks, *ranges))
 
 
@@ -236,5 +236,6 @@ def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
         program = compile_program(artifact, on, limits=limits)
     except SpikedeployError as error:
         return RuleResult(COMPILE, None, "fail", str(error))
-    note = "; ".join(program.remarks) if program.reads_membranes else ""
+    ranges = program.chip.arithmetic.ranges(program.layers, _window(artifact))
+    note = "; ".join(program.remarks if program.reads_membranes else ranges)
     return RuleResult(COMPILE, None, "pass", "a program", note=note)

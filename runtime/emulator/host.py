@@ -21,8 +21,6 @@ class Host:
     """The host of a program with readout layers; its states are those of a batch of B.
 
     program: whose output it computes.
-    streaming: whether it receives single timesteps of the chip, in which later layers are behind,
-        and not windows, in which all rows mean the same.
     """
 
     def __init__(self, program: Program, batch: int) -> None:
@@ -31,7 +29,11 @@ class Host:
         self.reset(streaming=False)
 
     def reset(self, streaming: bool) -> None:
-        """Forget every current and membrane, and all rows that are still late."""
+        """Forget every current and membrane, and all rows that are still late.
+
+        streaming: whether single timesteps of the chip come, in which later layers are behind, and
+            not windows, in which rows of one number mean the same.
+        """
         delays = _Delays(self._program, streaming)
         self._integrators = [
             _Integrator(layer, self._batch, delays) for layer in self._program.host

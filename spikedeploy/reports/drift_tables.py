@@ -94,8 +94,16 @@ def _summary(report: DriftReport) -> list[tuple[str, str]]:
         ("inferences that differ", f"{drift.diverged} of {drift.inferences}"),
         ("first difference", where),
         (_unit(drift.output), _size(drift.output)),
+        *_fullest(drift),
         ("distance", f"van Rossum, {drift.tau:g} timesteps; a spike more or less is 0.5"),
     ]
+
+
+def _fullest(drift: Drift) -> list[tuple[str, str]]:
+    """The layer whose registers are filled most."""
+    filled = [(each.filled, each.name) for each in drift.layers if each.filled]
+    filled += [(each.filled, each.name) for each in drift.readouts if each.filled]
+    return [("fullest register", "{:.1%}, in {!r}".format(*max(filled)))] if filled else []
 
 
 def _layers(drift: Drift) -> list[tuple[str, ...]]:

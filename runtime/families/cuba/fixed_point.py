@@ -69,9 +69,12 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
             return with_headroom(self, network, quantisation, timesteps)
         return [quantise(layer, self, quantisation) for layer in network.layers]
 
-    def ranges(self, readouts: Sequence[Layer]) -> list[str]:
-        """Of quantised readout layers what their registers hold, where leaks do not bound it."""
-        return [found for layer in readouts if (found := range_of(layer, self))]
+    def ranges(self, layers: Sequence[Layer], timesteps: int | None) -> list[str]:
+        """Of quantised layers that their leaks do not bound what registers hold, a sentence each.
+
+        timesteps: T of an inference; None where it is not known, or states are kept.
+        """
+        return [found for layer in layers if (found := range_of(layer, self, timesteps))]
 
     def update(
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState

@@ -1,4 +1,4 @@
-"""Readout layers in Loihi's integers: a scale without a threshold, and what their registers hold.
+"""Layers that add up for long, in Loihi's integers: what registers hold, and a scale for readouts.
 
 Nothing bounds the current of a readout that hardly leaks: it is the sum of all that ever arrived.
 So a scale is chosen at which half of each register holds NET_EVENTS more spikes of one sign than of
@@ -15,13 +15,17 @@ from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
 Floats = NDArray[np.float64]
 
-# spikes of one sign more than of the other, on the heaviest synapse: eight times the level that a
-# delta code of 0.3 standard deviations reaches at 2.4 of them
+# spikes of one sign more than of the other, on the heaviest synapse; a channel of a delta code with
+# steps of 0.3 standard deviations stays below 10, and several channels add up
 NET_EVENTS = 64
 # part of a register that they may fill
 _SHARE = 0.5
 # [timesteps] what a bias adds up to without a leak is taken over so many
 _LONG = 4096
+# a current that loses no more than this part of itself in a timestep adds up for long
+_SLOW = 1 / 256
+# net spikes that are not counted further
+_MANY = 10**9
 # timesteps at which responses are looked at: each at first, then a few of each octave
 _TIMES = np.unique(np.concatenate([np.arange(64), np.geomspace(64, 1e6, 200).astype(int)]))
 # what weights with their exponent are stored in
@@ -51,27 +55,43 @@ def exponent_and_share(
     return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
 
 
-def range_of(layer: Layer, registers: CubaRegisters) -> str:
-    """What the registers of a quantised readout layer hold, in a sentence; "" where always all."""
+def range_of(layer: Layer, registers: CubaRegisters, timesteps: int | None) -> str:
+    """What registers hold of a quantised layer, in a sentence; "" where that is all, or it leaks.
+
+    Of layers that spike the current is looked at, where it hardly leaks: thresholds bound the rest.
+
+    timesteps: T of an inference; None is a state that is never reset.
+    """
     one = float(registers.decay_one)
     current, membrane = layer.current_decay / one, layer.membrane_decay / one
-    unit = 1 << registers.mantissa_shift
-    held = min(registers.current.limit, registers.push.limit, registers.membrane.limit)
+    states = [registers.current.limit, registers.push.limit, registers.membrane.limit]
+    if layer.spiking:
+        if current.max() < 1 - _SLOW:
+            return ""
+        membrane, states = 0 * membrane, states[:2]
+    unit, held = 1 << registers.mantissa_shift, min(states)
     positive, negative, heaviest = _weighed(layer)
-    steady = _steady(current, membrane)
-    pushed = np.abs(layer.voltage_bias) / np.maximum(1 - membrane, 1 / _LONG)
-    bias = np.abs(layer.bias) * unit * np.minimum(steady, _LONG) + pushed
-    largest = np.maximum(positive, negative) * unit
-    unbounded = np.where(largest > 0, np.inf, 0.0)
-    proven = np.multiply(largest, steady, out=unbounded, where=np.isfinite(steady)) + bias
-    if _most(proven) <= held or not heaviest.any():
+    each, bias = heaviest * unit * _peak(current, membrane), _biased(layer, current, membrane, unit)
+    largest, steady = np.maximum(positive, negative) * unit, _steady(current, membrane)
+    if timesteps is not None:
+        steady = np.minimum(steady, timesteps * _peak(current, membrane))
+    proven = np.multiply(largest, steady, out=np.zeros(layer.size), where=largest > 0) + bias
+    if _most(proven) <= held:
         return ""
-    each = heaviest * unit * _peak(current, membrane)
     room = np.divide(held - bias, each, out=np.full(layer.size, np.inf), where=each > 0)
+    kind = "layer" if layer.spiking else "readout"
     return (
-        f"readout {layer.name!r}: its leaks do not bound what it adds up; its registers hold "
-        f"{max(int(room.min()), 0)} net spikes over a heaviest synapse (the ledger counts "
-        "saturations; `spikedeploy drift` shows what recorded inputs fill)"
+        f"{kind} {layer.name!r}: its leaks do not bound what it adds up; its registers hold "
+        f"{max(int(min(room.min(), _MANY)), 0)} net spikes over a heaviest synapse (the ledger "
+        "counts saturations; `spikedeploy drift` shows what recorded inputs fill)"
+    )
+
+
+def _biased(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Floats:
+    """What the biases (N,) add up to; without a leak over _LONG timesteps."""
+    pushed = np.abs(layer.voltage_bias) / np.maximum(1 - membrane, 1 / _LONG)
+    return np.asarray(
+        np.abs(layer.bias) * unit * np.minimum(_steady(current, membrane), _LONG) + pushed
     )
 
 
@@ -96,9 +116,7 @@ def _reach(layer: Layer) -> Floats:
     events = NET_EVENTS * heaviest * _peak(current, membrane)
     bounded = np.isfinite(steady)
     proven = np.multiply(largest, steady, out=events.copy(), where=bounded)
-    pushed = np.abs(layer.voltage_bias) / np.maximum(1 - membrane, 1 / _LONG)
-    bias = np.abs(layer.bias) * np.minimum(steady, _LONG) + pushed
-    return np.asarray(np.minimum(events, proven) + bias)
+    return np.asarray(np.minimum(events, proven) + _biased(layer, current, membrane, 1))
 
 
 def _steady(current: Floats, membrane: Floats) -> Floats:

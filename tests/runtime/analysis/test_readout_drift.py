@@ -87,3 +87,15 @@ def test_neurobench_takes_membranes_for_graded_and_readouts_for_no_spiking_layer
     assert (found.host is not None) == (name is not None and "none" in name)
     if found.host:
         assert found.host.multiplications == 75 * ACTIONS
+
+
+@pytest.mark.parametrize("name", ["truenorth", "odin"])
+def test_drift_of_chips_without_currents_fills_no_register(name):
+    found = drift(network("same", neurons="IF"), chip(name), events(), limits=False)
+    assert all(layer.filled is None for layer in found.layers)
+    assert not found.readouts
+
+
+def test_a_hidden_current_that_adds_up_is_told_too():
+    (hidden,) = drift(network("same"), chip("loihi1"), events()).layers
+    assert 0 < hidden.filled < 1

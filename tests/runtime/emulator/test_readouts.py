@@ -130,6 +130,20 @@ def test_steps_of_the_chip_give_the_rows_of_a_window_later(kind, name):
 
 
 @pytest.mark.parametrize("name", ["loihi1", "ideal", "loihi1:membrane_output=none"])
+def test_a_reset_forgets_readouts_whatever_ran_before(name):
+    program = compile_program(network("second"), chip(name))
+    for machine in backends(program).values():
+        fresh = [machine.step(row) for row in events().swapaxes(0, 1)]
+        machine.reset()
+        whole = machine.infer(events())
+        machine.reset()
+        again = [machine.step(row) for row in events().swapaxes(0, 1)]
+        np.testing.assert_array_equal(again, fresh)
+        machine.reset()
+        np.testing.assert_array_equal(machine.infer(events()), whole)
+
+
+@pytest.mark.parametrize("name", ["loihi1", "ideal", "loihi1:membrane_output=none"])
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_copies_of_a_running_machine_go_on_alike(name, duplicate):
     program = compile_program(network("second"), chip(name))
@@ -318,7 +332,7 @@ def test_an_unknown_way_out_is_refused():
 def test_an_overflow_is_counted_and_told(name):
     artifact = one_neuron(cubali(1))
     program = compile_program(artifact, chip(name))
-    (remark,) = [each for each in program.remarks if "net spikes over" in each]
+    (remark,) = program.remarks
     room = int(remark.split("hold ")[1].split()[0])
     assert room >= 64
     for spikes, over in ((room, False), (2 * room + 2, True)):
@@ -331,7 +345,10 @@ def test_an_overflow_is_counted_and_told(name):
 
 
 def test_leaks_that_bound_a_readout_leave_nothing_to_tell():
-    assert compile_program(network("same"), chip("loihi1")).remarks == ()
+    # of the hidden layer, whose current hardly leaks, there is something to tell
+    (remark,) = compile_program(network("same"), chip("loihi1")).remarks
+    assert remark.startswith("layer 'hidden': its leaks do not bound")
+    assert not compile_program(network("same", "kept", neurons="LIF"), chip("loihi1")).remarks
     program = compile_program(network("same"), chip("loihi1"))
     machine = Machine(program)
     machine.infer(np.ones((1, 200, INPUTS), np.uint8))
