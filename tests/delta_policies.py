@@ -43,9 +43,12 @@ def thinned(policy, left):
 
 
 def walk(steps=60, obs=5, seed=0):
-    """Observations (S, obs) that drift."""
+    """Observations (S, obs) that drift, and return."""
     rng = np.random.default_rng(seed)
-    return np.cumsum(rng.normal(0, 0.4, (steps, obs)), axis=0)
+    rows = np.zeros((steps, obs))
+    for t in range(1, steps):
+        rows[t] = 0.9 * rows[t - 1] + rng.normal(0, 0.5, obs)
+    return rows
 
 
 @torch.no_grad()
