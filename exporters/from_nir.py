@@ -59,6 +59,7 @@ def _policy(artifact: Artifact) -> SpikingPolicy | DeltaSnnPolicy:
 def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
     nodes = artifact.graph.nodes
     neurons = nodes.get("lif1")
+    decays = discretise("readout", nodes["readout"], artifact.convention).membrane_decay
     policy = DeltaSnnPolicy(
         encoder.observed,
         nodes["action"].bias.size,
@@ -67,6 +68,7 @@ def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
         most=encoder.most,
         code=encoder.code,
         events_above=encoder.threshold,
+        current_decay=round(float(_current_decays(artifact, decays)[0]), _DIGITS),
         clip=codec.normaliser.clip,
         head="discrete" if codec.chooses else "continuous",
     )
@@ -81,12 +83,23 @@ def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
         arrays["past.weight"] = _of_observations(nodes["skip"].weight, encoder)
     if neurons is not None:
         arrays |= _hidden(artifact, encoder)
-    decays = discretise("readout", nodes["readout"], artifact.convention).membrane_decay
     arrays["_gamma"] = _logits(decays)
     state = policy.state_dict() | {n: torch.from_numpy(a).float() for n, a in arrays.items()}
     masks = {f"{n}.mask": (state[f"{n}.weight"] != 0).float() for n in ("into", "out", "past")}
     policy.load_state_dict(state | masks)
     return policy
+
+
+def _current_decays(
+    artifact: Artifact, readout: NDArray[np.floating[Any]]
+) -> NDArray[np.floating[Any]]:
+    """Return the currents' decay factors: of the neurons, or of a readout that stands for them."""
+    if "lif1" not in artifact.graph.nodes:
+        return readout
+    neuron = discretise("lif1", artifact.graph.nodes["lif1"], artifact.convention)
+    if neuron.current_decay is None:
+        raise AttributeError("lif1 has no current")
+    return neuron.current_decay
 
 
 def _hidden(artifact: Artifact, encoder: DeltaEncoder) -> Arrays:

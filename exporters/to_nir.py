@@ -51,12 +51,12 @@ def to_nir(
     origin: Provenance,
     path: str | Path,
     dt: float = _DT,
-    state: State = "reset",
+    state: State | None = None,
 ) -> Path:
     """Write the policy to `path` and return it.
 
-    state: "reset", as policies are trained, or "kept" between inferences; a DeltaSnnPolicy is
-        trained with states that are kept, and always keeps them.
+    state: "reset" or "kept" between inferences; None as the policy was trained: a DeltaSnnPolicy
+        with states that are kept, which it always keeps, all others with states that are reset.
     """
     path = Path(path)
     save(artifact(policy, origin, dt, state), path)
@@ -64,15 +64,20 @@ def to_nir(
 
 
 def artifact(
-    policy: Policy, origin: Provenance, dt: float = _DT, state: State = "reset"
+    policy: Policy, origin: Provenance, dt: float = _DT, state: State | None = None
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
     if isinstance(policy, DeltaSnnPolicy):
+        if state == "reset":
+            raise ConfigError(
+                "state reset: a policy of kind 'delta-snn' keeps its states through an episode, as "
+                "its inputs are changes since the last inference; leave the option out"
+            )
         return delta_artifact(policy, origin, dt)
     # the file holds the float32 weights exactly; arithmetic on them is float64 from here on
     precise = deepcopy(_spiking(policy)).double()
     convention = Convention(dt=dt, source="as trained")
-    if state != convention.state:
+    if state is not None and state != convention.state:
         convention = convention.with_options({"state": state})
     return Artifact(_graph(precise, dt), _codec(precise), convention, origin)
 

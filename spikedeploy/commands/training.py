@@ -71,9 +71,11 @@ def export(
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
     state: Annotated[
-        States,
-        typer.Option(help="Membranes at an inference: reset as trained, or kept; nir only."),
-    ] = "reset",
+        States | None,
+        typer.Option(
+            help="Membranes at an inference: reset, or kept; nir only.", show_default="as trained"
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it."""

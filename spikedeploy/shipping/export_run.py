@@ -51,7 +51,7 @@ def export_run(
     path: Path | None = None,
     observations: int = _OBSERVATIONS,
     control: bool = False,
-    state: "State" = "reset",
+    state: "State | None" = None,
 ) -> ExportedPolicy:
     """Write a run's policy as a file.
 
@@ -60,16 +60,16 @@ def export_run(
     path          of the file; by default policy.<to> in the run folder
     observations  number of recorded observations on which file and policy are compared
     control       whether comparisons show a float network as a control
-    state         of a spiking policy between inferences: "reset", or "kept"
+    state         of a spiking policy between inferences: "reset", or "kept"; None as trained
     """
-    if state != "reset" and to != "nir":
+    if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
     folder = RunFolder.find(run).path
     policy = load_policy(folder)
     path = path or folder / f"policy.{to}"
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy, control)
-    options: dict[str, dict[str, str]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
+    options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
     exporter(to)(policy, run_record.origin(folder), path, **options.get(to, {}))
     return ExportedPolicy(path, kind, check(policy, path, recorded(folder, observations)))
 

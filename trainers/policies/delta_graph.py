@@ -98,8 +98,9 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
         nodes["lif1"] = _neurons(policy, live, dt)
         nodes["fc2"] = nir.Linear(_array(policy.out()[:, live]))
         edges += [("input", "fc1"), ("fc1", "lif1"), ("lif1", "fc2"), ("fc2", "readout")]
-    if policy.skip and bool(policy.past.mask.any()):
-        nodes["skip"] = nir.Linear(channel_weights(policy, _array(policy.past())))
+    past = policy.past() if policy.skip else policy.step.new_zeros(policy.actions, len(policy.step))
+    if not edges or bool(past.any()):  # the input is read, if only with weights of 0
+        nodes["skip"] = nir.Linear(channel_weights(policy, _array(past)))
         edges += [("input", "skip"), ("skip", "readout")]
     nodes["readout"] = _readout(policy, dt)
     nodes["action"] = nir.Affine(np.eye(policy.actions), _array(policy.action_bias))

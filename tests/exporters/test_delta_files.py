@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy.exporters.from_nir import from_nir
+from spikedeploy.exporters.parity import check
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.delta_graph import live_neurons
+from tests.delta_policies import delta_policy, followed, walk
+
+ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sparse")
+SHAPES = [
+    {},
+    {"code": "unary"},
+    {"hidden": 0},
+    {"skip": False},
+    {"head": "discrete", "act": 4},
+    {"current_decay": 0.9},
+    {"hidden": 0, "current_decay": 0.9},
+]
+
+
+def written(policy, tmp_path):
+    return to_nir(policy, ORIGIN, tmp_path / "policy.nir")
+
+
+def failed(checks):
+    return [check.name for check in checks if not check.passed]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_torch_numpy_and_ideal_agree_over_an_episode(shape, tmp_path):
+    policy = delta_policy(**shape)
+    checks = check(policy, written(policy, tmp_path), walk(200))
+    assert not failed(checks)
+    live = int(live_neurons(policy).sum())
+    assert live > 4 or not policy.hidden
+    # 200 timesteps of 30 channels and the neurons
+    assert checks[0].detail == f"{200 * (30 + live):,} compared, all equal"
+
+
+def test_a_changed_decay_is_found_in_the_actions_and_a_changed_step_in_the_spikes(tmp_path):
+    policy = delta_policy()
+    path, observation = written(policy, tmp_path), walk(100)
+    policy._gamma += 1e-3
+    assert failed(check(policy, path, observation)) == ["actions: torch = NumPy, float64"]
+    policy.step *= 1.1
+    assert "spikes: torch = NumPy, float64" in failed(check(policy, path, observation))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_file_read_back_is_the_same_policy(shape, tmp_path):
+    policy = delta_policy(**shape, left=1.0)
+    path = written(policy, tmp_path)
+    again = from_nir(path)
+    assert again.spec() == policy.spec()
+    found, expected = again.state_dict(), policy.state_dict()
+    if not policy.hidden:  # readouts decay as currents do
+        del found["_gamma"], expected["_gamma"]
+    for name, tensor in expected.items():
+        torch.testing.assert_close(found[name], tensor, rtol=1e-6, atol=1e-7, msg=name)
+    for name in ("into.weight", "out.weight", "past.weight", "step", "action_bias"):
+        assert torch.equal(found[name], expected[name]), name
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_pruned_file_read_back_acts_alike(shape, tmp_path):
+    policy = delta_policy(**shape, left=0.3)
+    again = from_nir(written(policy, tmp_path))
+    one, other = (followed(each, walk(100))[0] for each in (policy.double(), again.double()))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+    assert not failed(check(again, tmp_path / "policy.nir", walk(100)))
+
+
+@pytest.mark.parametrize("code", ["one-hot", "unary"])
+@pytest.mark.parametrize("target", ["loihi1", "loihi2", "ideal", "int"])
+def test_a_batch_on_a_chip_equals_single_robots(code, target, tmp_path):
+    artifact = load(written(delta_policy(code=code), tmp_path))
+    observation = np.stack([walk(30, seed=seed) for seed in range(3)])
+    together = SpikingController(artifact, chip(target))
+    alone = SpikingController(artifact, chip(target))
+    actions = np.stack([together.act_batch(row) for row in observation.swapaxes(0, 1)], axis=1)
+    for robot, expected in zip(observation, actions, strict=True):
+        alone.reset(0)
+        np.testing.assert_array_equal([alone.act(row) for row in robot], expected)
+
+
+def test_states_are_always_kept(tmp_path):
+    assert load(written(delta_policy(), tmp_path)).convention.state == "kept"
+    to_nir(delta_policy(), ORIGIN, tmp_path / "kept.nir", state="kept")
+    with pytest.raises(ConfigError, match=r"delta-snn.*keeps its states"):
+        to_nir(delta_policy(), ORIGIN, tmp_path / "reset.nir", state="reset")
