@@ -3,7 +3,7 @@
 The float twin and chips are recorded in the same form, so that they can be compared.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -72,6 +72,8 @@ def _concatenated(parts: Sequence[Activity]) -> Activity:
         reached=join([part.reached for part in parts]),
         output=np.concatenate([part.output for part in parts]),
         saturations={name: sum(lost[name] for lost in saturations) for name in saturations[0]},
+        membranes=join([part.membranes for part in parts]),
+        filled={name: max(part.filled[name] for part in parts) for name in parts[0].filled},
     )
 
 
