@@ -123,9 +123,18 @@ def publish(
 
 
 def experiment(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Which: kart.")],
-    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each network.")] = 5,
-    controls: Annotated[int, typer.Option(min=0, help="Trainings of each control.")] = 3,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which: kart, pareto.")],
+    env: Annotated[
+        str | None,
+        typer.Argument(metavar="[ENV]", help="Environment of pareto, such as hexapod."),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(min=1, help="Trainings of each network.", show_default="kart 5, pareto 3"),
+    ] = None,
+    controls: Annotated[
+        int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="3")
+    ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -135,26 +144,56 @@ def experiment(
         ),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes side by side.", show_default="all cores")
+        int | None,
+        typer.Option(
+            min=1, help="Processes side by side.", show_default="kart all cores, pareto 1"
+        ),
     ] = None,
     finishes: Annotated[
-        int, typer.Option(min=0, help="Finishes that end a training; 0 spends the whole budget.")
-    ] = 0,
+        int | None,
+        typer.Option(
+            min=0,
+            help="kart: finishes that end a training; 0 spends the whole budget.",
+            show_default="0",
+        ),
+    ] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One setting of every training."),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each evaluation.")] = 100,
-    chip: Annotated[str, typer.Option(help="Chip of the spiking policies.")] = "loihi1",
-    folder: Annotated[Path, typer.Option(help="Where the run folders are.")] = Path(
-        "runs/experiment-kart"
-    ),
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Episodes of each evaluation.", show_default="100; karts of pareto 300"
+        ),
+    ] = None,
+    chip_episodes: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="pareto: episodes on other chips and in fewer bits.", show_default="30"
+        ),
+    ] = None,
+    chip: Annotated[
+        str | None, typer.Option(help="Chip of the spiking policies.", show_default="loihi1")
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder",
+            "--runs",
+            help="Where the run folders are.",
+            show_default="runs/experiment-kart, runs/pareto/ENV",
+        ),
+    ] = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Where kart.md and kart/ are written.")
+        Path, typer.Option("-o", "--output", help="Where the page NAME.md and NAME/ are written.")
     ] = Path("results"),
     train: Annotated[
         bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
     ] = True,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="pareto: trainings and episodes of seconds.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Train, export and evaluate all parts of an experiment; resume where it stopped."""
@@ -162,17 +201,21 @@ def experiment(
 
     from spikedeploy.console import print_json
     from spikedeploy.experiments import EXPERIMENTS
-    from spikedeploy.parallel import cores
     from spikedeploy.runtime.errors import ConfigError
 
     if name not in EXPERIMENTS:
         raise ConfigError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
-    module, _, function = EXPERIMENTS[name].partition(":")
-    design = import_module("spikedeploy.experiments.kart_design").ExperimentDesign(
-        seeds, controls, str(folder), tuple(set_ or ()), finishes, episodes, chip
+    given = {
+        "env": env, "seeds": seeds, "controls": controls, "finishes": finishes,
+        "set": tuple(set_) if set_ else None, "episodes": episodes, "chip-episodes": chip_episodes,
+        "chip": chip, "runs": folder and str(folder), "quick": quick or None,
+    }  # fmt: skip
+    run, asked = (
+        getattr(import_module(module), function)
+        for module, _, function in (path.partition(":") for path in EXPERIMENTS[name])
     )
-    run = getattr(import_module(module), function)
-    outcome = run(design, only or (), jobs or cores(), output, train)
+    design = asked({option: value for option, value in given.items() if value is not None})
+    outcome = run(design, only or (), jobs, output, train)
     if json:
         files = [str(path) for path in outcome.files]
         print_json({**vars(outcome), "files": files})

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _RESAMPLES = 10_000
+_TOGETHER = 500  # resamples of whole tables at once
 _LEVEL = 0.95
 Z = 1.959964  # standard deviations that hold LEVEL of a normal distribution
 
@@ -83,6 +84,24 @@ def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Gen
     tail = (1 - _LEVEL) / 2
     low, high = np.quantile(tops / bottoms, (tail, 1 - tail))
     return Estimate(float(np.median(left) / np.median(right)), (float(low), float(high)))
+
+
+def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
+    """Mean of values (S, n) of S trainings in n episodes / mean of a reference (n,) in the same.
+
+    A resample draws trainings, then for each of them episodes, of it and of the reference; the
+    `mean` of the estimate is the ratio of the sample itself.
+    """
+    each, beside = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    trainings, episodes = each.shape
+    ratios = []
+    for _ in range(_RESAMPLES // _TOGETHER):
+        drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
+        picks = rng.integers(episodes, size=(_TOGETHER, trainings, episodes))
+        ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
+    tail = (1 - _LEVEL) / 2
+    low, high = np.quantile(np.concatenate(ratios), (tail, 1 - tail))
+    return Estimate(float(each.mean() / beside.mean()), (float(low), float(high)))
 
 
 def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Experiments: many trainings and their evaluations by one command, resumed where it stopped.
 
-A new experiment is one file and one line in EXPERIMENTS.
+A new experiment is a design, what runs it, and one line in EXPERIMENTS.
 
 trial         one training run, exported and evaluated
 evaluation    greedy episodes of a policy on evaluation seeds
@@ -13,6 +13,17 @@ kart_records  its results as records and CSV
 kart_tables   its results as Markdown tables
 kart_plot     finishes against environment steps
 kart_page     results/kart.md
+pareto        the pareto experiment: return against operations and energy
 """
 
-EXPERIMENTS = {"kart": "spikedeploy.experiments.kart:experiment"}
+# what runs it, and what makes its design of the options that were given
+EXPERIMENTS = {
+    "kart": (
+        "spikedeploy.experiments.kart:experiment",
+        "spikedeploy.experiments.kart_design:asked",
+    ),
+    "pareto": (
+        "spikedeploy.experiments.pareto.experiment:experiment",
+        "spikedeploy.experiments.pareto.design:asked",
+    ),
+}

@@ -16,6 +16,7 @@ from spikedeploy.experiments.kart_design import ExperimentDesign
 from spikedeploy.experiments.kart_page import write
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd
+from spikedeploy.parallel import cores
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines where there is no terminal
@@ -108,12 +109,16 @@ class _TrialOutcome:
 
 
 def experiment(
-    design: ExperimentDesign, only: Sequence[str], count: int, results: Path, train: bool = True
+    design: ExperimentDesign,
+    only: Sequence[str],
+    count: int | None,
+    results: Path,
+    train: bool = True,
 ) -> _TrialOutcome:
     """Run the missing parts of the experiment.
 
     only     prefixes of the names of parts; empty for all
-    count    processes in parallel
+    count    processes in parallel; None for one on each core
     results  folder of kart.md and kart/
     train    False only writes the page
     """
@@ -129,7 +134,7 @@ def experiment(
                 failed[end.job.name] = end.last_line
             write(design, results)
 
-        whole = workers.run(jobs, count, ended, progress.update)
+        whole = workers.run(jobs, count or cores(), ended, progress.update)
     files = write(design, results)
     done = [part.done for part in design.parts]
     return _TrialOutcome(sum(done), len(done), failed, not whole, files)

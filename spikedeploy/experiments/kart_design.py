@@ -8,12 +8,14 @@ kart-simulator's own figures are from its README's table: its best runs, one see
 finishes on Grid and Steer follow from the steps per finish that it implies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from spikedeploy import envs
 from spikedeploy.experiments.evaluation import BuiltInEvaluation
 from spikedeploy.experiments.trial import Trial
+from spikedeploy.runtime.errors import ConfigError
 
 WORLDS = ("kart-grid", "kart-gazebo", "kart-steer")
 NETWORKS = ("ann", "snn")
@@ -67,6 +69,24 @@ class ExperimentDesign:
     def parts(self) -> list[BuiltInEvaluation | Trial]:
         """All parts, the short evaluations first."""
         return [*self.built_in(), *self.trials()]
+
+
+_OPTIONS = {
+    "seeds": "seeds",
+    "controls": "controls",
+    "runs": "folder",
+    "set": "overrides",
+    "finishes": "finishes",
+    "episodes": "episodes",
+    "chip": "chip",
+}
+
+
+def asked(options: Mapping[str, Any]) -> ExperimentDesign:
+    """The design of the options of a command; ConfigError where one is of other experiments."""
+    if other := sorted(options.keys() - _OPTIONS):
+        raise ConfigError(f"the experiment kart has no {other[0]}. Leave it out.")
+    return ExperimentDesign(**{_OPTIONS[name]: value for name, value in options.items()})
 
 
 @dataclass(frozen=True)

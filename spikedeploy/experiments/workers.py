@@ -27,12 +27,14 @@ class Job:
     call       "module:function"; a function that returns False was interrupted
     arguments  of the function, JSON types
     log        file with the output of the process, of all attempts
+    after      names of jobs that must have ended before, where they are to be done
     """
 
     name: str
     call: str
     log: Path
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    after: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -67,15 +69,18 @@ def run(
 ) -> bool:
     """Run the jobs in order, `count` at a time; return whether none was left out.
 
+    A job that must wait for others lets those behind it go first.
+
     ended   is called after each job
     update  is called with the running jobs at every poll
     """
-    waiting, running = list(reversed(jobs)), list[_Process]()
+    waiting, running = list(jobs), list[_Process]()
     with _sigterm_as_interrupt():
         try:
             while waiting or running:
-                while waiting and len(running) < count:
-                    running.append(_Process(waiting.pop()))
+                while len(running) < count and (job := _ready(waiting, running)):
+                    waiting.remove(job)
+                    running.append(_Process(job))
                 for process in [each for each in running if each.status is not None]:
                     running.remove(process)
                     ended(process.end())
@@ -88,6 +93,12 @@ def run(
             _stop(running, ended)
             raise
     return True
+
+
+def _ready(waiting: Sequence[Job], running: "Sequence[_Process]") -> Job | None:
+    """The first job that waits for none of the others."""
+    left = {job.name for job in (*waiting, *(process.job for process in running))}
+    return next((job for job in waiting if not left & set(job.after)), None)
 
 
 def _stop(running: "Sequence[_Process]", ended: Callable[[JobEnd], None]) -> None:

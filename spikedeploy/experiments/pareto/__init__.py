@@ -1,0 +1,14 @@
+"""The pareto experiment: return against operations and energy, sparse policies and their rivals.
+
+experiment   which parts are missing, done in order of importance
+design       its trainings and evaluations
+training     one training, found, resumed or started
+evaluation   all missing rows of one training, and of the teacher
+networks     a policy on a chip or in few bits, for a batch of robots, with what it did
+costs        energies of a row, term by term
+records      rows as CSV, and back
+fronts       means over training seeds with intervals, and the cheapest rivals
+tables       Markdown tables and sentences of them
+plot         the front drawn
+page         results/pareto.md
+"""

@@ -1,0 +1,180 @@
+"""Evaluations of one training, or of the teacher, on seeds that nothing was trained or chosen with.
+
+Each row is a file of its own, <runs>/evaluations/<training>/<level>@<place>.json, which says what
+it was made with: a stopped experiment goes on after the last row, and a row whose checkpoint or
+sizes have changed is made again.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spikedeploy.experiments.pareto.design import LAST, LEVELS, ParetoDesign, student_of
+from spikedeploy.experiments.pareto.networks import greedy, network, outcomes
+from spikedeploy.experiments.pareto.training import Training, operations_of
+from spikedeploy.files import as_text, write_text
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.collect import BatchController, Episodes
+from spikedeploy.trainers.sparse.config import SparseConfig
+
+Record = dict[str, Any]
+_VERSION = 1  # of what a row holds; a higher one makes all rows again
+
+
+@dataclass(frozen=True)
+class Row:
+    """One level of a training at one place, or the teacher.
+
+    file  where the result is
+    of    what it must have been made with
+    """
+
+    file: Path
+    of: Record
+
+    @property
+    def found(self) -> Record | None:
+        """The result; None where it is missing or was made with something else."""
+        if not self.file.is_file():
+            return None
+        made: Record = json.loads(self.file.read_text(encoding="utf-8"))
+        return made["row"] if made["of"] == self.of else None
+
+    def write(self, row: Record) -> None:
+        """Write the result."""
+        write_text(self.file, as_text({"of": self.of, "row": row}))
+
+
+def rows(design: ParetoDesign, training: Training, last: bool) -> list[Row]:
+    """The rows of a training: of all levels, or of the last one with few episodes."""
+    levels = training.levels[-1:] if last else training.levels
+    student = student_of(training.recipe, design.env)
+    return [
+        _row(design, training, level, place, last)
+        for level in levels
+        for place in design.places(student, last)
+    ]
+
+
+def _row(design: ParetoDesign, training: Training, level: str, place: str, last: bool) -> Row:
+    if training.run is None:
+        raise ConfigError(f"{training.name} has no run folder")
+    checkpoint = (training.run / "checkpoints" / f"{level}.safetensors").read_bytes()
+    made = {
+        "recipe": training.recipe,
+        "seed": training.seed,
+        "level": level,
+        "place": place,
+        "part": LAST if last else LEVELS,
+        "checkpoint": hashlib.sha256(checkpoint).hexdigest(),
+    }
+    path = Path(design.runs) / "evaluations" / training.name / f"{level}@{place}.json"
+    return Row(path.with_name(path.name.replace(":", "-")), made | _sizes(design, last))
+
+
+def teacher_row(design: ParetoDesign) -> Row:
+    """The row of the teacher, on the seeds of every level."""
+    config = design.trainings()[0].planned([])
+    made = {"teacher": config.teacher} | _sizes(design, False)
+    return Row(Path(design.runs) / "evaluations" / "teacher.json", made)
+
+
+def _sizes(design: ParetoDesign, last: bool) -> Record:
+    return {
+        "episodes": design.chip_episodes if last else design.episodes,
+        "first_seed": EVALUATION,
+        "limit": design.limit,
+        "version": _VERSION,
+    }
+
+
+def perform(design: Record, recipe: str, seed: int, last: bool) -> bool:
+    """Make the missing rows of a training (a job of `workers`)."""
+    asked = ParetoDesign(**design)
+    training = next(t for t in asked.trainings() if (t.recipe, t.seed) == (recipe, seed))
+    if not training.trained or training.run is None:
+        raise ConfigError(f"{training.name} is not trained yet, so there is nothing to evaluate")
+    for row in rows(asked, training, last):
+        if row.found is None:
+            row.write(_evaluated(asked, training, row))
+    return True
+
+
+def _evaluated(design: ParetoDesign, training: Training, row: Row) -> Record:
+    level, place = row.of["level"], row.of["place"]
+    if training.run is None:
+        raise ConfigError(f"{training.name} has no run folder")
+    facts = {
+        "env": design.env,
+        "student": student_of(training.recipe, design.env),
+        "seed": training.seed,
+        "level": operations_of(level),
+        "place": place,
+        "part": row.of["part"],
+        "episodes": row.of["episodes"],
+    }
+    try:
+        made = network(training.run, level, place, Path(design.runs) / "policies")
+    except RuleError as error:
+        return facts | {"refusal": str(error)}
+    config = RunFolder(training.run).config(SparseConfig).env
+    walks, found = _played(config, design, row.of["episodes"], made.controller)
+    return facts | made.done(walks) | found
+
+
+def perform_teacher(design: Record) -> bool:
+    """Make the row of the teacher (a job of `workers`)."""
+    from spikedeploy.trainers.distill.teachers import teacher
+
+    asked = ParetoDesign(**design)
+    row = teacher_row(asked)
+    if row.found is None:
+        config = asked.trainings()[0].planned([])
+        env = config.env.model_copy(update={"count": 1})
+        policy = teacher(config.teacher, env.name)
+        controller = greedy(policy.act_all, _discrete(env))
+        _, found = _played(env, asked, asked.episodes, controller)
+        facts = {"env": asked.env, "student": "teacher", "episodes": asked.episodes}
+        row.write(facts | {"place": config.teacher} | found)
+    return True
+
+
+def _discrete(config: EnvConfig) -> bool:
+    import gymnasium
+
+    from spikedeploy import envs
+
+    env = envs.make(config.name, **config.options)
+    found = isinstance(env.action_space, gymnasium.spaces.Discrete)
+    env.close()
+    return found
+
+
+def _played(
+    config: EnvConfig, design: ParetoDesign, episodes: int, controller: BatchController
+) -> tuple[list[Any], Record]:
+    """Walks, and what they came to; all in one batch."""
+    seeds = range(EVALUATION, EVALUATION + episodes)
+    together = Episodes(config, episodes, design.limit)
+    # walks are kept only with labels, of which nothing is needed here
+    walks, returns, infos = together.play(seeds, controller, lambda seen: seen[:, :0])
+    return walks, outcomes(returns, infos)
+
+
+def all_rows(design: ParetoDesign) -> Iterator[Record]:
+    """The results so far: the teacher's, then those of all trainings."""
+    teacher = teacher_row(design).found
+    if teacher is not None:
+        yield teacher
+    for training in design.trainings():
+        for last in (False, True):
+            for row in rows(design, training, last) if training.trained else ():
+                found = row.found
+                if found is not None:
+                    yield found

@@ -1,0 +1,153 @@
+"""The pareto experiment: runs the missing parts in order of importance, writes its page."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from spikedeploy.console import console
+from spikedeploy.experiments import workers
+from spikedeploy.experiments.pareto import page
+from spikedeploy.experiments.pareto.design import ParetoDesign
+from spikedeploy.experiments.pareto.evaluation import rows, teacher_row
+from spikedeploy.experiments.pareto.training import Training, check
+from spikedeploy.experiments.workers import Job, JobEnd
+from spikedeploy.runtime.errors import ConfigError
+
+_EVALUATION = "spikedeploy.experiments.pareto.evaluation"
+_TRAINING = "spikedeploy.experiments.pareto.training"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of running an experiment.
+
+    done, of     number of complete parts, and of all
+    failed       part -> last line of its log
+    interrupted  whether it was stopped from outside
+    files        page, tables and pictures
+    """
+
+    done: int
+    of: int
+    failed: dict[str, str]
+    interrupted: bool
+    files: list[Path]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of the experiment.
+
+    job    what does it
+    last   whether it evaluates the last level only
+    """
+
+    job: Job
+    training: Training | None
+    evaluates: bool
+    last: bool
+    design: ParetoDesign
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is missing."""
+        if self.training is None:
+            return teacher_row(self.design).found is not None
+        if not self.training.trained or not self.evaluates:
+            return self.training.trained
+        return all(r.found is not None for r in rows(self.design, self.training, self.last))
+
+
+def experiment(
+    design: ParetoDesign,
+    only: Sequence[str],
+    count: int | None,
+    results: Path,
+    train: bool = True,
+) -> Outcome:
+    """Run the missing parts of the experiment.
+
+    only     prefixes of the names of parts; empty for all
+    count    processes in parallel; None for one
+    results  folder of pareto.md and pareto/
+    train    False only writes the page
+    """
+    for training in design.trainings():
+        check(training)
+    parts = _parts(design)
+    jobs = [part.job for part in _chosen(parts, only) if not part.done] if train else []
+    failed: dict[str, str] = {}
+    said = console(stderr=True)
+    said.print(f"{len(jobs)} of {len(parts)} parts to do", markup=False)
+
+    def ended(end: JobEnd) -> None:
+        sign = "✗" if end.failed else "…" if end.status else "✓"
+        clock = time.strftime("%H:%M:%S")
+        why = f": {end.last_line} ({end.job.log})" if end.failed else ""
+        line = f"{clock} {sign} {end.job.name} ({end.seconds / 60:.1f} min){why}"
+        said.print(line, markup=False, soft_wrap=True)
+        if end.failed:
+            failed[end.job.name] = end.last_line
+        page.write(design, results)
+
+    whole = workers.run(jobs, count or 1, ended)
+    files = page.write(design, results)
+    done = [part.done for part in parts]
+    return Outcome(sum(done), len(done), failed, not whole, files)
+
+
+def _chosen(parts: Sequence[_Part], only: Sequence[str]) -> list[_Part]:
+    """The parts whose names have one of the prefixes."""
+    names = [part.job.name for part in parts]
+    for beginning in only:
+        if not any(name.startswith(beginning) for name in names):
+            raise ConfigError(
+                f"no part of the experiment begins with {beginning!r}; known: {', '.join(names)}"
+            )
+    return [part for part in parts if not only or part.job.name.startswith(tuple(only))]
+
+
+def _parts(design: ParetoDesign) -> list[_Part]:
+    """All parts: each training, and its levels after it; last levels elsewhere come at the end."""
+    return [*_every_level(design), *_last_levels(design)]
+
+
+def _every_level(design: ParetoDesign) -> Iterator[_Part]:
+    teacher = _job(design, "teacher", f"{_EVALUATION}:perform_teacher", {"design": _of(design)})
+    yield _Part(teacher, None, True, False, design)
+    for training in design.trainings():
+        after = (training.donor.name,) if training.donor else ()
+        call = f"{_TRAINING}:perform"
+        job = _job(design, training.name, call, training.arguments(), after)
+        yield _Part(job, training, False, False, design)
+        yield _evaluation(design, training, last=False)
+
+
+def _last_levels(design: ParetoDesign) -> Iterator[_Part]:
+    for training in design.trainings():
+        yield _evaluation(design, training, last=True)
+
+
+def _evaluation(design: ParetoDesign, training: Training, last: bool) -> _Part:
+    arguments = {
+        "design": _of(design), "recipe": training.recipe, "seed": training.seed, "last": last,
+    }  # fmt: skip
+    name = f"{training.name}: {'last level on chips' if last else 'levels'}"
+    job = _job(design, name, f"{_EVALUATION}:perform", arguments, (training.name,))
+    return _Part(job, training, True, last, design)
+
+
+def _of(design: ParetoDesign) -> dict[str, object]:
+    return design.arguments()
+
+
+def _job(
+    design: ParetoDesign,
+    name: str,
+    call: str,
+    arguments: dict[str, object],
+    after: tuple[str, ...] = (),
+) -> Job:
+    stem = name.replace(": ", "-").replace(" ", "-")
+    return Job(name, call, Path(design.runs) / "logs" / f"{stem}.log", arguments, after)

@@ -1,0 +1,121 @@
+"""Points of the front: the trainings of a student at one level, and their cheapest rivals."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from spikedeploy.comparison.statistics import Estimate, nested_ratio
+from spikedeploy.experiments.pareto.costs import INT8, TERMS, spikes, terms, total
+from spikedeploy.experiments.pareto.design import FLOAT, LEVELS, SPIKING, STUDENTS
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A level of a student at one place, in all its trainings.
+
+    student, level, place  as in its rows
+    rows                   of each training seed
+    teacher                scores of the teacher on the same episodes
+    """
+
+    student: str
+    level: float
+    place: str
+    rows: Sequence[Record]
+    teacher: Sequence[float]
+
+    @cached_property
+    def of_teacher(self) -> Estimate:
+        """Score in parts of the teacher's; the interval covers trainings and episodes."""
+        scores = [row["scores"] for row in self.rows]
+        return nested_ratio(scores, self.teacher, np.random.default_rng(0))
+
+    @property
+    def single(self) -> list[float]:
+        """Score of each training in parts of the teacher's."""
+        return [float(np.mean(row["scores"]) / np.mean(self.teacher)) for row in self.rows]
+
+    def mean(self, field: str) -> float | None:
+        """Mean of a field over the trainings; None where no row has it."""
+        found = [row[field] for row in self.rows if row.get(field) is not None]
+        return float(np.mean(found)) if found else None
+
+    def energy(self, of: str, table: str = INT8, lean: bool = False) -> float:
+        """Mean energy [J] of a total (costs.TOTALS)."""
+        return float(np.mean([total(row, table, of, lean) for row in self.rows]))
+
+    def terms(self, lean: bool = False) -> dict[str, float]:
+        """Mean energy [J] of each term by horowitz45-int8."""
+        each = [terms(row, INT8, lean) for row in self.rows]
+        return {name: float(np.mean([one[name] for one in each])) for name in TERMS}
+
+    @property
+    def spiking(self) -> bool:
+        """Whether it spikes, or is delta-coded."""
+        return spikes(self.rows[0])
+
+
+def teacher_of(rows: Iterable[Record]) -> Record | None:
+    """The row of the teacher."""
+    return next((row for row in rows if row["student"] == "teacher"), None)
+
+
+def points(rows: Sequence[Record], part: str = LEVELS) -> list[Point]:
+    """All points of a part, student by student, most operations first."""
+    teacher = teacher_of(rows)
+    if teacher is None:
+        return []
+    groups: dict[tuple[str, float, str], list[Record]] = {}
+    for row in rows:
+        if row.get("part") == part and row.get("operations") is not None:
+            groups.setdefault((row["student"], row["level"], row["place"]), []).append(row)
+    found = [
+        Point(*key, of, teacher["scores"][: len(of[0]["scores"])]) for key, of in groups.items()
+    ]
+    return sorted(found, key=lambda p: (STUDENTS.index(p.student), -p.level))
+
+
+def refusals(rows: Sequence[Record]) -> dict[tuple[str, str], str]:
+    """(student, place) -> the chip's rule, for chips that refuse the network."""
+    return {(r["student"], r["place"]): r["refusal"] for r in rows if r.get("refusal")}
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """A spiking point beside the cheapest float one that is not below it.
+
+    rival  None where every float student is below
+    """
+
+    point: Point
+    rival: Point | None
+    of: str
+    lean: bool
+
+    @property
+    def ratio(self) -> float | None:
+        """Energy of the point over its rival's."""
+        if self.rival is None:
+            return None
+        return self.point.energy(self.of, lean=self.lean) / self.rival.energy(self.of)
+
+
+def pairing(found: Sequence[Point], point: Point, of: str, lean: bool = False) -> Pairing:
+    """A spiking point beside its rival by a total (costs.TOTALS) of horowitz45-int8."""
+    equal = [p for p in found if p.student in FLOAT and p.of_teacher.mean >= point.of_teacher.mean]
+    return Pairing(point, min(equal, key=lambda p: p.energy(of), default=None), of, lean)
+
+
+def best_pairing(
+    found: Sequence[Point], of: str, lean: bool = False, near: float = 0.0
+) -> Pairing | None:
+    """The spiking point of the least energy against its rival, of those at `near` and above."""
+    candidates = [p for p in found if p.student in SPIKING and p.of_teacher.mean >= near]
+    pairs = [pairing(found, point, of, lean) for point in candidates]
+    known = [pair for pair in pairs if pair.ratio is not None]
+    return min(known, key=lambda pair: pair.ratio or 0.0, default=None)

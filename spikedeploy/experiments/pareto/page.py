@@ -1,0 +1,154 @@
+"""The page of the pareto experiment, results/pareto.md: a section for each environment's CSV.
+
+Every number is of results/pareto/<env>.csv, and what made it of <env>.json beside it, so that the
+page can be written again without the runs.
+"""
+
+import json
+import shlex
+from pathlib import Path
+
+from spikedeploy.experiments.pareto import records, tables
+from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE
+from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
+from spikedeploy.experiments.pareto.evaluation import all_rows
+from spikedeploy.experiments.pareto.fronts import Record, points, teacher_of
+from spikedeploy.experiments.pareto.plot import draw
+from spikedeploy.files import as_text, write_text
+from spikedeploy.runtime.metrics.energy_tables import TABLES
+from spikedeploy.trainers.versions import installed, own
+
+_PICO = 1e12
+_PACKAGES = ("torch", "numpy", "mujoco")
+
+_INTRODUCTION = f"""\
+Sparse policies and their float rivals: all imitate the same teacher on the same walks with as many
+updates, and are pruned by the same ranking to the same numbers of operations in a control step.
+`LIF` is a delta encoder, a layer of spiking neurons and integrating readouts; `delta-linear` sends
+the encoder's events straight into the readouts; `float MLP` and `float linear` multiply.
+
+Operations are synaptic operations of spiking policies, and multiply-accumulates with an input that
+is not 0 of float ones. All weights have 8 bits: spiking policies run in the integers of the
+emulated chip, float ones with weights rounded symmetrically, one scale a matrix. Scores are returns
+of walks, and finishes of karts, on seeds from 10,000 on that no training and no choice of a
+checkpoint saw; teacher and students have the same. Intervals of 95 % are bootstrapped over training
+seeds, then over episodes of student and teacher together; with one training seed they cover
+episodes alone. Other numbers are means over training seeds.
+
+Energies are of a control step, in pJ, by {INT8}: {TABLES[INT8].joules["sop"] * _PICO:.2f} pJ a
+synaptic operation, {TABLES[INT8].joules["mac"] * _PICO:.2f} a multiply-accumulate,
+{TABLES[INT8].joules["neuron_update"] * _PICO:.1f} a neuron update. "The rest" are encoder,
+messages and the constants of readouts. The encoder takes, for each observation that some synapse
+reads, a subtraction and a comparison (0.1 pJ each, 32-bit integers) and a read of its level, and
+for each event an addition and a write of the level; the observation is read by float networks too.
+16 bits are read or written for 2.5 pJ, a quarter of an access of 64 bits (Horowitz 2014). What each
+readout adds as a constant, and each float neuron as its bias, costs as much as an operation.
+"Lean updates" have states of 16 bits and decays by powers of two, so shifts: five additions and
+four accesses, {LEAN_UPDATE * _PICO:.1f} pJ. That is derived, not measured; the policies evaluated
+here have other decays and would have to be trained with such. davies2018 and sanafe are prices of
+Loihi 1 and have none for multiply-accumulates; the encoder is priced as above in them too."""
+_RIVALS = f"""\
+Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
+student whose mean score is not below its own: pJ against pJ."""
+
+
+def write(design: ParetoDesign, results: Path) -> list[Path]:
+    """Write page, table and picture of the complete parts; return the files.
+
+    Where there are no run folders, the table that is there is kept.
+    """
+    found, folder = list(all_rows(design)), results / "pareto"
+    table = folder / f"{design.env}.csv"
+    if found or not table.is_file():
+        records.write(found, table)
+        write_text(table.with_suffix(".json"), as_text(_made(design)))
+    files = [draw(env, points(records.read(csv)), csv.with_suffix(".png")) for env, csv in
+             _tables(folder) if env == design.env]  # fmt: skip
+    page = write_text(results / "pareto.md", text(folder))
+    return [page, table, *files]
+
+
+def _tables(folder: Path) -> list[tuple[str, Path]]:
+    """The environments that were run, and their tables."""
+    found = [(env, folder / f"{env}.csv") for env in ENVS]
+    return [(env, path) for env, path in found if path.is_file()]
+
+
+def text(folder: Path) -> str:
+    """The page, of the tables in the folder."""
+    parts = ["# Return against operations and energy", _INTRODUCTION]
+    for env, path in _tables(folder):
+        made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        parts += _section(env, records.read(path), made)
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _section(env: str, rows: list[Record], made: Record) -> list[str]:
+    found = points(rows)
+    head = [f"## {env}", f"    {made['command']}"]
+    if teacher_of(rows) is None or not found:
+        return [*head, "Nothing is evaluated yet."]
+    return [
+        *head,
+        made["missing"],
+        "\n".join(tables.sentences(found)),
+        f"![return against operations and energy](pareto/{env}.png)",
+        "### Every level",
+        tables.level_table(rows, found),
+        "### What it costs [pJ]",
+        tables.energy_table(found),
+        "Terms of the last level:",
+        tables.term_table(found),
+        "### Against float students",
+        _RIVALS,
+        tables.rival_table(found),
+        "### The last level elsewhere",
+        f"On the first {made['chip_episodes']} of the seeds; counts of the first row of each "
+        "policy are of all.",
+        tables.place_table(rows, found),
+        "### How this was made",
+        "\n".join([*made["facts"], f"- every number: [{env}.csv](pareto/{env}.csv)"]),
+    ]
+
+
+def _made(design: ParetoDesign) -> Record:
+    """What the page says about the making of a table."""
+    return {
+        "command": _command(design),
+        "chip_episodes": design.chip_episodes,
+        "missing": _missing(design),
+        "facts": _facts(design),
+    }
+
+
+def _command(design: ParetoDesign) -> str:
+    words = ["spikedeploy", "experiment", "pareto", design.env]
+    words += ["--quick"] if design.quick else []
+    words += ["--seeds", f"{design.seeds}", "--episodes", f"{design.episodes}"]
+    words += ["--chip-episodes", f"{design.chip_episodes}"]
+    words += ["--chip", design.chip] if design.chip != "loihi1" else []
+    return shlex.join([*words, *(w for each in design.settings for w in ("--set", each))])
+
+
+def _missing(design: ParetoDesign) -> str:
+    trainings = design.trainings()
+    done = sum(training.trained for training in trainings)
+    return f"**{done} of {len(trainings)} trainings are done.**" if done < len(trainings) else ""
+
+
+def _facts(design: ParetoDesign) -> list[str]:
+    """What is needed to reproduce the table."""
+    packages = ", ".join(f"{name} {installed(name)}" for name in _PACKAGES)
+    trained = [training for training in design.trainings() if training.trained]
+    return [
+        f"- spikedeploy {own()}, {packages}",
+        f"- training seeds 0 to {design.seeds - 1}; {design.episodes} episodes of every level from "
+        f"seed 10,000 on, {design.chip_episodes} elsewhere"
+        + (f", of at most {design.limit} control steps" if design.limit else ""),
+        *(
+            f"- ✗ {training.name} was trained with other settings than its recipe has now: "
+            + ", ".join(changed)
+            for training in trained
+            if (changed := training.changed_settings)
+        ),
+    ]

@@ -1,0 +1,67 @@
+"""The front: return in % of the teacher against operations, and against energy."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from spikedeploy.experiments.pareto.costs import INT8, total
+from spikedeploy.experiments.pareto.design import LABELS, STUDENTS
+from spikedeploy.experiments.pareto.fronts import Point, Record
+from spikedeploy.reports.plots import BLUE, VERMILION, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# distinguishable with colour blindness (Okabe and Ito 2008); markers differ too
+_COLOURS = dict(zip(STUDENTS, (VERMILION, "#E69F00", BLUE, "#009E73"), strict=True))
+_MARKERS = dict(zip(STUDENTS, "osD^", strict=True))
+_LOWEST = 60.0  # [%]; what is below is not drawn
+
+_Cost = Callable[[Record], float]
+
+
+def draw(env: str, found: Sequence[Point], path: Path) -> Path:
+    """Write the picture of an environment's points."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    _panel(left, found, lambda row: row["operations"])
+    _panel(right, found, lambda row: 1e12 * total(row, INT8, "all"))
+    left.set_xlabel("operations a control step: SOPs, or MACs with an input that is not 0")
+    right.set_xlabel(f"energy a control step [pJ], {INT8}, with updates and encoder")
+    left.set_ylabel("% of the teacher's finishes" if "kart" in env else "% of the teacher's return")
+    artists, names = left.get_legend_handles_labels()
+    figure.legend(artists, names, loc="outside upper center", ncols=len(names), frameon=False)
+    return save(figure, path)
+
+
+def _panel(axes: "Axes", found: Sequence[Point], cost: _Cost) -> None:
+    from matplotlib.ticker import ScalarFormatter
+
+    for student in STUDENTS:
+        of = [point for point in found if point.student == student]
+        if of:
+            _front(axes, of, cost, student)
+    axes.axhline(100, color="#8A939E", linewidth=0.8, zorder=1)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="#E6E8EB", which="both")
+    axes.set_axisbelow(True)
+    lowest = min((100 * value for p in found for value in p.single), default=_LOWEST)
+    axes.set_ylim(bottom=max(_LOWEST, lowest - 1) if lowest < 100 else 95)
+
+
+def _front(axes: "Axes", of: Sequence[Point], cost: _Cost, student: str) -> None:
+    """A line through the means, and a thin marker for each training."""
+    paint, marker = _COLOURS[student], _MARKERS[student]
+    means = [sum(map(cost, point.rows)) / len(point.rows) for point in of]
+    score = [100 * point.of_teacher.mean for point in of]
+    axes.plot(means, score, color=paint, marker=marker, linewidth=1.8, label=LABELS[student])
+    for point in of:
+        each = list(map(cost, point.rows))
+        axes.plot(
+            each, [100 * value for value in point.single], marker,
+            color=paint, markerfacecolor="none", markersize=4, markeredgewidth=0.7, alpha=0.8,
+        )  # fmt: skip

@@ -1,0 +1,225 @@
+"""Tables and sentences of the pareto page."""
+
+from collections.abc import Callable, Sequence
+
+from spikedeploy.experiments.pareto.costs import TERMS, TOTALS
+from spikedeploy.experiments.pareto.design import LABELS, LAST
+from spikedeploy.experiments.pareto.fronts import (
+    Pairing,
+    Point,
+    Record,
+    best_pairing,
+    pairing,
+    points,
+    refusals,
+    teacher_of,
+)
+from spikedeploy.reports.columns import ABSENT
+
+NEAR = 0.95  # of the teacher's score: points below are of no use, and not compared
+_PICO = 1e12
+_WORDS = {
+    "operations": "Operations alone",
+    "updates": "With neuron updates",
+    "all": "With updates, encoder and constants",
+}
+_TERM_WORDS = {
+    "operations": "the operations",
+    "updates": "the neuron updates",
+    "traffic": "the messages",
+    "encoder": "the encoder",
+    "constants": "the constants",
+}
+
+
+def markdown(lines: Sequence[Sequence[str]]) -> str:
+    """A table whose first line is its head."""
+    rows = [lines[0], ["---"] * len(lines[0]), *lines[1:]]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _number(value: float | None, form: str = ",.0f") -> str:
+    return ABSENT if value is None else format(value, form)
+
+
+def _pico(joules: float) -> str:
+    return format(joules * _PICO, ",.0f")
+
+
+def of_teacher(point: Point) -> str:
+    """`99.5 [99.2, 99.8]`, in %."""
+    low, high = point.of_teacher.ci95
+    return f"{point.of_teacher.mean:.1%} [{low:.1%}, {high:.1%}]"
+
+
+def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
+    """Return and activity of every level."""
+    drives = any(row.get("crashes") is not None for row in rows)
+    teacher = teacher_of(rows) or {}
+    own: dict[str, Callable[[Point], str]] = (
+        {
+            "finished": lambda p: _number(_score(p), ".1%"),
+            "lap [s]": lambda p: _number(p.mean("lap_time"), ".3f"),
+        }
+        if drives
+        else {
+            "return": lambda p: _number(p.mean("return_mean")),
+            "falls": lambda p: _number(p.mean("falls"), ".1%"),
+        }
+    )
+    cells: dict[str, Callable[[Point], str]] = {
+        "aim": lambda p: f"{p.level:g}",
+        "seeds": lambda p: f"{len(p.rows)}",
+        "% of teacher": of_teacher,
+        **own,
+        "operations": lambda p: _number(p.mean("operations"), ",.1f"),
+        "neurons": lambda p: _number(p.mean("neurons")),
+        "updates": lambda p: _number(p.mean("neuron_updates"), ",.1f"),
+        "events": lambda p: _number(p.mean("events"), ",.1f"),
+        "spikes": lambda p: _number(p.mean("spikes_out"), ",.1f") if p.spiking else ABSENT,
+        "sparsity": lambda p: _number(p.mean("sparsity"), ".1%"),
+        "saturations": lambda p: _number(p.mean("saturations")),
+    }
+    lines = [["policy", *cells]]
+    lines += [[LABELS[p.student], *(cell(p) for cell in cells.values())] for p in found]
+    mean, scores = teacher.get("return_mean"), teacher.get("scores") or [0.0]
+    share = sum(scores) / len(scores)
+    if drives:
+        about = [_number(share, ".1%"), _number(teacher.get("lap_time"), ".3f")]
+    else:
+        about = [_number(mean), _number(teacher.get("falls"), ".1%")]
+    name = f"teacher, {teacher.get('place')}"
+    lines.append([name, ABSENT, ABSENT, "100.0%", *about, *[ABSENT] * (len(cells) - 5)])
+    return markdown(lines)
+
+
+def _score(point: Point) -> float:
+    share = sum(sum(row["scores"]) / len(row["scores"]) for row in point.rows)
+    return share / len(point.rows)
+
+
+def energy_table(found: Sequence[Point]) -> str:
+    """Energies of every level, total by total."""
+    heads = ["policy", "aim", "% of teacher", "operations alone", "+ neuron updates", "+ the rest"]
+    lean = ["+ lean updates", "+ the rest"]
+    lines = [[*heads, *lean, "davies2018", "sanafe"]]
+    for p in found:
+        cells = [LABELS[p.student], f"{p.level:g}", f"{p.of_teacher.mean:.1%}"]
+        cells += [_pico(p.energy(of)) for of in TOTALS]
+        cells += [_pico(p.energy(of, lean=True)) for of in ("updates", "all")]
+        if p.spiking:
+            cells += [_pico(p.energy("all", table)) for table in ("davies2018", "sanafe")]
+        else:
+            cells += [ABSENT, ABSENT]
+        lines.append(cells)
+    return markdown(lines)
+
+
+def term_table(found: Sequence[Point]) -> str:
+    """Energy of each term of the last level of each student."""
+    lines = [["policy", "aim", *TERMS, "lean updates"]]
+    for p in _last(found):
+        cells = [_pico(joules) for joules in p.terms().values()]
+        lean = _pico(p.terms(lean=True)["updates"])
+        lines.append([LABELS[p.student], f"{p.level:g}", *cells, lean])
+    return markdown(lines)
+
+
+def _last(found: Sequence[Point]) -> list[Point]:
+    """The last level of each student."""
+    return list({p.student: p for p in found}.values())
+
+
+def rival_table(found: Sequence[Point]) -> str:
+    """Every spiking point near the teacher beside its cheapest float rival."""
+    lines = [["policy", "aim", "% of teacher", *(w.lower() for w in _WORDS.values()), "lean, all"]]
+    for point in found:
+        if point.spiking and point.of_teacher.mean >= NEAR:
+            pairs = [pairing(found, point, of) for of in TOTALS]
+            pairs.append(pairing(found, point, "all", lean=True))
+            cells = [LABELS[point.student], f"{point.level:g}", f"{point.of_teacher.mean:.1%}"]
+            lines.append([*cells, *map(_against, pairs)])
+    return markdown(lines)
+
+
+def _against(pair: Pairing) -> str:
+    if pair.rival is None or pair.ratio is None:
+        return "no float student is as good"
+    mine = pair.point.energy(pair.of, lean=pair.lean)
+    theirs = pair.rival.energy(pair.of)
+    label = f"{LABELS[pair.rival.student]} {pair.rival.level:g}"
+    return f"{_pico(mine)} : {_pico(theirs)} = {pair.ratio:.2f} ({label})"
+
+
+def sentences(found: Sequence[Point]) -> list[str]:
+    """For each total what the best spiking point costs against its rival, and what decides."""
+    lines = []
+    for of, words in _WORDS.items():
+        lines.append(_sentence(found, of, words, lean=False))
+    words = "The same with 16-bit states and power-of-two decays (derived)"
+    lines.append(_sentence(found, "all", words, lean=True))
+    return lines
+
+
+def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
+    best = best_pairing(found, of, lean, NEAR)
+    if best is None or best.rival is None or best.ratio is None:
+        near = any(p.spiking and p.of_teacher.mean >= NEAR for p in found)
+        why = (
+            "no float student reaches the return of a spiking one"
+            if near
+            else f"no spiking policy reaches {NEAR:.0%} of the teacher"
+        )
+        return f"- {words}: {why}, so there is nothing to compare."
+    point, rival = best.point, best.rival
+    text = (
+        f"- {'✓' if best.ratio <= 1 else '✗'} {words}: {_named(point)} costs "
+        f"{_pico(point.energy(of, lean=lean))} pJ a control step, the cheapest float student that "
+        f"is not below it, {_named(rival)}, {_pico(rival.energy(of))} pJ: {best.ratio:.2f} times."
+    )
+    if of == "operations":
+        return text
+    mine = {name: joules for name, joules in point.terms(lean).items() if name in TOTALS[of]}
+    most = max(mine, key=lambda name: mine[name])
+    share = mine[most] / sum(mine.values())
+    return f"{text} {_TERM_WORDS[most].capitalize()} are {share:.0%} of it{_lever(best, most)}."
+
+
+def _lever(pair: Pairing, most: str) -> str:
+    """What would have to be cheaper for a losing point to draw level."""
+    if pair.ratio is None or pair.rival is None or pair.ratio <= 1:
+        return ""
+    terms = pair.point.terms(pair.lean)
+    over = pair.point.energy(pair.of, lean=pair.lean) - pair.rival.energy(pair.of)
+    left = terms[most] - over
+    if left <= 0:
+        return "; without them it would still cost more"
+    return f"; it would draw level if they cost {left / terms[most]:.2f} times as much"
+
+
+def _named(point: Point) -> str:
+    aim = f"{point.level:g}"
+    return f"{LABELS[point.student]} at {aim} ({point.of_teacher.mean:.1%} of the teacher)"
+
+
+def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
+    """The last level of each student on other chips and in fewer bits."""
+    here = points(rows, LAST)
+    refused = refusals(rows)
+    last = _last(found)
+    levels = [_first_episodes(p, here) for p in last]
+    lines = [["policy", "aim", "where", "% of teacher", "operations", "saturations"]]
+    for p in sorted([*levels, *here], key=lambda p: [q.student for q in last].index(p.student)):
+        cells = [LABELS[p.student], f"{p.level:g}", p.place, of_teacher(p)]
+        counts = [_number(p.mean("operations"), ",.1f"), _number(p.mean("saturations"))]
+        lines.append([*cells, *counts])
+    for (student, place), why in refused.items():
+        lines.append([LABELS[student], ABSENT, place, f"refused: {why}", ABSENT, ABSENT])
+    return markdown(lines)
+
+
+def _first_episodes(point: Point, others: Sequence[Point]) -> Point:
+    """A point on the episodes alone that others were evaluated on; its counts are of all."""
+    count = min((len(p.teacher) for p in others), default=len(point.teacher))
+    rows = [{**row, "scores": row["scores"][:count]} for row in point.rows]
+    return Point(point.student, point.level, point.place, rows, point.teacher[:count])

@@ -1,0 +1,151 @@
+"""One training of the experiment: found among the run folders, resumed, or started."""
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from spikedeploy.experiments.trial import exclusive
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import differences, resolve
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.phases import phases
+
+_LEVEL = "ops-"  # names of the checkpoints of every level of pruning
+_OWN = ("pool", "teacher_walks", "noisy_walks")  # settings that a rival takes from the experiment
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training.
+
+    recipe     of trainers.recipes, trained by the sparse algorithm
+    seed       of the training
+    folder     in which its run folder is looked for, or made
+    overrides  settings as `--set` takes them
+    walks_of   recipe whose walks of the same seed are taken over; empty for walks of its own
+    """
+
+    recipe: str
+    seed: int
+    folder: str
+    overrides: Sequence[str]
+    walks_of: str
+
+    @property
+    def name(self) -> str:
+        """`hexapod-sparse-s0`."""
+        return f"{self.recipe}-s{self.seed}"
+
+    @property
+    def donor(self) -> "Training | None":
+        """The training whose walks are taken over."""
+        if not self.walks_of:
+            return None
+        return Training(self.walks_of, self.seed, self.folder, self.overrides, "")
+
+    @property
+    def run(self) -> Path | None:
+        """Its run folder: the first finished one, else the last; None before the training."""
+        found = sorted(self._runs())
+        return next(filter(finished, found), found[-1] if found else None)
+
+    def _runs(self) -> Iterator[Path]:
+        for file in Path(self.folder).glob("*/config.json"):
+            settings = json.loads(file.read_text(encoding="utf-8"))
+            if (settings.get("recipe"), settings.get("seed")) == (self.recipe, self.seed):
+                yield file.parent
+
+    @property
+    def trained(self) -> bool:
+        """Whether all updates were made."""
+        return self.run is not None and finished(self.run)
+
+    @property
+    def levels(self) -> list[str]:
+        """Names of the checkpoints of all levels of pruning, most operations first."""
+        found = self.run.glob(f"checkpoints/{_LEVEL}*.safetensors") if self.run else ()
+        return sorted((path.stem for path in found), key=operations_of, reverse=True)
+
+    @property
+    def changed_settings(self) -> list[str]:
+        """Settings of the training that differ from what the recipe and the overrides say now."""
+        if self.run is None:
+            return []
+        expected = set(differences(self.planned([])))
+        found = differences(RunFolder(self.run).config(SparseConfig))
+        own = tuple(f"{name}=" for name in _OWN) if self.walks_of else ()
+        return [each for each in found if each not in expected and not each.startswith(own)]
+
+    def planned(self, more: Sequence[str]) -> SparseConfig:
+        """The configuration of a new run, with more settings."""
+        settings = [*self.overrides, *more]
+        return resolve(SparseConfig, self.recipe, overrides=settings, seed=self.seed)
+
+    def arguments(self) -> dict[str, Any]:
+        """The fields as arguments of `perform`."""
+        return {**asdict(self), "overrides": list(self.overrides)}
+
+
+def operations_of(level: str) -> float:
+    """Operations that a level of pruning aims at, from its checkpoint's name."""
+    return float(level.removeprefix(_LEVEL))
+
+
+def finished(run: Path) -> bool:
+    """Whether all updates of a run were made."""
+    last = run / "checkpoints" / "last.json"
+    if not last.is_file():
+        return False
+    made = json.loads(last.read_text(encoding="utf-8"))["updates"]
+    total = phases(RunFolder(run).config(SparseConfig))[-1].end
+    return bool(made >= total)
+
+
+def perform(**arguments: Any) -> bool:  # noqa: ANN401
+    """Complete the training with these fields; False if it was interrupted."""
+    training = Training(**arguments)
+    with exclusive(Path(training.folder) / f".{training.name}.lock"):
+        if not training.trained:
+            _train(training)
+        return training.trained
+
+
+def _train(training: Training) -> None:
+    from spikedeploy.trainers.train import train
+
+    start = partial(train, training.recipe, runs=training.folder, quiet=True)
+    run = training.run
+    if run and not (run / "checkpoints" / "last.json").is_file():
+        shutil.rmtree(run)  # killed before its first checkpoint: nothing to resume
+        run = None
+    if run:
+        start(resume=run)
+    else:
+        overrides = [*training.overrides, *_walks(training)]
+        start(overrides=overrides, seed=training.seed)
+
+
+def _walks(training: Training) -> list[str]:
+    """Settings with which a rival takes over the walks of the spiking network."""
+    donor = training.donor
+    if donor is None:
+        return []
+    if donor.run is None or not donor.trained:
+        raise ConfigError(
+            f"{training.name} learns from the walks of {donor.name}, which is not trained yet. "
+            f"Run the experiment without --only, or with --only {donor.name} first."
+        )
+    return [f"pool={json.dumps(str(donor.run))}", "teacher_walks=0", "noisy_walks=0"]
+
+
+def check(training: Training) -> None:
+    """Refuse unknown settings before the first training starts."""
+    try:
+        training.planned([])
+    except ConfigError as error:
+        raise ConfigError(f"{training.name}: {error}") from error
