@@ -104,7 +104,8 @@ class Sparse(Runner[SparseConfig]):
         self.teacher_return = float(np.mean(returns))
         if config.pool:
             self._keep(_walks_of(config.pool))
-        self._collect(Stateless(self._taught), config.teacher_walks)
+        if config.teacher_walks:
+            self._collect(Stateless(self._taught), config.teacher_walks)
         if config.noisy_walks:
             self._collect(Stateless(self._noisy), config.noisy_walks)
         self._fit()
