@@ -204,13 +204,15 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
                 "crash_windows": 0.3,
                 "penalty": 0.05,
                 "penalty_floor": 100,
-                "dense_updates": 2_400,
+                "rate_cost": 1_000,
+                "step": 0.3,
+                "dense_updates": 2_000,
                 "dense_rounds": 4,
-                "level_updates": 1_500,
-                "polish": 4,
-                "polish_updates": 1_000,
+                "level_updates": 1_000,
+                "polish": 6,
+                "polish_updates": 800,
                 "walks": 60,
-                "validation": {"every": 500, "episodes": 100},
+                "validation": {"every": 400, "episodes": 100},
             },
         )
         for env in _KART_ENVS
@@ -219,31 +221,38 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
 
 # operations of each student at the end, and on the way there; and sizes
 _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
-    ("hexapod", "sparse"): {"budget": 50, "levels": [220, 140, 100, 75, 60]},
-    ("hexapod", "sparse-linear"): {"budget": 70, "levels": [250, 160, 110, 85]},
-    ("hexapod", "small-mlp"): {"budget": 120, "levels": [700, 400, 280, 200, 150]},
-    ("hexapod", "small-linear"): {"budget": 150, "levels": [700, 450, 300, 200]},
+    ("hexapod", "sparse"): {
+        "budget": 66,
+        "levels": [220, 140, 100, 80],
+        "polish": 3,
+        "rate_cost": 4_000,
+        "policy": {"hidden": 32},
+    },
+    ("hexapod", "sparse-linear"): {"budget": 70, "levels": [160, 100], "walks": 25},
+    ("hexapod", "small-mlp"): {"budget": 130, "levels": [400, 250, 180], "walks": 25},
+    ("hexapod", "small-linear"): {"budget": 200, "levels": [600, 300], "walks": 25},
     ("hexapod-command", "sparse"): {
         "budget": 300,
         "levels": [1_600, 1_000, 700, 480, 360],
         "rate_cost": 4_000,
         "policy": {"hidden": 128},
     },
-    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [1_000, 600]},
+    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [600], "walks": 25},
     ("hexapod-command", "small-mlp"): {
         "budget": 400,
-        "levels": [2_000, 1_200, 800, 600, 500],
+        "levels": [1_500, 800, 550],
+        "walks": 25,
         "policy": {"hidden": [48, 32]},
     },
-    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [1_200, 700]},
+    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [700], "walks": 25},
     **{
         (env, student): settings
         for env in _KART_ENVS
         for student, settings in {
-            "sparse": {"budget": 25, "levels": [40, 32], "policy": {"most": 4}},
-            "sparse-linear": {"budget": 10, "levels": [30, 20, 14], "policy": {"most": 4}},
-            "small-mlp": {"budget": 30, "levels": [80, 55, 40], "policy": {"hidden": [8]}},
-            "small-linear": {"budget": 30, "levels": [70, 50, 40]},
+            "sparse": {"budget": 28, "levels": [50, 38], "policy": {"most": 4, "hidden": 24}},
+            "sparse-linear": {"budget": 10, "levels": [20, 14], "policy": {"most": 4}},
+            "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
+            "small-linear": {"budget": 30, "levels": [60, 40]},
         }.items()
     },
 }
