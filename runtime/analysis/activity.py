@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Activity:
-    """What a network did with a raster.
+    """What a network did with a raster; layers are those that can spike.
 
     spikes: layer -> (B, T, N).
     reached: layer -> (B, T, N) membranes before a spike resets them [float units]; NaN where the
@@ -138,12 +138,12 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
     machine = Machine(program, len(raster), "total", trace=True)
     output, seen = machine.infer(raster), machine.recordings
     return Activity(
-        spikes={name: ran.spikes for name, ran in seen.items()},
+        spikes={layer.name: seen[layer.name].spikes for layer in program.spiking},
         reached={
             layer.name: layer.scale * _before_reset(program, layer, seen[layer.name])
-            for layer in program.layers
+            for layer in program.spiking
         },
-        thresholds={layer.name: layer.threshold * layer.scale for layer in program.layers},
+        thresholds={layer.name: layer.threshold * layer.scale for layer in program.spiking},
         output=output,
         saturations=machine.ledger.by_layer("saturation"),
     )

@@ -100,9 +100,8 @@ def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[st
             f"{on.name}: calibration chooses scales of Loihi's arithmetic, which it does not have. "
             "Leave it out."
         )
-    return [
-        layer.name for layer in compile_program(artifact, on, quantisation, limits=False).layers
-    ]
+    program = compile_program(artifact, on, quantisation, limits=False)
+    return [layer.name for layer in program.spiking]
 
 
 def _with_headroom(
@@ -133,7 +132,8 @@ def _up_to(program: Program, name: str) -> Program:
     if not program.feed_forward:
         return program
     place = [layer.name for layer in program.layers].index(name)
-    return replace(program, layers=program.layers[: place + 1], output=name, readout=None)
+    layers = program.layers[: place + 1]
+    return replace(program, layers=layers, output=name, readout=None, outlets=(), host=())
 
 
 def _with(quantisation: Quantisation, layer: str, tuning: Tuning) -> Quantisation:

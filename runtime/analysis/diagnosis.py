@@ -51,7 +51,7 @@ def diagnose(
     twin: Activity,
     steps: Mapping[str, Activity],
 ) -> list[Finding]:
-    """Findings of all layers of the program.
+    """Findings of all layers of the program that can spike.
 
     floats: the network on the ideal chip; None where there are no ablation steps but the chip.
     twin: what the float twin does with the raster.
@@ -59,7 +59,7 @@ def diagnose(
     """
     return [
         Finding(layer.name, found, *_cause(floats, program, layer, raster, twin, steps))
-        for layer in program.layers
+        for layer in program.spiking
         if (found := health(_last(steps).spikes[layer.name]))
     ]
 

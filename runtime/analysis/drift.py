@@ -197,7 +197,7 @@ def drift(
     steps = ablation_programs(floats, program) if floats else [("chip", program)]
     runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
     seen = list(runs.values())[-1]
-    names = [layer.name for layer in program.layers]
+    names = [layer.name for layer in program.spiking]
     return Drift(
         chip=on.name,
         quantisation=quantisation.describe(),

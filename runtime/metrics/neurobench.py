@@ -38,7 +38,8 @@ class NeuroBench:
         constants of the neurons.
     footprint_packed: [bytes] of weights and biases in the chip's widths; not of NeuroBench.
     connection_sparsity: fraction of all weights that is 0, to 4 decimals.
-    activation_sparsity: fraction of all neurons and timesteps without a spike.
+    activation_sparsity: fraction of all neurons and timesteps without a spike; of those that can
+        spike, None where none can.
     activation_sparsity_by_layer: the same of each layer.
     effective_macs, effective_acs: products of non-zero inputs and non-zero weights; MACs in the
         timesteps in which some input of the matrix is neither 0 nor 1, ACs in the others.
@@ -53,7 +54,7 @@ class NeuroBench:
     footprint: int
     footprint_packed: float | None
     connection_sparsity: float
-    activation_sparsity: float
+    activation_sparsity: float | None
     activation_sparsity_by_layer: Mapping[str, float]
     effective_macs: float
     effective_acs: float
@@ -100,7 +101,7 @@ def neurobench(
     samples = len(spikes[program.input])
     acs, macs = _synaptic_operations(program, spikes)
     timesteps = spikes[program.input].shape[1]
-    layers = {layer.name: spikes[layer.name] for layer in program.layers}
+    layers = {layer.name: spikes[layer.name] for layer in program.spiking}
     updates = _updates(membranes) if membranes is not None else None
     operations = _neuron_operations(program)
     each = {layer.name: timesteps * layer.size for layer in program.layers}
@@ -109,7 +110,7 @@ def neurobench(
         footprint=footprint(graph),
         footprint_packed=packed_bytes(program),
         connection_sparsity=connection_sparsity(graph),
-        activation_sparsity=sparsity(layers.values()),
+        activation_sparsity=sparsity(layers.values()) if layers else None,
         activation_sparsity_by_layer={name: sparsity([rows]) for name, rows in layers.items()},
         effective_macs=macs / samples,
         effective_acs=acs / samples,
@@ -187,8 +188,11 @@ def _presynaptic(
         for synapses, lag in zip(layer.synapses, lags, strict=True):
             rows = spikes[synapses.source]
             yield rows[:, : rows.shape[1] - lag], synapses.fan_out
+    for synapses in (synapses for layer in program.host for synapses in layer.synapses):
+        rows = spikes[synapses.source]
+        yield rows[:, : rows.shape[1] - synapses.delay], synapses.fan_out
     for tap in (tap for outlet in program.outlets for tap in outlet.taps):
-        if tap.weight is not None:
+        if tap.weight is not None and tap.layer in spikes:  # the host's own layers do not spike
             rows = spikes[tap.layer]
             fan_out = np.count_nonzero(tap.weight, axis=1).astype(np.int64)
             yield rows[:, : max(rows.shape[1] - tap.lag, 0)], fan_out

@@ -130,12 +130,19 @@ def priced_by(chip: Chip | None) -> tuple[str, ...]:
 
 def _weights(program: Program) -> int:
     """All weights of all matrices, zeros and the readout included."""
-    weights = [s.weight.size for layer in program.layers for s in layer.synapses]
+    layers = (*program.layers, *program.host)
+    weights = [s.weight.size for layer in layers for s in layer.synapses]
     return sum(weights) + sum(weight.size for _, weight in program.readouts)
 
 
 def _readout_acs(ledger: Ledger, program: Program) -> float:
     """Accumulates of the host's readout; exact where all neurons have the same fan-out."""
     spikes = ledger.by_layer("spike_out")
-    fan_outs = [(np.count_nonzero(weight, axis=1).mean(), of) for of, weight in program.readouts]
+    spikes[program.input] = ledger.by_layer("spike_in")[program.layers[0].name]
+    onto_host = [(s.source, s.weight) for layer in program.host for s in layer.synapses]
+    fan_outs = [
+        (np.count_nonzero(weight, axis=1).mean(), of)
+        for of, weight in (*program.readouts, *onto_host)
+        if of in spikes  # the host's own layers send it no spikes
+    ]
     return float(sum(fan_out * spikes[of] for fan_out, of in fan_outs) / ledger.inferences)
