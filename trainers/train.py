@@ -21,6 +21,7 @@ from spikedeploy.trainers.metrics import draw_curve
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
+from spikedeploy.trainers.sparse.budget import with_budget
 
 
 def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config
@@ -34,6 +35,7 @@ def train(
     *,
     config_file: str | Path | None = None,
     overrides: Iterable[str] = (),
+    budget: str | None = None,
     seed: int = 0,
     resume: str | Path | None = None,
     runs: str | Path = "runs",
@@ -42,17 +44,21 @@ def train(
     """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
     A resumed run keeps its configuration and seed, changed by the file and the overrides.
+
+    budget: operations of a control step, of a sparse recipe: "sops=480", "macs=500"
     """
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
     kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe")].algorithm)
     if resume is None:
         config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
+        config = config if budget is None else with_budget(config, budget)
         run = RunFolder.create(runs, config)
     else:
         run = RunFolder.find(resume, runs, recipe)
         if (recipe_of_run := run.settings()["recipe"]) != recipe:
             raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
         config = amended(run.config(kind.Config), file=config_file, overrides=overrides)
+        config = config if budget is None else with_budget(config, budget)
         run.write_config(config)
     _learn(kind(config, run), config, run, quiet)
     return run.path

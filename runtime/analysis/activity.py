@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Activity:
-    """What a network did with a raster.
+    """What a network did with a raster; layers are those that can spike.
 
     spikes: layer -> (B, T, N), of layers that can spike, as the next two.
     reached: layer -> (B, T, N) membranes before a spike resets them [float units]; NaN where the

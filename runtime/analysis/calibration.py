@@ -102,9 +102,8 @@ def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[st
             f"{on.name}: calibration chooses scales of Loihi's arithmetic, which it does not have. "
             "Leave it out."
         )
-    return [
-        layer.name for layer in compile_program(artifact, on, quantisation, limits=False).layers
-    ]
+    program = compile_program(artifact, on, quantisation, limits=False)
+    return [layer.name for layer in program.spiking]
 
 
 def _with_headroom(

@@ -51,7 +51,7 @@ def diagnose(
     twin: Activity,
     steps: Mapping[str, Activity],
 ) -> list[Finding]:
-    """Findings of all layers of the program.
+    """Findings of all layers of the program that can spike.
 
     floats: the network on the ideal chip; None where there are no ablation steps but the chip.
     twin: what the float twin does with the raster.

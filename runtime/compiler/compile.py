@@ -75,6 +75,8 @@ def float_program(
         here, graph.input, artifact.convention, chip.delay, stagger
     )
     remarks += [_on_host(layer, chip.name) for layer in host]
+    if chip.arithmetic.rounds:
+        remarks += [_on_chip(layer, chip) for layer in here if not layer.spiking]
     program = _program(artifact, chip, graph, layers, host, remarks)
     chip.arithmetic.check_output(program, chip.name)
     return program
@@ -106,6 +108,19 @@ def _program(
         outlets=outlets,
         remarks=tuple(remarks),
         host=tuple(host),
+    )
+
+
+def _on_chip(layer: Layer, chip: Chip) -> str:
+    """How the membranes of a readout layer leave the chip, in a sentence."""
+    ways = {
+        "probe": "which the host reads from their registers",
+        "graded": "which are sent as graded spikes",
+        "software": "which the chip's program puts out",
+    }
+    return (
+        f"readout {layer.name!r}: the membranes of {layer.size} neurons leave {chip.name} in each "
+        f"timestep, {ways[chip.membrane_output]} (membrane_output {chip.membrane_output!r})"
     )
 
 

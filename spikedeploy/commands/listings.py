@@ -99,12 +99,15 @@ def envs(json: Json = False) -> None:
 
 
 def recipes(json: Json = False) -> None:
-    """List the training recipes."""
+    """List the training recipes, by algorithm."""
     from spikedeploy.console import print_json, print_table
+    from spikedeploy.trainers import ALGORITHMS
     from spikedeploy.trainers.recipes import RECIPES
 
     rows = [(name, recipe.algorithm, recipe.summary) for name, recipe in RECIPES.items()]
     if json:
         print_json([dict(zip(("name", "algorithm", "summary"), row, strict=True)) for row in rows])
-    else:
-        print_table("Recipes, for `spikedeploy train`", ("name", "algorithm", "trains"), rows)
+        return
+    for algorithm in ALGORITHMS:
+        cells = [(name, summary) for name, of, summary in rows if of == algorithm]
+        print_table(f"Recipes of the algorithm {algorithm}", ("name", "trains"), cells)

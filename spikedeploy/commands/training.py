@@ -20,6 +20,14 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set env.count=8."),
     ] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(
+            metavar="sops=N|macs=N",
+            help="Operations of a control step, of sparse recipes: spiking or float.",
+            show_default="the recipe's",
+        ),
+    ] = None,
     seed: Annotated[
         int | None,
         typer.Option(
@@ -47,6 +55,7 @@ def train(
         recipe,
         config_file=config,
         overrides=set_ or (),
+        budget=budget,
         seed=seed or 0,
         resume=resume,
         runs=runs,

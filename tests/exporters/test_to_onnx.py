@@ -3,11 +3,14 @@ import onnxruntime
 import pytest
 import torch
 
+from spikedeploy.exporters.parity import check as check_parity
 from spikedeploy.exporters.to_onnx import to_onnx
+from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
 from spikedeploy.trainers.policies.features import Features
+from tests.delta_policies import pruned_mlp, walk
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sac", 3, 7, "2026-01-01T00:00:00Z", "0.1.0")
 
@@ -115,3 +118,36 @@ def test_a_spiking_policy_is_sent_to_nir(kind, tmp_path):
 def test_an_unknown_kind_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="ann, control"):
         to_onnx(mlp(), ORIGIN, tmp_path / "p.onnx", kind="snn")
+
+
+@pytest.mark.parametrize("hidden", [(), (6,), (6, 4)])
+@pytest.mark.parametrize("head", ["continuous", "discrete"])
+@pytest.mark.parametrize("skip", [True, False])
+def test_a_pruned_policy_acts_alike(hidden, head, skip, tmp_path):
+    policy = pruned_mlp(hidden=hidden, head=head, skip=skip)
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    assert all(check.passed for check in check_parity(policy, path, walk()))
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_effective_operations_of_a_pruned_policy_are_those_of_a_hand_count(skip, tmp_path):
+    policy, observation = pruned_mlp(skip=skip), walk()
+    player = OnnxController(to_onnx(policy, ORIGIN, tmp_path / "p.onnx"))
+    _, inputs = policy.activations(torch.from_numpy(observation).float())
+    matrices = [*zip(inputs, policy.layers, strict=True), (inputs[0], policy.past)]
+    count = 0
+    for x, matrix in matrices if skip else matrices[:-1]:
+        for row in x.numpy():
+            for value, weights in zip(row, matrix.mask.T.numpy(), strict=True):
+                count += int(weights.sum()) * bool(value)
+    assert player.effective_macs(observation) == pytest.approx(count / len(observation))
+    everything = [int(layer.mask.sum()) for layer in policy.layers] + [int(policy.past.mask.sum())]
+    assert player.metadata["macs"] == str(sum(everything))
+
+
+def test_files_without_fan_outs_count_all_weights(tmp_path):
+    path = to_onnx(mlp((8,)), ORIGIN, tmp_path / "p.onnx")
+    player, observation = OnnxController(path), np.ones((1, 6))
+    assert "fan_out" not in player.metadata
+    active = np.count_nonzero(player._run(player._presynaptic, observation)[1])
+    assert player.effective_macs(observation) == 6 * 8 + active * 2

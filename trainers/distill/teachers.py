@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -65,11 +66,14 @@ def teacher(path: str, env: str) -> Teacher:
 
 def _shipped(name: str) -> Path | None:
     """Return the file of a shipped policy; None where a path is meant."""
-    if Path(name).exists():
-        return None
-    zoo = Path(str(files("spikedeploy"))) / "zoo"
-    found = (zoo / f"{name}{suffix}" for suffix in _FILES)
-    return next((path for path in found if path.is_file()), None)
+    return None if Path(name).exists() else _zoo().get(name)
+
+
+def _zoo() -> dict[str, Path]:
+    """Files of the shipped policies by name, such as "hexapod/sac"."""
+    folder = Path(str(files("spikedeploy"))) / "zoo"
+    found = [path for suffix in _FILES for path in sorted(folder.glob(f"*/*{suffix}"))]
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 
 def of_policy(policy: Policy, env: str = "") -> Teacher:
@@ -92,8 +96,13 @@ def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
 
 
 def _from_run(path: str) -> Teacher:
-    settings = RunFolder.find(path).settings
-    return of_policy(load_policy(path), str(settings()["env"]["name"]))
+    try:
+        settings = RunFolder.find(path).settings()
+    except ConfigError as error:
+        near = get_close_matches(path, _zoo(), n=2)
+        hint = f"; did you mean the shipped policy {' or '.join(near)}?" if near else ""
+        raise ConfigError(f"{error}{hint}") from error
+    return of_policy(load_policy(path), str(settings["env"]["name"]))
 
 
 def _from_onnx(path: str) -> Teacher:

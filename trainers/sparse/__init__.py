@@ -1,6 +1,7 @@
 """Sparse policies: a teacher imitated through whole walks by students that are pruned in rounds.
 
 config.py    settings
+budget.py    the budget as the command line takes it
 sparse.py    the algorithm: walks, phases, validation on the chip
 phases.py    dense, levels of pruning, polish
 rounding.py  what the chip makes of the weights, for training with rounding

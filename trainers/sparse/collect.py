@@ -68,8 +68,8 @@ class Episodes:
         while not batch.ended.all() and len(seen) != self._limit:
             seen.append(batch.now.copy())
             if label is not None:
-                labels.append(label(batch.now))
-            batch.step(controller.act_batch(batch.now))
+                labels.append(label(seen[-1]))
+            batch.step(controller.act_batch(seen[-1]))
         return batch.cut(np.stack(seen, 1), np.stack(labels, 1)) if labels else []
 
 

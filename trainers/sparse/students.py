@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import adam
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta_graph import delta_codec, delta_encoder, live_neurons
@@ -198,4 +199,7 @@ def student(policy: Policy, config: SparseConfig) -> Student:
         return DeltaStudent(policy, config)
     if isinstance(policy, PrunedMlpPolicy):
         return MlpStudent(policy, config)
-    raise TypeError(f"{type(policy).__name__} is no policy that is pruned")
+    raise ConfigError(
+        f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn or "
+        "pruned-mlp"
+    )

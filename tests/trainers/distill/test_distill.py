@@ -247,3 +247,17 @@ def test_students_and_controls_learn_from_the_same_data(task):
         budgets.add((found.env.name, found.iterations, found.states, found.updates, found.batch))
     assert len(budgets) == 1
     assert budgets.pop()[0] == task
+
+
+def test_a_shipped_policy_may_teach_by_its_name():
+    for name, env, sizes in (
+        ("hexapod/sac", "hexapod", (77, 18)),
+        ("kart-grid/ann", "kart-grid", None),
+    ):
+        found = teacher(name, env)
+        assert found.env == envs.spec(env).id
+        assert sizes in (None, (found.observations, found.actions))
+    with pytest.raises(ConfigError, match="not in hexapod-command"):
+        teacher("hexapod/sac", "hexapod-command")
+    with pytest.raises(ConfigError, match="did you mean the shipped policy hexapod/sac"):
+        teacher("hexapod/scc", "hexapod")

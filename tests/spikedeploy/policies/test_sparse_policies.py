@@ -1,0 +1,118 @@
+"""Event-driven policies as run folders and files: states through an episode, and what they cost."""
+
+import re
+
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.play.spike_recorder import SpikeRecorder
+from spikedeploy.policies.nir import costs as nir_costs
+from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.policies.run import TorchController
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig
+from tests import toy_race_env, toy_stroll_env
+from tests.delta_policies import delta_policy
+
+SHAPES = [{}, {"hidden": 0}, {"skip": False}, {"code": "unary"}]
+
+
+@pytest.fixture
+def world(monkeypatch):
+    toy_stroll_env.install(monkeypatch)
+    return envs.make("stroll")
+
+
+def shipped(tmp_path, env="stroll", **shape):
+    """A run folder and its file."""
+    policy = delta_policy(**{"obs": 3, "left": 1.0, **shape})
+    config = SparseConfig(algorithm="sparse", recipe="smoke-sparse", env={"name": env})
+    run = RunFolder.create(tmp_path, config)
+    run.save("best", policy, {"updates": 1})
+    origin = Provenance({"stroll": toy_stroll_env.ID, "race": toy_race_env.ID}[env])
+    return run.path, to_nir(policy, origin, tmp_path / "policy.nir")
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_run_folder_acts_like_its_file_and_begins_every_episode_at_rest(shape, world, tmp_path):
+    run, file = shipped(tmp_path, **shape)
+    players = [open_policy(find(str(path)), "float", world) for path in (run, file)]
+    for seed in (10_000, 10_001, 10_000):
+        one, other = (rollout(world, player, seed) for player in players)
+        np.testing.assert_allclose(one.action, other.action, atol=1e-5)
+    player = TorchController(str(run))
+    first = rollout(world, player, 10_000).action
+    np.testing.assert_array_equal(first, rollout(world, player, 10_000).action)
+    player.reset(10_000)
+    replayed = player.replay(rollout(world, player, 10_000).observation[:-1])
+    assert not np.array_equal(replayed, first)  # it goes on where it stood
+    player.reset(10_000)
+    seen = rollout(world, player, 10_000).observation[:-1]
+    player.reset(10_000)
+    np.testing.assert_array_equal(player.replay(seen), first)
+
+
+def test_a_run_folder_that_chooses_acts_like_its_file(monkeypatch, tmp_path):
+    toy_race_env.install(monkeypatch)
+    race = envs.make("race")
+    run, file = shipped(tmp_path, "race", obs=2, act=4, head="discrete")
+    one, other = (
+        rollout(race, open_policy(find(str(path)), "float", race), 10_000).action
+        for path in (run, file)
+    )
+    np.testing.assert_array_equal(one, other)
+    assert find(str(run)).kind == find(str(file)).kind == "snn"
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("target", ["float", "loihi1", "loihi2"])
+def test_spikes_beside_a_replay_are_those_of_the_episode(shape, target, world, tmp_path):
+    candidate = find(str(shipped(tmp_path, **shape)[1]))
+    player = open_policy(candidate, target, world)
+    played = rollout(world, player, 10_000)
+    traced = SpikeRecorder(candidate, target).record(played.observation[:-1], 10_000)
+    np.testing.assert_allclose(np.tanh(traced.scores), played.action)
+    spiking = {"lif1"} if shape.get("hidden", 8) else set()
+    assert traced.rasters.keys() == {"input"} | spiking
+    raster = load(candidate.path).codec.encode_episode(played.observation[:-1])
+    np.testing.assert_array_equal(traced.rasters["input"], raster)
+
+
+def test_a_readout_on_the_host_is_counted_there(world, tmp_path):
+    file = shipped(tmp_path)[1]
+    costs = {}
+    for way in ("probe", "none"):
+        player = open_policy(find(str(file)), f"loihi1:membrane_output={way}", world)
+        played = rollout(world, player, 10_000)
+        costs[way] = nir_costs(player, played)
+    on_chip, on_host = costs["probe"], costs["none"]
+    assert on_host.sops < on_chip.sops == on_chip.effective_acs
+    # all neurons have the same fan-out here
+    assert on_host.effective_acs == pytest.approx(on_chip.effective_acs)
+    assert on_chip.sparsity == pytest.approx(on_host.sparsity)
+    assert on_chip.input_spikes == on_host.input_spikes > 0
+
+
+@pytest.mark.parametrize(
+    ("target", "way"),
+    [
+        ("loihi1", "2 neurons leave loihi1 .* reads from their registers"),
+        ("loihi2", "2 neurons leave loihi2 .* graded spikes"),
+        ("loihi1:membrane_output=none", "membranes do not leave loihi1, so the host integrates it"),
+    ],
+)
+def test_a_program_says_where_its_readout_is_read(target, way, tmp_path):
+    program = compile_program(load(shipped(tmp_path)[1]), chip(target))
+    [remark] = [each for each in program.remarks if "leave" in each]
+    assert re.search(way, remark)
+
+
+def test_a_chip_that_rounds_nothing_says_nothing(tmp_path):
+    assert compile_program(load(shipped(tmp_path)[1]), chip("ideal")).remarks == ()

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies.delta_graph import delta_artifact, live_neurons
+from spikedeploy.trainers.sparse.rounding import check_rounding, rounding_offsets
+from tests.delta_policies import delta_policy
+
+
+def mantissas(policy, target):
+    """Weights of the compiled program, by layer and source."""
+    program = compile_program(delta_artifact(policy), chip(target), limits=False)
+    return {(a.name, s.source): s.weight for a in program.layers for s in a.synapses}
+
+
+@pytest.mark.parametrize("target", ["loihi1", "loihi2"])
+@pytest.mark.parametrize("shape", [{}, {"hidden": 0}, {"skip": False}])
+def test_offsets_make_the_weights_those_of_the_chip(target, shape):
+    # all channels of a unary code weigh the same
+    policy = delta_policy(code="unary", **shape)
+    offsets, live = rounding_offsets(policy, chip(target)), live_neurons(policy)
+    step = policy.step.numpy()
+    rows = {
+        ("lif1", "input"): ("into", lambda w: w[live] * step),
+        ("readout", "lif1"): ("out", lambda w: w[:, live]),
+        ("readout", "input"): ("past", lambda w: w * step),
+    }
+    units = {}
+    for key, mantissa in mantissas(policy, target).items():
+        name, as_on_chip = rows[key]
+        mantissa = mantissa[:: 6 if key[1] == "input" else 1].T
+        exact = as_on_chip(getattr(policy, name)().numpy())
+        rounded = as_on_chip((getattr(policy, name)() + offsets[name]).numpy())
+        some = mantissa != 0
+        unit = units.setdefault(key[0], float(np.median(rounded[some] / mantissa[some])))
+        np.testing.assert_allclose(rounded, mantissa * unit, atol=1e-5)
+        grid = unit * np.gcd.reduce(mantissa.astype(int).ravel())
+        assert np.abs(rounded - exact).max() <= 0.51 * grid
+        assert offsets[name].any()
+    assert units.keys() == ({"lif1", "readout"} if policy.hidden else {"readout"})
+
+
+def test_what_was_taken_out_stays_out():
+    policy = delta_policy(left=0.4)
+    for name, added in rounding_offsets(policy, chip("loihi1")).items():
+        assert not added[getattr(policy, name).mask == 0].any()
+
+
+def test_events_of_several_sizes_share_their_mean_error():
+    policy = delta_policy(code="one-hot", hidden=0, left=1.0)
+    added = rounding_offsets(policy, chip("loihi1"))["past"]
+    mantissa = mantissas(policy, "loihi1")["readout", "input"]
+    # channels of +1 to +3 and -1 to -3 events
+    sizes = np.array([1, 2, 3, -1, -2, -3])[None, :, None]
+    each = (mantissa.reshape(5, 6, 2) / sizes).mean(1).T / policy.step.numpy()
+    found = (policy.past() + added).numpy() / each
+    np.testing.assert_allclose(found, np.median(found), rtol=1e-5)
+
+
+@pytest.mark.parametrize("target", ["ideal", "xylo-a3"])
+def test_chips_whose_weights_cannot_be_rounded_alone_are_refused(target):
+    check_rounding(chip("loihi1"))
+    with pytest.raises(ConfigError, match=f"{target}.*rounding=false"):
+        check_rounding(chip(target))
+
+
+def test_the_policy_is_left_as_it_was():
+    policy = delta_policy()
+    before = {name: tensor.clone() for name, tensor in policy.state_dict().items()}
+    rounding_offsets(policy, chip("loihi1"))
+    for name, tensor in policy.state_dict().items():
+        assert torch.equal(tensor, before[name])
+        assert tensor.dtype == torch.float32
