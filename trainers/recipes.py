@@ -209,10 +209,11 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
                 "dense_updates": 2_000,
                 "dense_rounds": 4,
                 "level_updates": 1_000,
-                "polish": 6,
-                "polish_updates": 800,
+                "polish": 5,
+                "polish_updates": 1_000,
+                "retune": "before-polish",
                 "walks": 60,
-                "validation": {"every": 400, "episodes": 100},
+                "validation": {"every": 500, "episodes": 200},
             },
         )
         for env in _KART_ENVS

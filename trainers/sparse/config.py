@@ -35,7 +35,8 @@ class SparseConfig(RunConfig):
         operations that a rate of 1 above it counts for [spikes per neuron and control step]
     step: geometric mean of the encoder's steps [standard deviations]; binary observations have
         a step of their whole swing
-    retune: whether steps are set anew after each round, by how much each observation matters
+    retune: after which rounds steps are set anew, by how much each observation matters: "always",
+        "never", or "before-polish", which leaves the encoder as it is in the rounds of polish
     prune_every, prune_until: updates between two prunings, and the share of a level with prunings
     neuron_cost: operations that an update of a neuron counts for when neurons are removed
     chip: on which policies are validated, and for whose weights they are rounded in training
@@ -70,7 +71,7 @@ class SparseConfig(RunConfig):
     rate_target: Share = 0.07
     rate_cost: float = Field(default=0.0, ge=0)
     step: Rate = 0.5
-    retune: bool = True
+    retune: Literal["always", "before-polish", "never"] = "always"
     prune_every: Positive = 20
     prune_until: Share = 0.5
     neuron_cost: float = Field(default=0.0, ge=0)

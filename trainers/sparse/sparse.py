@@ -126,6 +126,13 @@ class Sparse(Runner[SparseConfig]):
         self.updates += 1
         return True
 
+    @property
+    def _retunes(self) -> bool:
+        """Whether the encoder's steps are set anew before the next phase."""
+        polished = self.phase + 1 >= len(self._phases) - self._config.polish
+        choice = self._config.retune
+        return choice == "always" or (choice == "before-polish" and not polished)
+
     def _round(self) -> None:
         """Let the forward pass compute with the weights of the chip from now on."""
         if self._config.rounding and isinstance(self._student, DeltaStudent):
@@ -135,7 +142,7 @@ class Sparse(Runner[SparseConfig]):
         """Walk, set the encoder's steps anew, and start the next phase with a new optimiser."""
         # the walks are of the policy as it was validated, the steps of the next phase
         self._collect(in_float(self.policy), self._config.walks)
-        if self._config.retune and isinstance(self.policy, DeltaSnnPolicy):
+        if self._retunes and isinstance(self.policy, DeltaSnnPolicy):
             step = retuned(self.policy, self.pool, self._binary, self._config)
             self.policy.step.copy_(torch.from_numpy(step))
         self._student.prepare(self.pool)
