@@ -97,7 +97,7 @@ def test_drift_compares_what_spikes_and_the_actions(command, event):
         assert [layer["name"] for layer in found["layers"]] == spiking
         assert found["output"]["kind"] == "action"
         assert 0 < found["output"]["rms"] < 0.5
-        assert [step["name"] for step in found["rungs"]][0] == "weights"
+        assert found["rungs"][0]["name"] == "weights"
 
 
 def test_a_raster_is_emulated_and_counted(command, event, stroll):
