@@ -14,6 +14,7 @@ from spikedeploy.envs.ghost_recorder import GhostRecorder
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.play import window
 from spikedeploy.play.ghost_group import GhostGroup
 from spikedeploy.play.overlay_view import COLOURS, distinct_names
@@ -27,6 +28,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from tests import toy_stroll_env
+from tests.delta_policies import delta_policy
 from tests.networks import spiking_mlp
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
@@ -308,6 +310,22 @@ def test_the_panel_of_spikes_follows_the_time(run, policy):
     press(app, pygame.K_RIGHT)
     after = pygame.surfarray.array3d(app.draw())[800:1200]
     assert (before != after).any(axis=2).mean() > 0.1
+
+
+@pytest.mark.parametrize("hidden", [0, 6])
+def test_events_and_readouts_are_drawn_beside_a_ghost(hidden, run, tmp_path):
+    observed = envs.make("kart-gazebo").observation_space.shape[0]
+    actions = envs.make("kart-gazebo").action_space.n
+    network = delta_policy(obs=observed, act=actions, hidden=hidden, head="discrete")
+    app = open_replay(run, batch=2, spikes=str(to_nir(network, ORIGIN, tmp_path / "event.nir")))
+    before = pygame.surfarray.array3d(app.draw())[800:1200]
+    press(app, pygame.K_RIGHT)
+    after = pygame.surfarray.array3d(app.draw())[800:1200]
+    assert (before != after).any()
+    codec = load(tmp_path / "event.nir").codec
+    found = app.inferences.rasters
+    np.testing.assert_array_equal(found["input"], codec.encode_episode(app.view.observations()))
+    assert found.keys() == ({"input", "lif1"} if hidden else {"input"})
 
 
 def test_a_policy_of_another_world_shows_no_spikes_here(run):

@@ -1,0 +1,133 @@
+"""The commands on event-driven policies: from a recipe to reports of the file."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.trainers import ALGORITHMS
+from spikedeploy.trainers.recipes import RECIPES
+from tests import toy_stroll_env
+from tests.delta_policies import delta_policy
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._TOGETHER", 1)
+    return tmp_path
+
+
+@pytest.fixture(params=[6, 0], ids=["neurons", "linear"])
+def event(request, stroll):
+    policy = delta_policy(obs=3, hidden=request.param, left=1.0)
+    return to_nir(policy, toy_stroll_env.ORIGIN, stroll / "event.nir")
+
+
+def test_a_recipe_is_trained_to_a_budget_exported_and_run(command, stroll):
+    changes = ("--set", "env.name=stroll", "--set", "teacher=zoo/stroll/sac.onnx")
+    code, out, err = command("train", "smoke-sparse", "--budget", "sops=4", *changes, "--json")
+    assert (code, err) == (0, "")
+    run = json.loads(out)["run"]
+    assert json.loads((stroll / run / "config.json").read_text())["budget"] == 4
+    code, out, _ = command("export", run, "--to", "nir", "--observations", 30, "--json")
+    found = json.loads(out)
+    assert (code, found["passed"]) == (0, True)
+    assert load(found["path"]).convention.state == "kept"
+    code, _, err = command("export", run, "--to", "nir", "--state", "reset")
+    assert code == 1
+    assert "keeps its states through an episode" in err
+    code, _, err = command("export", run, "--to", "onnx")
+    assert code == 1
+    assert "--to nir" in err
+
+
+@pytest.mark.parametrize(
+    ("recipe", "budget", "line"),
+    [
+        ("smoke-sparse", "macs=40", "takes them as in --budget sops=60"),
+        ("smoke-sparse-mlp", "40", "takes them as in --budget macs=60"),
+        ("smoke", "sops=40", "recipe smoke has no budget of operations"),
+    ],
+)
+def test_a_budget_of_another_kind_is_one_clear_line(recipe, budget, line, command, stroll):
+    code, out, err = command("train", recipe, "--budget", budget)
+    assert (code, out) == (1, "")
+    assert line in err
+    assert len(err.splitlines()) == 1
+    assert not (stroll / "runs").exists()
+
+
+def test_recipes_are_listed_by_algorithm(command):
+    _, out, _ = command("recipes")
+    places = [out.index(f"Recipes of the algorithm {name}") for name in ALGORITHMS]
+    assert places == sorted(places)
+    assert out.index("hexapod-sparse") > places[-1]
+    _, out, _ = command("recipes", "--json")
+    assert [row["name"] for row in json.loads(out)] == list(RECIPES)
+
+
+@pytest.mark.parametrize("chip", ["float", "loihi1", "loihi2", "loihi1:membrane_output=none"])
+def test_a_file_runs_and_says_where_it_is_read(chip, command, event):
+    code, out, err = command("run", event, "--chip", chip, "--episodes", 2, "--json")
+    linear = "lif1" not in load(event).graph.nodes
+    if linear and "none" in chip:
+        assert code == 1
+        assert "the host would compute everything" in err
+        return
+    assert code == 0
+    found = json.loads(out)
+    [row] = found["rows"]
+    assert row["input_spikes_per_inference"] > 0
+    assert row["sops_per_inference"] > 0
+    assert (row["sparsity"] is None) == linear
+    remarks = [each for of in found["remarks"].values() for each in of]
+    assert any("readout 'readout'" in each for each in remarks) == (chip != "float")
+
+
+def test_drift_compares_what_spikes_and_the_actions(command, event):
+    for options in ((), ("--calibrate",), ("--tune",), ("--quantise", "channel")):
+        code, out, _ = command("drift", event, "--steps", 12, *options, "--json")
+        found = json.loads(out)
+        assert code == 0
+        spiking = ["lif1"] if "lif1" in load(event).graph.nodes else []
+        assert [layer["name"] for layer in found["layers"]] == spiking
+        assert found["output"]["kind"] == "action"
+        assert 0 < found["output"]["rms"] < 0.5
+        assert found["rungs"][0]["name"] == "weights"
+
+
+def test_a_raster_is_emulated_and_counted(command, event, stroll):
+    spikes = (np.random.default_rng(0).random((20, 18)) < 0.1).astype(np.uint8)
+    np.save(stroll / "in.npy", spikes)
+    for chip in ("float", "loihi1"):
+        words = ("--chip", chip, "--input", stroll / "in.npy", "-o", stroll / "out.npz")
+        code, out, _ = command("emulate", event, *words, "--json")
+        found = json.loads(out)
+        assert code == 0
+        sparsity = found["neurobench"]["ActivationSparsity"]
+        if "lif1" in found["layers"]:
+            assert sparsity == pytest.approx(1 - found["layers"]["lif1"]["rate"])
+        else:
+            assert sparsity is None
+        assert found["sops"] == found["neurobench"]["SynapticOperations"]["Effective_ACs"]
+        assert command("emulate", event, *words)[0] == 0
+
+
+def test_design_rules_are_checked(command, event):
+    code, out, _ = command("check", event, "--chip", "loihi1", "--chip", "loihi2", "--json")
+    assert code == 0
+    assert json.loads(out)["passed"]
+
+
+def test_it_is_compared_with_its_teacher_and_its_run_folder(command, event, stroll):
+    words = ("--episodes", 2, "--workers", 1, "-o", stroll / "report")
+    code, out, _ = command("compare", "stroll", event, "stroll/sac", *words, "--json")
+    assert code == 0
+    found = {row["chip"]: row for row in json.loads(out)["rows"] if row["policy"] == "event"}
+    on_chip, twin = (found[chip]["sops_per_inference"] for chip in ("loihi1", "float"))
+    assert twin == pytest.approx(on_chip, rel=0.3)
+    assert (stroll / "report" / "report.html").is_file()
