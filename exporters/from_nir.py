@@ -65,6 +65,7 @@ def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
         nodes["action"].bias.size,
         hidden=0 if neurons is None else neurons.r.size,
         skip="skip" in nodes,
+        integrated="integral" in nodes,
         most=encoder.most,
         code=encoder.code,
         events_above=encoder.threshold,

@@ -117,6 +117,7 @@ class DeltaSnnConfig(_Section):
 
     hidden: neurons; 0 leaves a delta-coded linear policy
     skip: whether events also reach the readout directly
+    integrated: whether they do so through readouts of their own that hardly decay
     most, code: events of an observation in a control step, and on which channels; see
         runtime.codec.delta
     """
@@ -124,6 +125,7 @@ class DeltaSnnConfig(_Section):
     kind: Literal["delta-snn"] = "delta-snn"
     hidden: Count = 8
     skip: bool = True
+    integrated: bool = False
     most: Positive = 3
     code: Literal["unary", "one-hot"] = "one-hot"
     surrogate_width: Rate = 2.0

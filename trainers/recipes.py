@@ -204,7 +204,6 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
                 "crash_windows": 0.3,
                 "penalty": 0.05,
                 "penalty_floor": 100,
-                "rate_cost": 1_000,
                 "step": 0.3,
                 "dense_updates": 2_000,
                 "dense_rounds": 4,
@@ -250,7 +249,7 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
         (env, student): settings
         for env in _KART_ENVS
         for student, settings in {
-            "sparse": {"budget": 28, "levels": [50, 38], "policy": {"most": 4, "hidden": 24}},
+            "sparse": {"budget": 28, "levels": [50, 38], "policy": {"most": 4, "integrated": True}},
             "sparse-linear": {"budget": 10, "levels": [20, 14], "policy": {"most": 4}},
             "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
             "small-linear": {"budget": 30, "levels": [60, 40]},

@@ -1,9 +1,10 @@
 """The network of a DeltaSnnPolicy as a NIR graph with its codec: what is exported, and validated.
 
     input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
-    input (M) ------> skip ----------> readout
+    input (M) ------> skip ----------> readout, or integral -> action
 
-`lif1` is a CubaLIF whose synaptic current hardly decays, `readout` an LI, both with gains of 1.
+`lif1` is a CubaLIF whose synaptic current hardly decays, `readout` and `integral` are LI, all with
+gains of 1.
 `action` adds the constant c to each readout. Channels of the encoder carry their own weights, so
 event k of a one-hot code weighs k times as much.
 """
@@ -98,11 +99,18 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
         nodes["lif1"] = _neurons(policy, live, dt)
         nodes["fc2"] = nir.Linear(_array(policy.out()[:, live]))
         edges += [("input", "fc1"), ("fc1", "lif1"), ("lif1", "fc2"), ("fc2", "readout")]
+    integral = np.full(policy.actions, policy.current_decay)
     past = policy.past() if policy.skip else policy.step.new_zeros(policy.actions, len(policy.step))
     if not edges or bool(past.any()):  # the input is read, if only with weights of 0
         nodes["skip"] = nir.Linear(channel_weights(policy, _array(past)))
-        edges += [("input", "skip"), ("skip", "readout")]
-    nodes["readout"] = _readout(policy, dt)
+        edges.append(("input", "skip"))
+        if policy.integrated and "lif1" in nodes:
+            nodes["integral"] = _readout(integral, dt)
+            edges += [("skip", "integral"), ("integral", "action")]
+        else:
+            edges.append(("skip", "readout"))
+    alone = policy.integrated and "lif1" not in nodes  # the readout is then the integral
+    nodes["readout"] = _readout(integral if alone else _array(policy.gamma), dt)
     nodes["action"] = nir.Affine(np.eye(policy.actions), _array(policy.action_bias))
     nodes["output"] = nir.Output({"output": np.array([policy.actions])})
     edges += [("readout", "action"), ("action", "output")]
@@ -125,8 +133,8 @@ def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF:
     )
 
 
-def _readout(policy: DeltaSnnPolicy, dt: float) -> nir.LI:
-    tau = dt / (1 - _array(policy.gamma))
+def _readout(decay: Array, dt: float) -> nir.LI:
+    tau = dt / (1 - decay)
     return nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
 
 

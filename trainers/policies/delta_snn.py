@@ -6,6 +6,11 @@
     y     = gamma y + Wo s + Ws (step n)                the events also reach the readout directly
     action = tanh(y + c)
 
+An integrated skip has readouts of its own, which hardly decay, so that they hold what the
+observation is and not only how it moved lately:
+
+    y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
+
 One timestep per control step; currents, membranes and readouts live on from one to the next.
 """
 
@@ -34,12 +39,14 @@ class DeltaState:
     current: (B, H) of the hidden neurons
     membrane: (B, H)
     readout: (B, act)
+    integral: (B, act) of an integrated skip
     """
 
     level: Tensor
     current: Tensor
     membrane: Tensor
     readout: Tensor
+    integral: Tensor
 
 
 class DeltaSnnPolicy(Policy):
@@ -48,6 +55,7 @@ class DeltaSnnPolicy(Policy):
     hidden: neurons H of the layer; 0 leaves the readout alone: a delta-coded linear policy, whose
         readout decays as slowly as the currents do
     skip: whether events also reach the readout directly
+    integrated: whether they do so through readouts that hardly decay
     most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
     step: (obs,) distance that one event stands for [normalised observation]
     into, out, past: synapses onto the hidden neurons, from them, and past them
@@ -71,9 +79,11 @@ class DeltaSnnPolicy(Policy):
         surrogate_width: float = 2.0,
         clip: float = 4.0,
         head: Head = "continuous",
+        integrated: bool = False,
     ) -> None:
         super().__init__()
         self.observations, self.actions, self.hidden = observations, actions, hidden
+        self.integrated = integrated and skip and hidden > 0
         self.skip, self.most, self.code = skip or not hidden, most, code
         self.events_above, self.head = events_above, head
         self.current_decay, self.surrogate_width = current_decay, surrogate_width
@@ -115,10 +125,8 @@ class DeltaSnnPolicy(Policy):
     def rest(self, robots: int) -> DeltaState:
         """Return the state at the beginning of an episode."""
         zeros = self.action_bias.new_zeros
-        hidden = zeros(robots, self.hidden)
-        return DeltaState(
-            zeros(robots, self.observations), hidden, hidden, zeros(robots, self.actions)
-        )
+        hidden, actions = zeros(robots, self.hidden), zeros(robots, self.actions)
+        return DeltaState(zeros(robots, self.observations), hidden, hidden, actions, actions)
 
     def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
         """Take one control step: return mean (B, act), events (B, obs) and hidden spikes (B, H).
@@ -132,15 +140,14 @@ class DeltaSnnPolicy(Policy):
         membrane = self.beta * state.membrane + state.current + self.bias
         spikes = (membrane > _THRESHOLD).to(membrane.dtype)
         state.membrane = membrane * (1 - spikes)
-        state.readout = self.gamma * state.readout + self._drive(spikes, moved)
-        return state.readout + self.action_bias, events, spikes
-
-    def _drive(self, spikes: Tensor, moved: Tensor) -> Tensor:
-        """Return what spikes (B, H) and moves of the observation (B, obs) add to the readout."""
         drive: Tensor = spikes @ self.out().T
-        if self.skip:
-            drive = drive + moved @ self.past().T
-        return drive
+        past = moved @ self.past().T if self.skip else 0.0
+        if self.integrated:
+            state.integral = self.current_decay * state.integral + past
+        else:
+            drive = drive + past
+        state.readout = self.gamma * state.readout + drive
+        return state.readout + state.integral + self.action_bias, events, spikes
 
     def unrolled(
         self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
@@ -159,7 +166,9 @@ class DeltaSnnPolicy(Policy):
         membrane = seen.new_zeros(len(seen), self.hidden)
         readout = seen.new_zeros(len(seen), self.actions)
         drives = seen @ weights.into.T + self.bias
-        past = moved @ weights.past.T if self.skip else None
+        # the integrals hold what currents would hold
+        held = seen @ weights.past.T if self.integrated else None
+        past = moved @ weights.past.T if self.skip and held is None else None
         means, rasters = [], []
         runs_on = 1 - begins[:, None].to(seen.dtype)
         for t in range(seen.shape[1]):
@@ -175,7 +184,8 @@ class DeltaSnnPolicy(Policy):
                     readout = readout + past[:, t]
             means.append(readout + self.action_bias)
             rasters.append(spikes)
-        return torch.stack(means, 1), torch.stack(rasters, 1)
+        mean = torch.stack(means, 1)
+        return mean if held is None else mean + held, torch.stack(rasters, 1)
 
     def weights(self) -> "DeltaWeights":
         """Return what `unrolled` computes with, masks and decay factors applied."""
@@ -194,6 +204,7 @@ class DeltaSnnPolicy(Policy):
             "actions": self.actions,
             "hidden": self.hidden,
             "skip": self.skip,
+            "integrated": self.integrated,
             "most": self.most,
             "code": self.code,
             "events_above": self.events_above,
