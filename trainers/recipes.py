@@ -221,13 +221,7 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
 
 # operations of each student at the end, and on the way there; and sizes
 _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
-    ("hexapod", "sparse"): {
-        "budget": 66,
-        "levels": [220, 140, 100, 80],
-        "polish": 3,
-        "rate_cost": 4_000,
-        "policy": {"hidden": 32},
-    },
+    ("hexapod", "sparse"): {"budget": 50, "levels": [210, 140, 105, 84, 66], "polish": 3},
     ("hexapod", "sparse-linear"): {"budget": 70, "levels": [160, 100], "walks": 25},
     ("hexapod", "small-mlp"): {"budget": 130, "levels": [400, 250, 180], "walks": 25},
     ("hexapod", "small-linear"): {"budget": 200, "levels": [600, 300], "walks": 25},
