@@ -101,7 +101,7 @@ def _section(env: str, rows: list[Record], made: Record) -> list[str]:
         tables.term_table(found),
         "### Against float students",
         _RIVALS,
-        tables.rival_table(found),
+        tables.rival_table(found) or "There is none.",
         "### The last level elsewhere",
         f"On the first {made['chip_episodes']} of the seeds; counts of the first row of each "
         "policy are of all.",

@@ -37,15 +37,20 @@ def draw(env: str, found: Sequence[Point], path: Path) -> Path:
 
 
 def _panel(axes: "Axes", found: Sequence[Point], cost: _Cost) -> None:
-    from matplotlib.ticker import ScalarFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     for student in STUDENTS:
         of = [point for point in found if point.student == student]
         if of:
             _front(axes, of, cost, student)
     axes.axhline(100, color="#8A939E", linewidth=0.8, zorder=1)
+    spent = [cost(row) for point in found for row in point.rows]
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    # scores of a teacher that scores nothing are not numbers, and would leave the axis empty
+    axes.set_xlim(0.8 * max(min(spent, default=1.0), 1.0), 1.25 * max([*spent, 10.0]))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#E6E8EB", which="both")
     axes.set_axisbelow(True)

@@ -1,5 +1,6 @@
 """Tables and sentences of the pareto page."""
 
+import math
 from collections.abc import Callable, Sequence
 
 from spikedeploy.experiments.pareto.costs import TERMS, TOTALS
@@ -47,9 +48,16 @@ def _pico(joules: float) -> str:
 
 
 def of_teacher(point: Point) -> str:
-    """`99.5 [99.2, 99.8]`, in %."""
+    """`99.5% [99.2%, 99.8%]`."""
     low, high = point.of_teacher.ci95
-    return f"{point.of_teacher.mean:.1%} [{low:.1%}, {high:.1%}]"
+    mean = _mean(point)
+    return mean if math.isnan(low) else f"{mean} [{low:.1%}, {high:.1%}]"
+
+
+def _mean(point: Point) -> str:
+    """Without the interval; a dash where the teacher scores nothing."""
+    mean = point.of_teacher.mean
+    return ABSENT if math.isnan(mean) else f"{mean:.1%}"
 
 
 def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
@@ -104,7 +112,7 @@ def energy_table(found: Sequence[Point]) -> str:
     lean = ["+ lean updates", "+ the rest"]
     lines = [[*heads, *lean, "davies2018", "sanafe"]]
     for p in found:
-        cells = [LABELS[p.student], f"{p.level:g}", f"{p.of_teacher.mean:.1%}"]
+        cells = [LABELS[p.student], f"{p.level:g}", _mean(p)]
         cells += [_pico(p.energy(of)) for of in TOTALS]
         cells += [_pico(p.energy(of, lean=True)) for of in ("updates", "all")]
         if p.spiking:
@@ -137,9 +145,9 @@ def rival_table(found: Sequence[Point]) -> str:
         if point.spiking and point.of_teacher.mean >= NEAR:
             pairs = [pairing(found, point, of) for of in TOTALS]
             pairs.append(pairing(found, point, "all", lean=True))
-            cells = [LABELS[point.student], f"{point.level:g}", f"{point.of_teacher.mean:.1%}"]
+            cells = [LABELS[point.student], f"{point.level:g}", _mean(point)]
             lines.append([*cells, *map(_against, pairs)])
-    return markdown(lines)
+    return markdown(lines) if len(lines) > 1 else ""
 
 
 def _against(pair: Pairing) -> str:
