@@ -31,7 +31,7 @@ Done = dict[str, float | None]
 
 
 @dataclass(frozen=True)
-class Network:
+class LevelNetwork:
     """A policy, ready to walk.
 
     controller  of B robots
@@ -43,7 +43,7 @@ class Network:
     done: Callable[[Sequence[Walk]], Done]
 
 
-def network(run: Path, level: str, place: str, folder: Path) -> Network:
+def network(run: Path, level: str, place: str, folder: Path) -> LevelNetwork:
     """The policy of a level of a run at a place (ParetoDesign.places), exported to the folder.
 
     Raises RuleError where the chip refuses it.
@@ -71,10 +71,10 @@ class _OnChip:
         self.spiking.reset(0)
 
 
-def _spiking(policy: DeltaSnnPolicy, run: Path, place: str, path: Path) -> Network:
+def _spiking(policy: DeltaSnnPolicy, run: Path, place: str, path: Path) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
     running = _OnChip(to_nir(policy, run_record.origin(run), path), place)
-    return Network(running, lambda walks: _counted(running, walks))
+    return LevelNetwork(running, lambda walks: _counted(running, walks))
 
 
 def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
@@ -116,7 +116,7 @@ def _constants(program: Program) -> int:
     return sum(outlet.bias.size for outlet in program.outlets)
 
 
-def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> Network:
+def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy)
     running = OnnxController(to_onnx(policy, run_record.origin(run), path, kind))
@@ -132,7 +132,7 @@ def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> Network:
             "constants": float(hidden + policy.actions),  # a bias of each unit
         }
 
-    return Network(Stateless(running.replay), done)
+    return LevelNetwork(Stateless(running.replay), done)
 
 
 def _pruned(module: nn.Module) -> TypeGuard[PrunedWeight]:

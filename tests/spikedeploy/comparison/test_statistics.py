@@ -6,8 +6,8 @@ import pytest
 from spikedeploy.comparison.statistics import (
     bootstrap,
     iqm,
-    paired_difference,
     nested_ratio,
+    paired_difference,
     ratio_of_medians,
     share,
 )
