@@ -86,6 +86,8 @@ def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
     counts = rows[alive].sum(axis=0) / lengths.sum()  # (L, E)
     per_step = dict(zip(EVENTS, counts.sum(axis=0).tolist(), strict=True))
     sent = dict(zip(ledger.layers, counts[:, EVENTS.index("spike_out")].tolist(), strict=True))
+    updates = counts[:, EVENTS.index("neuron_update")]
+    readouts = [name in ledger.readouts for name in ledger.layers]
     first = program.layers[0]
     others = sum(sent[s.source] for s in first.synapses if s.source != program.input)
     encoder = running.artifact.codec.encoder if running.artifact.codec else None
@@ -97,6 +99,7 @@ def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
         "bias_operations": per_step["bias_sop"],
         "neurons": float(sum(ledger.neurons)),
         "neuron_updates": per_step["neuron_update"],
+        "readout_updates": float(updates[readouts].sum()),
         "neuron_idle": per_step["neuron_idle"],
         "messages": per_step["message"],
         "events": float(counts[0, EVENTS.index("spike_in")]) - others,

@@ -83,6 +83,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
         "operations": lambda p: _number(p.mean("operations"), ",.1f"),
         "neurons": lambda p: _number(p.mean("neurons")),
         "updates": lambda p: _number(p.mean("neuron_updates"), ",.1f"),
+        "of readouts": lambda p: _number(p.mean("readout_updates"), ",.1f"),
         "events": lambda p: _number(p.mean("events"), ",.1f"),
         "spikes": lambda p: _number(p.mean("spikes_out"), ",.1f") if p.spiking else ABSENT,
         "sparsity": lambda p: _number(p.mean("sparsity"), ".1%"),
@@ -172,13 +173,7 @@ def sentences(found: Sequence[Point]) -> list[str]:
 def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
     best = best_pairing(found, of, lean, NEAR)
     if best is None or best.rival is None or best.ratio is None:
-        near = any(p.spiking and p.of_teacher.mean >= NEAR for p in found)
-        why = (
-            "no float student reaches the return of a spiking one"
-            if near
-            else f"no spiking policy reaches {NEAR:.0%} of the teacher"
-        )
-        return f"- {words}: {why}, so there is nothing to compare."
+        return f"- {words}: {_lack(found)}, so there is nothing to compare."
     point, rival = best.point, best.rival
     text = (
         f"- {'✓' if best.ratio <= 1 else '✗'} {words}: {_named(point)} costs "
@@ -191,6 +186,15 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
     most = max(mine, key=lambda name: mine[name])
     share = mine[most] / sum(mine.values())
     return f"{text} {_TERM_WORDS[most].capitalize()} are {share:.0%} of it{_lever(best, most)}."
+
+
+def _lack(found: Sequence[Point]) -> str:
+    """Why nothing can be compared."""
+    if not any(p.spiking and p.of_teacher.mean >= NEAR for p in found):
+        return f"no spiking policy reaches {NEAR:.0%} of the teacher"
+    if all(p.spiking for p in found):
+        return "no float student is evaluated yet"
+    return "no float student reaches the return of a spiking one"
 
 
 def _lever(pair: Pairing, most: str) -> str:

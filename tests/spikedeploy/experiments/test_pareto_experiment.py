@@ -2,12 +2,14 @@
 
 import json
 import shutil
+import sys
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from spikedeploy import cli
 from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import page, records
 from spikedeploy.experiments.pareto.design import LAST, STUDENTS, ParetoDesign, asked
@@ -170,3 +172,17 @@ def test_intervals_hold_their_means(results):
     for point in points(rows(results)):
         low, high = point.of_teacher.ci95
         assert np.isnan(low) or low <= point.of_teacher.mean <= high
+
+
+def test_the_command_leaves_the_published_page_alone_where_sizes_are_quick(
+    design, results, ran, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(results / "pareto", tmp_path / "runs/pareto-quick/pareto")
+    words = ["experiment", "pareto", ENV, "--quick", "--no-train", "--json"]
+    monkeypatch.setattr(sys, "argv", ["spikedeploy", *words])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert not stop.value.code
+    assert (tmp_path / "runs/pareto-quick/pareto.md").is_file()
+    assert not (tmp_path / "results").exists()
