@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
+from spikedeploy.comparison.statistics import share
 from spikedeploy.experiments.pareto.costs import TERMS, TOTALS
 from spikedeploy.experiments.pareto.design import LABELS, LAST
 from spikedeploy.experiments.pareto.fronts import (
@@ -66,7 +67,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     teacher = teacher_of(rows) or {}
     own: dict[str, Callable[[Point], str]] = (
         {
-            "finished": lambda p: _number(_score(p), ".1%"),
+            "finished": _finished,
             "lap [s]": lambda p: _number(p.mean("lap_time"), ".3f"),
         }
         if drives
@@ -92,9 +93,8 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     lines = [["policy", *cells]]
     lines += [[LABELS[p.student], *(cell(p) for cell in cells.values())] for p in found]
     mean, scores = teacher.get("return_mean"), teacher.get("scores") or [0.0]
-    share = sum(scores) / len(scores)
     if drives:
-        about = [_number(share, ".1%"), _number(teacher.get("lap_time"), ".3f")]
+        about = [_number(sum(scores) / len(scores), ".1%"), _number(teacher.get("lap_time"), ".3f")]
     else:
         about = [_number(mean), _number(teacher.get("falls"), ".1%")]
     name = f"teacher, {teacher.get('place')}"
@@ -102,9 +102,11 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     return markdown(lines)
 
 
-def _score(point: Point) -> float:
-    share = sum(sum(row["scores"]) / len(row["scores"]) for row in point.rows)
-    return share / len(point.rows)
+def _finished(point: Point) -> str:
+    """Share of all episodes, with Wilson's interval: a bootstrap of successes alone has none."""
+    found = share([score for row in point.rows for score in row["scores"]])
+    low, high = found.ci95
+    return f"{found.mean:.1%} [{low:.1%}, {high:.1%}]"
 
 
 def energy_table(found: Sequence[Point]) -> str:
@@ -184,8 +186,8 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
         return text
     mine = {name: joules for name, joules in point.terms(lean).items() if name in TOTALS[of]}
     most = max(mine, key=lambda name: mine[name])
-    share = mine[most] / sum(mine.values())
-    return f"{text} {_TERM_WORDS[most].capitalize()} are {share:.0%} of it{_lever(best, most)}."
+    part = mine[most] / sum(mine.values())
+    return f"{text} {part:.0%} of it is for {_TERM_WORDS[most]}{_lever(best, most)}."
 
 
 def _lack(found: Sequence[Point]) -> str:
@@ -205,8 +207,8 @@ def _lever(pair: Pairing, most: str) -> str:
     over = pair.point.energy(pair.of, lean=pair.lean) - pair.rival.energy(pair.of)
     left = terms[most] - over
     if left <= 0:
-        return "; without them it would still cost more"
-    return f"; it would draw level if they cost {left / terms[most]:.2f} times as much"
+        return "; without that it would still cost more"
+    return f"; it would draw level if that cost {left / terms[most]:.2f} times as much"
 
 
 def _named(point: Point) -> str:

@@ -102,7 +102,7 @@ def test_sentences_say_who_wins_and_which_term_decides():
     )
     # 155 - 67.5 = 87.5 of the 265 pJ of updates
     assert updates.startswith("- ✗ With neuron updates")
-    assert "The neuron updates are 80% of it; it would draw level if they cost 0.33" in updates
+    assert "80% of it is for the neuron updates; it would draw level if that cost 0.33" in updates
     alone = point("sparse", 9.9, 50.0)
     assert "no float student is evaluated yet" in tables.sentences([alone])[0]
     nothing = tables.sentences([alone, point("small-mlp", 9.8, 50.0)])
