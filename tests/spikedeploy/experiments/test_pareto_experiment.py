@@ -11,6 +11,7 @@ import pytest
 
 from spikedeploy import cli
 from spikedeploy.experiments import workers
+from spikedeploy.experiments.pareto import experiment as pareto_experiment
 from spikedeploy.experiments.pareto import page, records
 from spikedeploy.experiments.pareto.design import LAST, STUDENTS, ParetoDesign, asked
 from spikedeploy.experiments.pareto.experiment import experiment
@@ -29,9 +30,10 @@ def ran():
     """The names of the jobs that ran, each in this process."""
     names = []
 
-    def run(jobs, count, ended):
+    def run(jobs, count, ended, look):
         for job in jobs:
             names.append(job.name)
+            look([job])
             module, _, function = job.call.partition(":")
             done = getattr(import_module(module), function)(**json.loads(json.dumps(job.arguments)))
             ended(JobEnd(job, 1.0, 0 if done else 1))
@@ -39,6 +41,7 @@ def ran():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(workers, "run", run)
+        patch.setattr(pareto_experiment, "_EVERY", -1.0)
         yield names
 
 
