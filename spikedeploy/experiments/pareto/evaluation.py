@@ -125,7 +125,13 @@ def _evaluated(design: ParetoDesign, training: Training, row: StoredRow) -> Reco
         return facts | {"refusal": str(error)}
     config = RunFolder(training.run).config(SparseConfig).env
     walks, found = _played(config, design, row.of["episodes"], made.controller)
-    return facts | made.done(walks) | found
+    done = made.done(walks)
+    if done.get("on_host") and row.of["part"] == LEVELS:
+        raise ConfigError(
+            f"{place} has no way out for membranes, so the host would integrate {done['on_host']:g} "
+            "readouts, which the experiment does not price. Choose a chip with readouts: loihi1."
+        )
+    return facts | done | found
 
 
 def perform_teacher(design: Record) -> bool:

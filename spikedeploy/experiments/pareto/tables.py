@@ -225,7 +225,8 @@ def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     lines = [["policy", "aim", "where", "% of teacher", "operations", "saturations"]]
     for p in sorted([*levels, *here], key=lambda p: [q.student for q in last].index(p.student)):
         cells = [LABELS[p.student], f"{p.level:g}", p.place, of_teacher(p)]
-        counts = [_number(p.mean("operations"), ",.1f"), _number(p.mean("saturations"))]
+        more = " + readouts on the host" if p.mean("on_host") else ""
+        counts = [_number(p.mean("operations"), ",.1f") + more, _number(p.mean("saturations"))]
         lines.append([*cells, *counts])
     for (student, place), why in refused.items():
         lines.append([LABELS[student], ABSENT, place, f"refused: {why}", ABSENT, ABSENT])

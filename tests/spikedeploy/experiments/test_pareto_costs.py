@@ -59,6 +59,10 @@ def test_a_float_policy_reads_its_observations_and_has_no_encoder():
     assert not any(name.startswith("davies2018") for name in energies(FLOAT))
 
 
+def test_what_the_host_integrates_has_no_price():
+    assert energies({**SPIKING, "on_host": 18.0}) == {}
+
+
 def test_totals_add_up_their_terms():
     assert total(SPIKING, INT8, "operations") == pytest.approx(135e-12)
     assert total(SPIKING, INT8, "updates") == pytest.approx((135 + 265) * 1e-12)
