@@ -128,7 +128,7 @@ def _evaluated(design: ParetoDesign, training: Training, row: StoredRow) -> Reco
     done = made.done(walks)
     if done.get("on_host") and row.of["part"] == LEVELS:
         raise ConfigError(
-            f"{place} has no way out for membranes, so the host would integrate {done['on_host']:g} "
+            f"{place} has no way out for membranes: the host would integrate {done['on_host']:g} "
             "readouts, which the experiment does not price. Choose a chip with readouts: loihi1."
         )
     return facts | done | found
