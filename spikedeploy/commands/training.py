@@ -195,8 +195,14 @@ def experiment(
         ),
     ] = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Where the page NAME.md and NAME/ are written.")
-    ] = Path("results"),
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Where the page NAME.md and NAME/ are written.",
+            show_default="results; with --quick runs/pareto-quick",
+        ),
+    ] = None,
     train: Annotated[
         bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
     ] = True,
@@ -224,6 +230,7 @@ def experiment(
         for module, _, function in (path.partition(":") for path in EXPERIMENTS[name])
     )
     design = asked({option: value for option, value in given.items() if value is not None})
+    output = output or Path("runs/pareto-quick" if quick else "results")
     outcome = run(design, only or (), jobs, output, train)
     if json:
         files = [str(path) for path in outcome.files]

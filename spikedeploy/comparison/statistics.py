@@ -5,6 +5,7 @@ mean beside it (Agarwal et al. 2021, section 4.3). Two policies on the same seed
 pushes, so their *paired* difference has a far smaller variance than the difference of their means.
 """
 
+import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -90,17 +91,20 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generat
     """Mean of values (S, n) of S trainings in n episodes / mean of a reference (n,) in the same.
 
     A resample draws trainings, then for each of them episodes, of it and of the reference; the
-    `mean` of the estimate is the ratio of the sample itself.
+    `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
     """
     each, beside = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    if not beside.any():
+        return Estimate(math.nan, (math.nan, math.nan))
     trainings, episodes = each.shape
     ratios = []
     for _ in range(_RESAMPLES // _TOGETHER):
         drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
         picks = rng.integers(episodes, size=(_TOGETHER, trainings, episodes))
-        ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
+        with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
+            ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
     tail = (1 - _LEVEL) / 2
-    low, high = np.quantile(np.concatenate(ratios), (tail, 1 - tail))
+    low, high = np.nanquantile(np.concatenate(ratios), (tail, 1 - tail))
     return Estimate(float(each.mean() / beside.mean()), (float(low), float(high)))
 
 

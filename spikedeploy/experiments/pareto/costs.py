@@ -45,8 +45,13 @@ def spikes(row: Mapping[str, Any]) -> bool:
 
 
 def priced(row: Mapping[str, Any], table: str) -> bool:
-    """Whether a table has prices for a row: a float network needs one for multiply-accumulates."""
-    return row.get("operations") is not None and (spikes(row) or "mac" in TABLES[table].joules)
+    """Whether a table has prices for a row: a float network needs one for multiply-accumulates.
+
+    What a host integrates is not counted, so a row with readouts there has no price.
+    """
+    if row.get("operations") is None or row.get("on_host"):
+        return False
+    return spikes(row) or "mac" in TABLES[table].joules
 
 
 def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, float]:

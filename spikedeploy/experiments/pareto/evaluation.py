@@ -28,7 +28,7 @@ _VERSION = 1  # of what a row holds; a higher one makes all rows again
 
 
 @dataclass(frozen=True)
-class Row:
+class StoredRow:
     """One level of a training at one place, or the teacher.
 
     file  where the result is
@@ -51,7 +51,7 @@ class Row:
         write_text(self.file, as_text({"of": self.of, "row": row}))
 
 
-def rows(design: ParetoDesign, training: Training, last: bool) -> list[Row]:
+def rows(design: ParetoDesign, training: Training, last: bool) -> list[StoredRow]:
     """The rows of a training: of all levels, or of the last one with few episodes."""
     levels = training.levels[-1:] if last else training.levels
     student = student_of(training.recipe, design.env)
@@ -62,7 +62,7 @@ def rows(design: ParetoDesign, training: Training, last: bool) -> list[Row]:
     ]
 
 
-def _row(design: ParetoDesign, training: Training, level: str, place: str, last: bool) -> Row:
+def _row(design: ParetoDesign, training: Training, level: str, place: str, last: bool) -> StoredRow:
     if training.run is None:
         raise ConfigError(f"{training.name} has no run folder")
     checkpoint = (training.run / "checkpoints" / f"{level}.safetensors").read_bytes()
@@ -75,14 +75,14 @@ def _row(design: ParetoDesign, training: Training, level: str, place: str, last:
         "checkpoint": hashlib.sha256(checkpoint).hexdigest(),
     }
     path = Path(design.runs) / "evaluations" / training.name / f"{level}@{place}.json"
-    return Row(path.with_name(path.name.replace(":", "-")), made | _sizes(design, last))
+    return StoredRow(path.with_name(path.name.replace(":", "-")), made | _sizes(design, last))
 
 
-def teacher_row(design: ParetoDesign) -> Row:
+def teacher_row(design: ParetoDesign) -> StoredRow:
     """The row of the teacher, on the seeds of every level."""
     config = design.trainings()[0].planned([])
     made = {"teacher": config.teacher} | _sizes(design, False)
-    return Row(Path(design.runs) / "evaluations" / "teacher.json", made)
+    return StoredRow(Path(design.runs) / "evaluations" / f"{design.env}-teacher.json", made)
 
 
 def _sizes(design: ParetoDesign, last: bool) -> Record:
@@ -106,7 +106,7 @@ def perform(design: Record, recipe: str, seed: int, last: bool) -> bool:
     return True
 
 
-def _evaluated(design: ParetoDesign, training: Training, row: Row) -> Record:
+def _evaluated(design: ParetoDesign, training: Training, row: StoredRow) -> Record:
     level, place = row.of["level"], row.of["place"]
     if training.run is None:
         raise ConfigError(f"{training.name} has no run folder")
@@ -125,7 +125,13 @@ def _evaluated(design: ParetoDesign, training: Training, row: Row) -> Record:
         return facts | {"refusal": str(error)}
     config = RunFolder(training.run).config(SparseConfig).env
     walks, found = _played(config, design, row.of["episodes"], made.controller)
-    return facts | made.done(walks) | found
+    done = made.done(walks)
+    if done.get("on_host") and row.of["part"] == LEVELS:
+        raise ConfigError(
+            f"{place} has no way out for membranes: the host would integrate {done['on_host']:g} "
+            "readouts, which the experiment does not price. Choose a chip with readouts: loihi1."
+        )
+    return facts | done | found
 
 
 def perform_teacher(design: Record) -> bool:

@@ -10,10 +10,11 @@ from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import page
 from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import rows, teacher_row
-from spikedeploy.experiments.pareto.training import Training, check
+from spikedeploy.experiments.pareto.training import Training, check, progress
 from spikedeploy.experiments.workers import Job, JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
+_EVERY = 300.0  # [s] between two lines on what runs
 _EVALUATION = "spikedeploy.experiments.pareto.evaluation"
 _TRAINING = "spikedeploy.experiments.pareto.training"
 
@@ -91,10 +92,28 @@ def experiment(
             failed[end.job.name] = end.last_line
         page.write(design, results)
 
-    whole = workers.run(jobs, count or 1, ended)
+    trainings = {training.name: training for training in design.trainings()}
+    last_line = time.monotonic()
+
+    def look(running: Sequence[Job]) -> None:
+        nonlocal last_line
+        if time.monotonic() - last_line > _EVERY:
+            last_line = time.monotonic()
+            names = (_progress(job, trainings.get(job.name)) for job in running)
+            said.print("running: " + "; ".join(names), markup=False, soft_wrap=True)
+
+    whole = workers.run(jobs, count or 1, ended, look)
     files = page.write(design, results)
     done = [part.done for part in parts]
     return Outcome(sum(done), len(done), failed, not whole, files)
+
+
+def _progress(job: Job, training: Training | None) -> str:
+    """A running job, and how far its training is."""
+    if training is None or training.run is None:
+        return job.name
+    made, total = progress(training.run)
+    return f"{job.name}: {max(made, 0):,} of {total:,} updates"
 
 
 def _chosen(parts: Sequence[_Part], only: Sequence[str]) -> list[_Part]:

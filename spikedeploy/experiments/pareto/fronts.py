@@ -1,5 +1,6 @@
 """Points of the front: the trainings of a student at one level, and their cheapest rivals."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,7 +39,8 @@ class Point:
     @property
     def single(self) -> list[float]:
         """Score of each training in parts of the teacher's."""
-        return [float(np.mean(row["scores"]) / np.mean(self.teacher)) for row in self.rows]
+        teacher = float(np.mean(self.teacher)) or math.nan
+        return [float(np.mean(row["scores"])) / teacher for row in self.rows]
 
     def mean(self, field: str) -> float | None:
         """Mean of a field over the trainings; None where no row has it."""

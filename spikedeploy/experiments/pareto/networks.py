@@ -31,7 +31,7 @@ Done = dict[str, float | None]
 
 
 @dataclass(frozen=True)
-class Network:
+class LevelNetwork:
     """A policy, ready to walk.
 
     controller  of B robots
@@ -43,7 +43,7 @@ class Network:
     done: Callable[[Sequence[Walk]], Done]
 
 
-def network(run: Path, level: str, place: str, folder: Path) -> Network:
+def network(run: Path, level: str, place: str, folder: Path) -> LevelNetwork:
     """The policy of a level of a run at a place (ParetoDesign.places), exported to the folder.
 
     Raises RuleError where the chip refuses it.
@@ -71,10 +71,10 @@ class _OnChip:
         self.spiking.reset(0)
 
 
-def _spiking(policy: DeltaSnnPolicy, run: Path, place: str, path: Path) -> Network:
+def _spiking(policy: DeltaSnnPolicy, run: Path, place: str, path: Path) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
     running = _OnChip(to_nir(policy, run_record.origin(run), path), place)
-    return Network(running, lambda walks: _counted(running, walks))
+    return LevelNetwork(running, lambda walks: _counted(running, walks))
 
 
 def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
@@ -86,6 +86,8 @@ def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
     counts = rows[alive].sum(axis=0) / lengths.sum()  # (L, E)
     per_step = dict(zip(EVENTS, counts.sum(axis=0).tolist(), strict=True))
     sent = dict(zip(ledger.layers, counts[:, EVENTS.index("spike_out")].tolist(), strict=True))
+    updates = counts[:, EVENTS.index("neuron_update")]
+    readouts = [name in ledger.readouts for name in ledger.layers]
     first = program.layers[0]
     others = sum(sent[s.source] for s in first.synapses if s.source != program.input)
     encoder = running.artifact.codec.encoder if running.artifact.codec else None
@@ -97,6 +99,7 @@ def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
         "bias_operations": per_step["bias_sop"],
         "neurons": float(sum(ledger.neurons)),
         "neuron_updates": per_step["neuron_update"],
+        "readout_updates": float(updates[readouts].sum()),
         "neuron_idle": per_step["neuron_idle"],
         "messages": per_step["message"],
         "events": float(counts[0, EVENTS.index("spike_in")]) - others,
@@ -116,7 +119,7 @@ def _constants(program: Program) -> int:
     return sum(outlet.bias.size for outlet in program.outlets)
 
 
-def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> Network:
+def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy)
     running = OnnxController(to_onnx(policy, run_record.origin(run), path, kind))
@@ -132,7 +135,7 @@ def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> Network:
             "constants": float(hidden + policy.actions),  # a bias of each unit
         }
 
-    return Network(Stateless(running.replay), done)
+    return LevelNetwork(Stateless(running.replay), done)
 
 
 def _pruned(module: nn.Module) -> TypeGuard[PrunedWeight]:

@@ -33,7 +33,8 @@ emulated chip, float ones with weights rounded symmetrically, one scale a matrix
 of walks, and finishes of karts, on seeds from 10,000 on that no training and no choice of a
 checkpoint saw; teacher and students have the same. Intervals of 95 % are bootstrapped over training
 seeds, then over episodes of student and teacher together; with one training seed they cover
-episodes alone. Other numbers are means over training seeds.
+episodes alone. "Finished" has Wilson's interval over all episodes. Other numbers are means over
+training seeds.
 
 Energies are of a control step, in pJ, by {INT8}: {TABLES[INT8].joules["sop"] * _PICO:.2f} pJ a
 synaptic operation, {TABLES[INT8].joules["mac"] * _PICO:.2f} a multiply-accumulate,
@@ -45,11 +46,14 @@ for each event an addition and a write of the level; the observation is read by 
 readout adds as a constant, and each float neuron as its bias, costs as much as an operation.
 "Lean updates" have states of 16 bits and decays by powers of two, so shifts: five additions and
 four accesses, {LEAN_UPDATE * _PICO:.1f} pJ. That is derived, not measured; the policies evaluated
-here have other decays and would have to be trained with such. davies2018 and sanafe are prices of
-Loihi 1 and have none for multiply-accumulates; the encoder is priced as above in them too."""
+here have other decays and would have to be trained with such, and whether their states fit into 16
+bits is not checked. davies2018 and sanafe are prices of Loihi 1 and have none for
+multiply-accumulates. They charge neurons without an update too, also in the timesteps that only
+fill the pipeline; encoder and constants, which are the host's, cost the same as above."""
 _RIVALS = f"""\
 Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
-student whose mean score is not below its own: pJ against pJ."""
+student whose mean score is not below its own: pJ against pJ. The sentences at the top take, for
+each total, the pair with the least ratio."""
 
 
 def write(design: ParetoDesign, results: Path) -> list[Path]:
@@ -101,7 +105,7 @@ def _section(env: str, rows: list[Record], made: Record) -> list[str]:
         tables.term_table(found),
         "### Against float students",
         _RIVALS,
-        tables.rival_table(found),
+        tables.rival_table(found) or "There is none.",
         "### The last level elsewhere",
         f"On the first {made['chip_episodes']} of the seeds; counts of the first row of each "
         "policy are of all.",

@@ -37,20 +37,33 @@ def draw(env: str, found: Sequence[Point], path: Path) -> Path:
 
 
 def _panel(axes: "Axes", found: Sequence[Point], cost: _Cost) -> None:
-    from matplotlib.ticker import ScalarFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     for student in STUDENTS:
         of = [point for point in found if point.student == student]
         if of:
             _front(axes, of, cost, student)
     axes.axhline(100, color="#8A939E", linewidth=0.8, zorder=1)
+    spent = [cost(row) for point in found for row in point.rows]
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    # scores of a teacher that scores nothing are not numbers, and would leave the axis empty
+    least, most = max(min(spent, default=1.0), 1.0), max([*spent, 10.0])
+    axes.set_xlim(0.8 * least, 1.25 * most)
+    axes.xaxis.set_major_locator(LogLocator(subs=_ticks(most / least)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#E6E8EB", which="both")
     axes.set_axisbelow(True)
     lowest = min((100 * value for p in found for value in p.single), default=_LOWEST)
     axes.set_ylim(bottom=max(_LOWEST, lowest - 1) if lowest < 100 else 95)
+
+
+def _ticks(span: float) -> tuple[float, ...]:
+    """Multiples of powers of ten that are labelled on an axis whose ends have this ratio."""
+    if span < 4:
+        return (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
+    return (1, 1.5, 2, 3, 5, 7) if span < 20 else (1, 2, 5)
 
 
 def _front(axes: "Axes", of: Sequence[Point], cost: _Cost, student: str) -> None:

@@ -13,8 +13,8 @@ Record = dict[str, Any]
 _FIRST = (
     "env", "student", "seed", "level", "place", "part", "episodes", "return_mean", "falls",
     "lap_time", "crashes", "operations", "bias_operations", "neurons", "neuron_updates",
-    "neuron_idle", "messages", "events", "spikes_out", "sparsity", "saturations", "observations",
-    "constants", "on_host", "refusal",
+    "readout_updates", "neuron_idle", "messages", "events", "spikes_out", "sparsity", "saturations",
+    "observations", "constants", "on_host", "refusal",
 )  # fmt: skip
 _LAST = "scores"  # of the episodes, in the order of their seeds
 _TEXT = ("env", "student", "place", "part", "refusal")

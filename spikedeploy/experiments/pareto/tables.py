@@ -1,7 +1,9 @@
 """Tables and sentences of the pareto page."""
 
+import math
 from collections.abc import Callable, Sequence
 
+from spikedeploy.comparison.statistics import share
 from spikedeploy.experiments.pareto.costs import TERMS, TOTALS
 from spikedeploy.experiments.pareto.design import LABELS, LAST
 from spikedeploy.experiments.pareto.fronts import (
@@ -47,9 +49,16 @@ def _pico(joules: float) -> str:
 
 
 def of_teacher(point: Point) -> str:
-    """`99.5 [99.2, 99.8]`, in %."""
+    """`99.5% [99.2%, 99.8%]`."""
     low, high = point.of_teacher.ci95
-    return f"{point.of_teacher.mean:.1%} [{low:.1%}, {high:.1%}]"
+    mean = _mean(point)
+    return mean if math.isnan(low) else f"{mean} [{low:.1%}, {high:.1%}]"
+
+
+def _mean(point: Point) -> str:
+    """Without the interval; a dash where the teacher scores nothing."""
+    mean = point.of_teacher.mean
+    return ABSENT if math.isnan(mean) else f"{mean:.1%}"
 
 
 def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
@@ -58,7 +67,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     teacher = teacher_of(rows) or {}
     own: dict[str, Callable[[Point], str]] = (
         {
-            "finished": lambda p: _number(_score(p), ".1%"),
+            "finished": _finished,
             "lap [s]": lambda p: _number(p.mean("lap_time"), ".3f"),
         }
         if drives
@@ -75,6 +84,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
         "operations": lambda p: _number(p.mean("operations"), ",.1f"),
         "neurons": lambda p: _number(p.mean("neurons")),
         "updates": lambda p: _number(p.mean("neuron_updates"), ",.1f"),
+        "of readouts": lambda p: _number(p.mean("readout_updates"), ",.1f"),
         "events": lambda p: _number(p.mean("events"), ",.1f"),
         "spikes": lambda p: _number(p.mean("spikes_out"), ",.1f") if p.spiking else ABSENT,
         "sparsity": lambda p: _number(p.mean("sparsity"), ".1%"),
@@ -83,9 +93,8 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     lines = [["policy", *cells]]
     lines += [[LABELS[p.student], *(cell(p) for cell in cells.values())] for p in found]
     mean, scores = teacher.get("return_mean"), teacher.get("scores") or [0.0]
-    share = sum(scores) / len(scores)
     if drives:
-        about = [_number(share, ".1%"), _number(teacher.get("lap_time"), ".3f")]
+        about = [_number(sum(scores) / len(scores), ".1%"), _number(teacher.get("lap_time"), ".3f")]
     else:
         about = [_number(mean), _number(teacher.get("falls"), ".1%")]
     name = f"teacher, {teacher.get('place')}"
@@ -93,9 +102,11 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     return markdown(lines)
 
 
-def _score(point: Point) -> float:
-    share = sum(sum(row["scores"]) / len(row["scores"]) for row in point.rows)
-    return share / len(point.rows)
+def _finished(point: Point) -> str:
+    """Share of all episodes, with Wilson's interval: a bootstrap of successes alone has none."""
+    found = share([score for row in point.rows for score in row["scores"]])
+    low, high = found.ci95
+    return f"{found.mean:.1%} [{low:.1%}, {high:.1%}]"
 
 
 def energy_table(found: Sequence[Point]) -> str:
@@ -104,7 +115,7 @@ def energy_table(found: Sequence[Point]) -> str:
     lean = ["+ lean updates", "+ the rest"]
     lines = [[*heads, *lean, "davies2018", "sanafe"]]
     for p in found:
-        cells = [LABELS[p.student], f"{p.level:g}", f"{p.of_teacher.mean:.1%}"]
+        cells = [LABELS[p.student], f"{p.level:g}", _mean(p)]
         cells += [_pico(p.energy(of)) for of in TOTALS]
         cells += [_pico(p.energy(of, lean=True)) for of in ("updates", "all")]
         if p.spiking:
@@ -137,9 +148,9 @@ def rival_table(found: Sequence[Point]) -> str:
         if point.spiking and point.of_teacher.mean >= NEAR:
             pairs = [pairing(found, point, of) for of in TOTALS]
             pairs.append(pairing(found, point, "all", lean=True))
-            cells = [LABELS[point.student], f"{point.level:g}", f"{point.of_teacher.mean:.1%}"]
+            cells = [LABELS[point.student], f"{point.level:g}", _mean(point)]
             lines.append([*cells, *map(_against, pairs)])
-    return markdown(lines)
+    return markdown(lines) if len(lines) > 1 else ""
 
 
 def _against(pair: Pairing) -> str:
@@ -164,13 +175,7 @@ def sentences(found: Sequence[Point]) -> list[str]:
 def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
     best = best_pairing(found, of, lean, NEAR)
     if best is None or best.rival is None or best.ratio is None:
-        near = any(p.spiking and p.of_teacher.mean >= NEAR for p in found)
-        why = (
-            "no float student reaches the return of a spiking one"
-            if near
-            else f"no spiking policy reaches {NEAR:.0%} of the teacher"
-        )
-        return f"- {words}: {why}, so there is nothing to compare."
+        return f"- {words}: {_lack(found)}, so there is nothing to compare."
     point, rival = best.point, best.rival
     text = (
         f"- {'✓' if best.ratio <= 1 else '✗'} {words}: {_named(point)} costs "
@@ -181,8 +186,17 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
         return text
     mine = {name: joules for name, joules in point.terms(lean).items() if name in TOTALS[of]}
     most = max(mine, key=lambda name: mine[name])
-    share = mine[most] / sum(mine.values())
-    return f"{text} {_TERM_WORDS[most].capitalize()} are {share:.0%} of it{_lever(best, most)}."
+    part = mine[most] / sum(mine.values())
+    return f"{text} {part:.0%} of it is for {_TERM_WORDS[most]}{_lever(best, most)}."
+
+
+def _lack(found: Sequence[Point]) -> str:
+    """Why nothing can be compared."""
+    if not any(p.spiking and p.of_teacher.mean >= NEAR for p in found):
+        return f"no spiking policy reaches {NEAR:.0%} of the teacher"
+    if all(p.spiking for p in found):
+        return "no float student is evaluated yet"
+    return "no float student reaches the return of a spiking one"
 
 
 def _lever(pair: Pairing, most: str) -> str:
@@ -193,8 +207,8 @@ def _lever(pair: Pairing, most: str) -> str:
     over = pair.point.energy(pair.of, lean=pair.lean) - pair.rival.energy(pair.of)
     left = terms[most] - over
     if left <= 0:
-        return "; without them it would still cost more"
-    return f"; it would draw level if they cost {left / terms[most]:.2f} times as much"
+        return "; without that it would still cost more"
+    return f"; it would draw level if that cost {left / terms[most]:.2f} times as much"
 
 
 def _named(point: Point) -> str:
@@ -211,7 +225,8 @@ def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     lines = [["policy", "aim", "where", "% of teacher", "operations", "saturations"]]
     for p in sorted([*levels, *here], key=lambda p: [q.student for q in last].index(p.student)):
         cells = [LABELS[p.student], f"{p.level:g}", p.place, of_teacher(p)]
-        counts = [_number(p.mean("operations"), ",.1f"), _number(p.mean("saturations"))]
+        more = " + readouts on the host" if p.mean("on_host") else ""
+        counts = [_number(p.mean("operations"), ",.1f") + more, _number(p.mean("saturations"))]
         lines.append([*cells, *counts])
     for (student, place), why in refused.items():
         lines.append([LABELS[student], ABSENT, place, f"refused: {why}", ABSENT, ABSENT])

@@ -98,12 +98,15 @@ def operations_of(level: str) -> float:
 
 def finished(run: Path) -> bool:
     """Whether all updates of a run were made."""
+    made, total = progress(run)
+    return made >= total
+
+
+def progress(run: Path) -> tuple[int, int]:
+    """Updates at the last checkpoint of a run, and of the whole training."""
     last = run / "checkpoints" / "last.json"
-    if not last.is_file():
-        return False
-    made = json.loads(last.read_text(encoding="utf-8"))["updates"]
-    total = phases(RunFolder(run).config(SparseConfig))[-1].end
-    return bool(made >= total)
+    made = json.loads(last.read_text(encoding="utf-8"))["updates"] if last.is_file() else -1
+    return int(made), phases(RunFolder(run).config(SparseConfig))[-1].end
 
 
 def perform(**arguments: Any) -> bool:  # noqa: ANN401

@@ -6,6 +6,7 @@ import pytest
 from spikedeploy.comparison.statistics import (
     bootstrap,
     iqm,
+    nested_ratio,
     paired_difference,
     ratio_of_medians,
     share,
@@ -82,3 +83,28 @@ def test_a_ratio_of_medians_is_that_of_the_middle_values(rng):
     assert estimate.mean == 2 / 4
     assert estimate.ci95[0] == 1 / 5
     assert estimate.ci95[1] == 100 / 3
+
+
+def test_a_nested_ratio_is_of_the_means_over_trainings_and_episodes(rng):
+    estimate = nested_ratio([[1, 2, 3], [3, 4, 5]], [4, 5, 6], rng)
+    assert estimate.mean == pytest.approx(3 / 5)
+    low, high = estimate.ci95
+    assert low < 3 / 5 < high
+
+
+def test_a_nested_ratio_draws_the_same_episodes_of_both(rng):
+    reference = rng.uniform(1, 9, size=20)
+    estimate = nested_ratio(0.9 * np.stack([reference, reference]), reference, rng)
+    assert estimate.ci95 == pytest.approx((0.9, 0.9))
+
+
+def test_a_nested_interval_covers_the_spread_of_trainings(rng):
+    alike, apart = np.array([[5.0] * 50] * 3), np.array([[4.0] * 50, [5.0] * 50, [6.0] * 50])
+    reference = [10.0] * 50
+    assert nested_ratio(alike, reference, rng).ci95 == pytest.approx((0.5, 0.5))
+    assert nested_ratio(apart, reference, rng).ci95 == pytest.approx((0.4, 0.6))
+
+
+def test_a_nested_ratio_to_nothing_is_no_number(rng):
+    estimate = nested_ratio([[0.0, 1.0]], [0.0, 0.0], rng)
+    assert np.isnan([estimate.mean, *estimate.ci95]).all()

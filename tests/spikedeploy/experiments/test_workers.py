@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,14 @@ def test_only_so_many_run_at_a_time(tmp_path):
     jobs = [job(name, "write", tmp_path) for name in "abcd"]
     run(jobs, 2, lambda end: None, lambda running: seen.append(len(running)))
     assert max(seen) == 2
+
+
+def test_a_job_waits_for_those_that_it_needs_and_lets_others_go_first(tmp_path):
+    ends = []
+    needy = replace(job("a", "write", tmp_path), after=("b", "long done"))
+    jobs = [needy, job("b", "write", tmp_path), job("c", "write", tmp_path)]
+    assert run(jobs, 1, ends.append)
+    assert [end.job.name for end in ends] == ["b", "a", "c"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,149 @@
+"""Energies of the pareto experiment by hand, its rivals, its rounding, its counts."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy.experiments.pareto import networks, tables
+from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE, energies, terms, total
+from spikedeploy.experiments.pareto.fronts import Point, best_pairing, pairing
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.trainers.policies import PrunedMlpPolicy
+from spikedeploy.trainers.sparse.pool import Walk
+
+SPIKING = {
+    "operations": 100.0, "bias_operations": 0.0, "neuron_updates": 10.0, "neuron_idle": 4.0,
+    "messages": 6.0, "spikes_out": 2.0, "observations": 20.0, "events": 5.0, "constants": 3.0,
+}  # fmt: skip
+FLOAT = {"operations": 200.0, "observations": 20.0, "constants": 8.0}
+
+
+def pico(joules):
+    return {name: 1e12 * value for name, value in joules.items()}
+
+
+def test_every_term_of_a_spiking_policy_is_what_the_page_says():
+    assert pico(terms(SPIKING, INT8)) == pytest.approx(
+        {
+            "operations": 100 * 1.35,
+            "updates": 10 * 26.5,
+            "traffic": 0.0,
+            # read the observation, subtract, compare, read the level; add and write an event
+            "encoder": 20 * (2.5 + 0.1 + 0.1 + 2.5) + 5 * (0.1 + 2.5),
+            "constants": 3 * 1.35,
+        }
+    )
+    lean = pico(terms(SPIKING, INT8, lean=True))["updates"]
+    assert lean == pytest.approx(10 * 10.5)
+    assert pytest.approx(10.5e-12) == LEAN_UPDATE
+
+
+def test_chips_price_idle_neurons_and_messages_too():
+    found = pico(terms(SPIKING, "davies2018"))
+    assert found["operations"] == pytest.approx(100 * 23.6)
+    assert found["updates"] == pytest.approx(10 * 81 + 4 * 52)
+    assert found["traffic"] == pytest.approx(6 * 1.7)
+    assert found["encoder"] == pico(terms(SPIKING, INT8))["encoder"]  # the host's, in all tables
+
+
+def test_a_float_policy_reads_its_observations_and_has_no_encoder():
+    assert pico(terms(FLOAT, INT8)) == pytest.approx(
+        {
+            "operations": 200 * 1.55, "updates": 0.0, "traffic": 0.0, "encoder": 20 * 2.5,
+            "constants": 8 * 1.35,
+        }
+    )  # fmt: skip
+    assert not any(name.startswith("davies2018") for name in energies(FLOAT))
+
+
+def test_what_the_host_integrates_has_no_price():
+    assert energies({**SPIKING, "on_host": 18.0}) == {}
+
+
+def test_totals_add_up_their_terms():
+    assert total(SPIKING, INT8, "operations") == pytest.approx(135e-12)
+    assert total(SPIKING, INT8, "updates") == pytest.approx((135 + 265) * 1e-12)
+    assert total(SPIKING, INT8, "all") == pytest.approx(sum(terms(SPIKING, INT8).values()))
+
+
+def point(student, score, operations, level=100.0):
+    costs = SPIKING if student.startswith("sparse") else FLOAT
+    row = {**costs, "student": student, "operations": operations, "scores": [score, score]}
+    return Point(student, level, "here", [row], [10.0, 10.0])
+
+
+def test_a_rival_is_the_cheapest_float_student_that_is_not_below():
+    mine = point("sparse", 9.8, 50.0)
+    found = [
+        mine, point("small-mlp", 10.0, 300.0), point("small-linear", 9.9, 250.0),
+        point("small-linear", 9.7, 100.0),
+    ]  # fmt: skip
+    pair = pairing(found, mine, "operations")
+    assert pair.rival is found[2]
+    assert pair.ratio == pytest.approx(50 * 1.35 / (250 * 1.55))
+    assert pairing(found, point("sparse", 10.1, 50.0), "operations").ratio is None
+
+
+def test_the_best_pair_is_near_the_teacher():
+    far, near = point("sparse", 5.0, 1.0), point("sparse-linear", 9.6, 60.0)
+    found = [far, near, point("small-mlp", 10.0, 300.0)]
+    best = best_pairing(found, "operations", near=0.95)
+    assert best is not None
+    assert best.point is near
+    assert best_pairing([far], "operations") is None
+
+
+def test_sentences_say_who_wins_and_which_term_decides():
+    found = [point("sparse", 9.9, 50.0), point("small-mlp", 10.0, 100.0)]
+    alone, updates, *_ = tables.sentences(found)
+    assert alone == (
+        "- ✓ Operations alone: LIF at 100 (99.0% of the teacher) costs 68 pJ a control step, the "
+        "cheapest float student that is not below it, float MLP at 100 (100.0% of the teacher), "
+        "155 pJ: 0.44 times."
+    )
+    # 155 - 67.5 = 87.5 of the 265 pJ of updates
+    assert updates.startswith("- ✗ With neuron updates")
+    assert "80% of it is for the neuron updates; it would draw level if that cost 0.33" in updates
+    alone = point("sparse", 9.9, 50.0)
+    assert "no float student is evaluated yet" in tables.sentences([alone])[0]
+    nothing = tables.sentences([alone, point("small-mlp", 9.8, 50.0)])
+    assert "no float student reaches the return of a spiking one" in nothing[0]
+
+
+def test_weights_in_few_bits_fill_their_range_and_zeros_cost_nothing():
+    policy = PrunedMlpPolicy(3, 1, hidden=())
+    policy.matrices[0].weight.data = torch.tensor([[1.0, -0.5, 0.1]])
+    rounded = networks.in_bits(policy, 2)  # -1, 0, 1
+    assert rounded.matrices[0]().tolist() == [[1.0, -0.0, 0.0]]
+    assert rounded.matrices[0].fan_out.tolist() == [1.0, 0.0, 0.0]
+    policy.matrices[0].weight.data = torch.tensor([[7.0, -3.4, 0.2]])
+    policy.matrices[0].mask.fill_(1.0)
+    assert networks.in_bits(policy, 4).matrices[0]().tolist() == [[7.0, -3.0, 0.0]]
+
+
+def test_robots_at_their_end_are_not_counted():
+    counts = np.zeros((3 * 2, 1, len(EVENTS)), np.int64)  # three control steps of two robots
+    counts[:, 0, EVENTS.index("sop")] = [1, 10, 1, 1000, 1, 1000]
+    ledger = Ledger(("out",), (4,), counts, 6, 6, 6, readouts=("out",))
+    layer = SimpleNamespace(name="out", synapses=(), size=4)
+    program = SimpleNamespace(
+        layers=(layer,), spiking=(), input="in", readout=None, outlets=(), host=()
+    )
+    running = SimpleNamespace(
+        spiking=SimpleNamespace(ledger=ledger, program=program),
+        artifact=SimpleNamespace(codec=None),
+    )
+    walks = [Walk(np.zeros((n, 1), np.float32), np.zeros((n, 0), np.float32)) for n in (3, 1)]
+    found = networks._counted(running, walks)
+    assert found["operations"] == (1 + 1 + 1 + 10) / 4
+    assert found["sparsity"] is None
+
+
+def test_a_teacher_that_scores_nothing_leaves_no_share():
+    beside = point("sparse", 1.0, 50.0)
+    nothing = Point("sparse", 100.0, "here", beside.rows, [0.0, 0.0])
+    assert math.isnan(nothing.of_teacher.mean)
+    assert tables.of_teacher(nothing) == "–"

@@ -1,0 +1,96 @@
+"""A training of the pareto experiment: found, resumed, started, or refused."""
+
+import json
+
+import pytest
+
+from spikedeploy.experiments.pareto import training
+from spikedeploy.experiments.pareto.training import Training, perform
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers import train
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.phases import phases
+
+RECIPE = "kart-grid-sparse"
+
+
+@pytest.fixture
+def asked(tmp_path):
+    return Training(RECIPE, 1, str(tmp_path), ("walks=7",), "")
+
+
+@pytest.fixture
+def rival(tmp_path):
+    return Training("kart-grid-small-mlp", 1, str(tmp_path), (), RECIPE)
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """What the trainer was asked for; it does nothing."""
+    found = []
+    monkeypatch.setattr(train, "train", lambda *words, **options: found.append((words, options)))
+    return found
+
+
+def leave(asked, updates, seed=1):
+    """A run folder with so many updates made; None leaves no checkpoint."""
+    config = asked.planned([]).model_copy(update={"seed": seed})
+    run = RunFolder.create(asked.folder, config).path
+    if updates is not None:
+        (run / "checkpoints/last.json").write_text(json.dumps({"updates": updates}))
+    return run
+
+
+def whole(asked):
+    return phases(asked.planned([]))[-1].end
+
+
+def test_a_training_that_is_missing_is_started_with_its_settings(asked, calls):
+    assert perform(**asked.arguments()) is False  # the trainer of this test makes no updates
+    ((words, options),) = calls
+    assert words == (RECIPE,)
+    assert (options["seed"], options["overrides"]) == (1, ["walks=7"])
+
+
+def test_an_unfinished_training_is_resumed(asked, calls):
+    leave(asked, whole(asked), seed=2)  # of another seed
+    run = leave(asked, whole(asked) - 1)
+    assert perform(**asked.arguments()) is False
+    assert calls[0][1]["resume"] == run
+
+
+def test_a_run_without_a_checkpoint_is_started_anew(asked, calls):
+    run = leave(asked, None)
+    perform(**asked.arguments())
+    assert "resume" not in calls[0][1]
+    assert not run.exists()
+
+
+def test_a_finished_training_is_reused_whatever_lies_beside_it(asked, calls):
+    run = leave(asked, whole(asked))
+    leave(asked, 3)
+    assert perform(**asked.arguments()) is True
+    assert (asked.run, calls) == (run, [])
+
+
+def test_a_rival_takes_over_the_walks_of_the_finished_spiking_run(rival, asked, calls):
+    with pytest.raises(ConfigError, match="learns from the walks of kart-grid-sparse-s1"):
+        perform(**rival.arguments())
+    run = leave(asked, whole(asked))
+    perform(**rival.arguments())
+    assert calls[0][1]["overrides"] == [f'pool="{run}"', "teacher_walks=0", "noisy_walks=0"]
+
+
+def test_settings_that_are_not_the_recipes_are_named(asked):
+    leave(asked, whole(asked))
+    assert asked.changed_settings == []
+    now = Training(RECIPE, 1, asked.folder, ("walks=8",), "")
+    assert now.changed_settings == ["walks=7"]
+
+
+def test_levels_begin_with_the_most_operations(asked):
+    run = leave(asked, whole(asked))
+    for name in ("ops-70", "ops-105", "ops-1e+03", "best", "last"):
+        (run / f"checkpoints/{name}.safetensors").touch()
+    assert asked.levels == ["ops-1e+03", "ops-105", "ops-70"]
+    assert training.operations_of("ops-1e+03") == 1000
