@@ -7,7 +7,7 @@ sac/             soft actor-critic
 ppo/             proximal policy optimisation
 distill/         distillation of a teacher by DAgger
 sparse/          imitation through whole walks, pruned by operations
-policies/        torch policies: MLP, PopSAN, spiking MLP
+policies/        torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones
 train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
 recipes.py       table of recipes

@@ -10,7 +10,10 @@ _UNITS = {"delta-snn": "sops", "pruned-mlp": "macs"}
 
 
 def with_budget(config: C, text: str) -> C:
-    """Return a configuration with a budget [operations of a control step], such as "sops=480"."""
+    """Return a configuration with a budget [operations of a control step], such as "sops=480".
+
+    Levels that the recipe names keep their ratio to the budget.
+    """
     if not isinstance(config, SparseConfig):
         some = [name for name, recipe in RECIPES.items() if recipe.algorithm == "sparse"][:3]
         raise ConfigError(
@@ -24,4 +27,6 @@ def with_budget(config: C, text: str) -> C:
             f"--budget {text}: operations of a {config.policy.kind} policy are {expected}, so that "
             f"recipe {config.recipe} takes them as in --budget {expected}={config.budget:g}"
         )
-    return amended(config, overrides=[f"budget={number}"])
+    found = amended(config, overrides=[f"budget={number}"])
+    ratio = found.budget / config.budget
+    return found.model_copy(update={"levels": tuple(level * ratio for level in config.levels)})

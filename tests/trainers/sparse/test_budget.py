@@ -13,12 +13,13 @@ def sparse(recipe):
 
 
 def test_a_budget_replaces_that_of_the_recipe_and_moves_its_levels():
-    found = with_budget(sparse("hexapod-sparse"), "sops=120")
-    assert found.budget == 120
-    assert found.rounds[-1] == 120
-    assert found.model_copy(update={"budget": sparse("hexapod-sparse").budget}) == sparse(
-        "hexapod-sparse"
-    )
+    before = sparse("hexapod-sparse").model_copy(update={"budget": 60.0, "levels": (180.0, 90.0)})
+    found = with_budget(before, "sops=120")
+    assert (found.budget, found.rounds) == (120, (360, 180, 120))
+    same = {"budget": 60.0, "levels": (180.0, 90.0)}
+    assert found.model_copy(update=same) == before
+    derived = with_budget(before.model_copy(update={"levels": ()}), "sops=20")
+    assert derived.rounds == (60, 40, 30, 24, 20)
     assert with_budget(sparse("hexapod-sparse-linear"), "sops=80").budget == 80
     assert with_budget(sparse("hexapod-small-mlp"), "macs=500").budget == 500
 
