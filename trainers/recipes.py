@@ -238,6 +238,36 @@ def _sparse() -> dict[str, Recipe]:
     return found
 
 
+# -- reward after imitation: the best policy of a sparse run, given with --set start=RUN
+
+_SMOKE_TUNED: Settings = {
+    "env": {"name": "hexapod"},
+    "policy": {"kind": "delta-snn"},
+    "iterations": 3,
+    "warm_up": 1,
+    "episodes": 2,
+    "window": 16,
+    "burn_in": 4,
+    "batch": 4,
+    "epochs": 2,
+    "critic_hidden": [16],
+    "checkpoint_every": 1,
+    "validation": {"every": 1, "episodes": 1, "limit": 40},
+}
+
+
+def _tuned() -> dict[str, Recipe]:
+    """Return the recipes that go on where the spiking ones of `_sparse` end."""
+    found = {}
+    for task, (verb, settings) in _SPARSE_TASKS.items():
+        network, policy = _SPARSE_STUDENTS["sparse"]
+        size = _SPARSE_SIZES.get((task, "sparse"), {})
+        changes = {"env": settings["env"], "policy": {**policy, **size}}
+        summary = f"{network}, that {verb}: reward after a sparse run, start=RUN"
+        found[f"{task}-sparse-tuned"] = Recipe("sparse-ppo", summary, changes)
+    return found
+
+
 RECIPES: dict[str, Recipe] = {
     "hexapod-sac": Recipe("sac", "float MLP 77-512-512-18 that walks", merged(_HEXAPOD, MLP)),
     "hexapod-sac-256": Recipe(
@@ -272,4 +302,6 @@ RECIPES: dict[str, Recipe] = {
         "a tiny pruned float policy, seconds",
         merged(_SMOKE_SPARSE, {"policy": {"kind": "pruned-mlp", "hidden": [8]}}),
     ),
+    **_tuned(),
+    "smoke-sparse-tuned": Recipe("sparse-ppo", "PPO after smoke-sparse, seconds", _SMOKE_TUNED),
 }

@@ -1,6 +1,7 @@
 """Walks of teacher and students: whole episodes, several at once."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.pool import Walk
+from spikedeploy.trainers.sparse.pool import Single, Walk
 
 FloatArray = NDArray[np.float64]
 
@@ -33,17 +34,30 @@ class Stateless:
         """Do nothing."""
 
 
+@dataclass(frozen=True)
+class Earned:
+    """What an episode of S control steps brought.
+
+    reward: (S,) float32
+    final: (obs,) observation after the last step, float32
+    terminated: whether that was a terminal state, and not the time limit
+    """
+
+    reward: Single
+    final: Single
+    terminated: bool
+
+
 class Episodes:
     """Copies of an environment for whole episodes.
 
-    walked: walks of the last call of `play`
-    returns: their returns
-    infos: info of the last step of each
+    earned: what the episodes of the last call of `play` brought, one for each seed
     """
 
     def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
         self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
         self._limit = limit
+        self.earned: list[Earned] = []
 
     def play(
         self,
@@ -58,6 +72,7 @@ class Episodes:
         walks: list[Walk] = []
         returns: list[float] = []
         infos: list[dict[str, Any]] = []
+        self.earned = []
         for at in range(0, len(seeds), len(self._envs)):
             found = self._together(seeds[at : at + len(self._envs)], controller, label)
             walks += found[0]
@@ -80,6 +95,8 @@ class Episodes:
         infos: list[dict[str, Any]] = [{} for _ in seeds]
         ended = np.zeros(len(seeds), np.bool_)
         crashed = np.zeros(len(seeds), np.bool_)
+        terminal = np.zeros(len(seeds), np.bool_)
+        rewards: list[list[float]] = [[] for _ in seeds]
         while not ended.all() and len(seen) != self._limit:
             seen.append(now.copy())
             if label is not None:
@@ -89,9 +106,14 @@ class Episodes:
             for k in np.flatnonzero(~ended):
                 now[k], reward, terminated, truncated, infos[k] = chosen[k].step(actions[k])
                 totals[k] += reward
+                rewards[k].append(reward)
                 lengths[k] += 1
-                ended[k] = terminated or truncated
+                ended[k], terminal[k] = terminated or truncated, terminated
                 crashed[k] = terminated and not infos[k].get("success", False)
+        self.earned += [
+            Earned(np.array(each, np.float32), now[k].astype(np.float32), bool(terminal[k]))
+            for k, each in enumerate(rewards)
+        ]
         if label is None:
             return [], totals.tolist(), infos
         arrays = [np.stack(rows, axis=1).astype(np.float32) for rows in (seen, labels)]

@@ -125,11 +125,12 @@ class WalkPool:
             back = rng.integers(0, crash_steps, size=count)
             start = np.where(near, np.maximum(last - back, 1 - burn_in), start)
         start = np.where((kind < first) | (start < 0), -burn_in, start)
-        return self._windows(which, start, window, burn_in)
+        return self.windows(which, start, window, burn_in)
 
-    def _windows(
+    def windows(
         self, which: NDArray[np.int64], start: NDArray[np.int64], window: int, burn_in: int
     ) -> Windows:
+        """Return windows of walks `which` (W,) from steps `start` (W,), -burn_in or from 0 on."""
         steps = start[:, None] + np.arange(window)
         # before the beginning nothing has happened; behind the end the last state stays
         before = torch.from_numpy(steps < 0)[:, :, None]

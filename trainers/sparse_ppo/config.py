@@ -1,0 +1,71 @@
+"""Configuration of PPO after imitation."""
+
+from pydantic import Field, model_validator
+
+from spikedeploy.trainers.config import (
+    Count,
+    DeltaSnnConfig,
+    PolicyConfig,
+    Positive,
+    Rate,
+    RunConfig,
+    Share,
+    ValidationConfig,
+)
+
+Ends = tuple[Rate, Rate]
+
+
+class SparsePpoConfig(RunConfig):
+    """PPO on windows of whole walks, from the best policy of a sparse run (docs/training.md).
+
+    start: run folder of a sparse recipe. Policy, masks, teacher, budget, chip, rounding and
+        sharpness are those of its configuration
+    iterations: number of times that episodes are played and learned from; `validation.every` and
+        `checkpoint_every` count them
+    warm_up: iterations at the beginning in which only the critic learns
+    episodes: whole episodes of an iteration, played at once
+    noise: standard deviation of the noise on continuous actions, in the first and last iteration
+    temperature: divisor of the logits when discrete actions are sampled, in the same way
+    window, burn_in: control steps of a window of a walk, and how many of them at its beginning only
+        bring the states up, which are learned from in the window before
+    batch, epochs: windows of an update, and passes over those of an iteration
+    gamma, trace, clip, target_kl, gradient_norm: as of PPO, see PpoConfig
+    actor_rate: learning rate of the policy, in the first and last iteration
+    critic_rate, critic_batch, critic_epochs, critic_hidden: of the critic, which learns from single
+        states
+    imitation: weight of the error against the teacher's labels
+    penalty: weight of the hidden neurons' operations over `max(budget, penalty_floor)` of the start
+    """
+
+    policy: PolicyConfig = DeltaSnnConfig()
+    start: str = ""
+    iterations: Positive = 40
+    warm_up: Count = 2
+    episodes: Positive = 16
+    noise: Ends = (0.15, 0.05)
+    temperature: Ends = (1.0, 0.2)
+    window: Positive = 60
+    burn_in: Count = 15
+    batch: Positive = 32
+    epochs: Positive = 4
+    gamma: Share = 0.98
+    trace: Share = 0.95
+    clip: Rate = 0.2
+    target_kl: float = Field(default=0.03, ge=0)
+    gradient_norm: Rate = 0.5
+    actor_rate: Ends = (1e-4, 2e-5)
+    critic_rate: Rate = 1e-3
+    critic_batch: Positive = 512
+    critic_epochs: Positive = 8
+    critic_hidden: tuple[Positive, ...] = (128, 128)
+    imitation: float = Field(default=1.0, ge=0)
+    penalty: float = Field(default=0.1, ge=0)
+    checkpoint_every: Positive = 5
+    validation: ValidationConfig = ValidationConfig(every=4, episodes=24)
+
+    @model_validator(mode="after")
+    def _windows_follow_each_other(self) -> "SparsePpoConfig":
+        if self.window < 2 * self.burn_in or self.window == self.burn_in:
+            raise ValueError(f"window: {self.window} is less than twice burn_in ({self.burn_in})")
+        return self
