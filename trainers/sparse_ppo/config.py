@@ -1,5 +1,7 @@
 """Configuration of PPO after imitation."""
 
+from typing import Literal
+
 from pydantic import Field, model_validator
 
 from spikedeploy.trainers.config import (
@@ -30,6 +32,9 @@ class SparsePpoConfig(RunConfig):
     window, burn_in: control steps of a window of a walk, and how many of them at its beginning only
         bring the states up, which are learned from in the window before
     batch, epochs: windows of an update, and passes over those of an iteration
+    learns: which weights: "all", or those onto the readout and its decay factors alone. A hidden
+        spike more or less changes actions by more than the noise, so that the ratios of PPO are
+        noisy as soon as weights onto hidden neurons change
     gamma, trace, clip, target_kl, gradient_norm: as of PPO, see PpoConfig
     actor_rate: learning rate of the policy, in the first and last iteration
     critic_rate, critic_batch, critic_epochs, critic_hidden: of the critic, which learns from single
@@ -49,6 +54,7 @@ class SparsePpoConfig(RunConfig):
     burn_in: Count = 15
     batch: Positive = 32
     epochs: Positive = 4
+    learns: Literal["all", "readout"] = "readout"
     gamma: Share = 0.98
     trace: Share = 0.95
     clip: Rate = 0.2

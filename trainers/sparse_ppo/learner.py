@@ -24,6 +24,7 @@ from spikedeploy.trainers.sparse_ppo.explore import Exploring, NoisyActions
 from spikedeploy.trainers.sparse_ppo.trials import Course, Tiles, Trials, states, tiles
 
 _EPS = 1e-8
+_READOUT = ("out", "past", "action_bias", "_gamma")  # parameters of a DeltaSnnPolicy
 
 
 class SparsePpoLearner:
@@ -45,6 +46,8 @@ class SparsePpoLearner:
         )
         self.critic = Critic(policy.observations, config.critic_hidden)
         self.scale = torch.tensor(torch.nan)
+        for name, parameter in policy.named_parameters():
+            parameter.requires_grad_(config.learns == "all" or name.split(".")[0] in _READOUT)
         self._actor_adam = adam.adam(policy, config.actor_rate[0])
         self._critic_adam = adam.adam(self.critic, config.critic_rate)
 

@@ -175,4 +175,4 @@ def _start(config: SparsePpoConfig) -> tuple[SparseConfig, DeltaSnnPolicy]:
             f"start: {config.start} holds a {policy.kind}, and windows of walks are replayed for a "
             "delta-snn alone. Give a run of a spiking recipe."
         )
-    return source, policy.requires_grad_(True)
+    return source, policy
