@@ -35,8 +35,11 @@ class SparsePpoConfig(RunConfig):
     learns: which weights: "all", or those onto the readout and its decay factors alone. A hidden
         spike more or less changes actions by more than the noise, so that the ratios of PPO are
         noisy as soon as weights onto hidden neurons change
-    gamma, trace, clip, target_kl, gradient_norm: as of PPO, see PpoConfig
-    actor_rate: learning rate of the policy, in the first and last iteration
+    gamma, trace, clip, gradient_norm: as of PPO, see PpoConfig
+    actor_rate, target_kl: learning rate of the policy in the first pass, and the mean divergence
+        from the policy that played which it is adapted to: a pass that ends above twice as much is
+        the last one of its iteration and lowers the rate, one below half as much raises it (Rudin
+        et al. 2022)
     critic_rate, critic_batch, critic_epochs, critic_hidden: of the critic, which learns from single
         states
     imitation: weight of the error against the teacher's labels
@@ -58,9 +61,9 @@ class SparsePpoConfig(RunConfig):
     gamma: Share = 0.98
     trace: Share = 0.95
     clip: Rate = 0.2
-    target_kl: float = Field(default=0.03, ge=0)
+    target_kl: Rate = 0.01
     gradient_norm: Rate = 0.5
-    actor_rate: Ends = (1e-4, 2e-5)
+    actor_rate: Rate = 5e-5
     critic_rate: Rate = 1e-3
     critic_batch: Positive = 512
     critic_epochs: Positive = 8

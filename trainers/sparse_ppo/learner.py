@@ -24,6 +24,7 @@ from spikedeploy.trainers.sparse_ppo.explore import Exploring, NoisyActions
 from spikedeploy.trainers.sparse_ppo.trials import Course, Tiles, Trials, states, tiles
 
 _EPS = 1e-8
+_FASTER, _RATES = 1.5, (1e-6, 1e-2)  # factor by which the learning rate changes, and its limits
 _READOUT = ("out", "past", "action_bias", "_gamma")  # parameters of a DeltaSnnPolicy
 
 
@@ -34,6 +35,7 @@ class SparsePpoLearner:
     head: exploration
     critic: value of an observation, in units of `scale`
     scale: standard deviation of the first iteration's returns; nan before
+    rate: learning rate of the policy
     """
 
     def __init__(
@@ -46,9 +48,10 @@ class SparsePpoLearner:
         )
         self.critic = Critic(policy.observations, config.critic_hidden)
         self.scale = torch.tensor(torch.nan)
+        self.rate = config.actor_rate
         for name, parameter in policy.named_parameters():
             parameter.requires_grad_(config.learns == "all" or name.split(".")[0] in _READOUT)
-        self._actor_adam = adam.adam(policy, config.actor_rate[0])
+        self._actor_adam = adam.adam(policy, config.actor_rate)
         self._critic_adam = adam.adam(self.critic, config.critic_rate)
 
     def schedule(self, progress: float) -> None:
@@ -58,8 +61,6 @@ class SparsePpoLearner:
             self.head.spread = _between(config.noise, progress)
         else:
             self.head.temperature = _between(config.temperature, progress)
-        for group in self._actor_adam.param_groups:
-            group["lr"] = _between(config.actor_rate, progress)
 
     def round(self, target: Chip) -> None:
         """Compute with the weights that the chip would have now."""
@@ -156,16 +157,24 @@ class SparsePpoLearner:
     def _improve(self, trials: Trials, row: dict[str, float]) -> None:
         """Pass over the windows until the divergence limit; add the mean metrics to the row."""
         rows: list[dict[str, float]] = []
+        limit = 2 * self._config.target_kl
         for _ in range(self._config.epochs):
             newest = [self._update(part) for part in trials.minibatches(self._config.batch)]
             rows += newest
-            if 0 < self._config.target_kl < sum(each["kl"] for each in newest) / len(newest):
+            divergence = newest[-1]["kl"]
+            if divergence < limit / 4:
+                self.rate = min(self.rate * _FASTER, _RATES[1])
+            elif divergence > limit:
+                self.rate = max(self.rate / _FASTER, _RATES[0])
                 break
         row |= {name: sum(each[name] for each in rows) / len(rows) for name in rows[0]}
+        row |= {"kl": rows[-1]["kl"], "learning_rate": self.rate}
 
     def _update(self, part: Trials) -> dict[str, float]:
         """Take one gradient step of the policy."""
         config, policy = self._config, self.student.policy
+        for group in self._actor_adam.param_groups:
+            group["lr"] = self.rate
         mean, spikes = self._replayed(part.windows)
         change = (self.log_probability(mean, part.drawn) - part.before)[part.counts]
         ratio, advantage = change.exp(), part.advantage[part.counts]
@@ -195,7 +204,8 @@ class SparsePpoLearner:
             "critic_adam": adam.tensors(self._critic_adam),
         }
         named = {f"{part}.{key}": t for part, found in parts.items() for key, t in found.items()}
-        return {**named, "scale": self.scale}
+        rate = torch.tensor(self.rate, dtype=torch.float64)
+        return {**named, "scale": self.scale, "rate": rate}
 
     def load(self, named: dict[str, Tensor]) -> None:
         """Restore the tensors of a checkpoint, the policy's under "policy." included."""
@@ -203,7 +213,7 @@ class SparsePpoLearner:
         self.critic.load_state_dict(adam.under("critic", named))
         adam.load(self._actor_adam, adam.under("actor_adam", named))
         adam.load(self._critic_adam, adam.under("critic_adam", named))
-        self.scale = named["scale"]
+        self.scale, self.rate = named["scale"], float(named["rate"])
 
 
 def _between(ends: tuple[float, float], progress: float) -> float:

@@ -41,8 +41,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
     Config = SparsePpoConfig
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "iterations", "env_steps", "operations", "gain", "imitation", "kl", "clipped",
-        "critic_loss", "explained", "iterations_per_s", "episode_return", "eval_return",
-        "eval_gain", "eval_operations", "eval_falls", "eval_finish",
+        "learning_rate", "critic_loss", "explained", "iterations_per_s", "episode_return",
+        "eval_return", "eval_gain", "eval_operations", "eval_falls", "eval_finish",
     )  # fmt: skip
     COUNTERS = ("iterations", "env_steps", "start_return", "allowed", "best")
     SPEED = "iterations_per_s"

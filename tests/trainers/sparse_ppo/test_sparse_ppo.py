@@ -71,7 +71,7 @@ def test_it_trains_from_the_command_line_and_never_ends_below_its_start(start, t
 
 
 def test_masks_stay_as_they_are_while_weights_learn(start, tmp_path):
-    overrides = [f"start={start}", "actor_rate=[1e-3,1e-3]", "learns=all"]
+    overrides = [f"start={start}", "actor_rate=1e-3", "learns=all"]
     run = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
     before, after = load_policy(start), load_policy(run, "last")
     for name in ("into", "out", "past"):
@@ -162,13 +162,26 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
         torch.testing.assert_close(getattr(learner.student.weights(), name), plain + added)
 
 
-def test_noise_and_learning_rate_fall_to_their_last_values(played):
+def test_noise_falls_to_its_last_value(played):
     learner, *_ = played
     learner.schedule(0.5)
     assert learner.head.spread == pytest.approx(0.1)
     learner.schedule(1.0)
     assert learner.head.spread == pytest.approx(0.05)
-    assert learner._actor_adam.param_groups[0]["lr"] == pytest.approx(2e-5)
+
+
+def test_the_learning_rate_follows_the_divergence(played):
+    learner, pool, drawn, _ = played
+    found = tiles(pool, 16, 4)
+    trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
+    learner.rate, row = 1e-6, {}
+    learner._improve(trials, row)
+    assert row["kl"] < 0.005
+    assert row["learning_rate"] == pytest.approx(1e-6 * 1.5**2)  # after two passes
+    learner.rate, row = 0.3, {}
+    learner._improve(trials, row)
+    assert row["kl"] > 0.02
+    assert row["learning_rate"] == pytest.approx(0.2)  # after one
 
 
 @pytest.mark.parametrize(
@@ -204,7 +217,7 @@ TOY = [
 ]  # fmt: skip
 REWARDED = [
     "env.name=kart-grid", "iterations=12", "episodes=60", "window=10", "burn_in=0", "batch=20",
-    "gamma=0.0", "validation.limit=10", "validation.every=4", "actor_rate=[1e-2,1e-3]",
+    "gamma=0.0", "validation.limit=10", "validation.every=4", "actor_rate=1e-2",
     "validation.episodes=20", "imitation=0.0", "target_kl=0.2", "noise=[0.3,0.1]",
 ]  # fmt: skip
 
