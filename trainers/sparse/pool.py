@@ -107,6 +107,15 @@ class WalkPool:
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
 
+    def take_observations(self) -> None:
+        """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
+        self._length = np.array([len(walk.label) for walk in self.walks])
+        longest = int(self._length.max())
+        self._seen = torch.zeros(longest, len(self.walks), self.walks[0].observation.shape[1])
+        for k, walk in enumerate(self.walks):
+            self._seen[: len(walk.label), k] = torch.from_numpy(walk.observation)
+        self._moved = self._seen[..., :0]
+
     def sample(
         self, rng: np.random.Generator, count: int, window: int, burn_in: int,
         first: float, crash: float, crash_steps: int,

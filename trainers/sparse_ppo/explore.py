@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from spikedeploy.trainers.policies import DeltaSnnPolicy
 from spikedeploy.trainers.ppo.learner import CategoricalHead
+from spikedeploy.trainers.sparse_ppo.replay import Means
 
 
 class NoisyActions:
@@ -35,23 +35,24 @@ class NoisyActions:
 
 
 class Exploring:
-    """A DeltaSnnPolicy that explores, as a BatchController.
+    """A policy that explores, as a BatchController.
 
+    means: the policy, whose states live on
     drawn: what was drawn in every control step of the episodes, (B, act) or (B,) each
     """
 
-    def __init__(self, policy: DeltaSnnPolicy, head: NoisyActions | CategoricalHead) -> None:
-        self._policy, self._head = policy, head
+    def __init__(self, means: Means, head: NoisyActions | CategoricalHead) -> None:
+        self.means, self._head = means, head
         self.drawn: list[Tensor] = []
 
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
-        self._state = self._policy.rest(robots)
+        self.means.reset(robots)
         self.drawn = []
 
     @torch.no_grad()
     def act_batch(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """Return actions (B, act), or (B,) if discrete."""
-        mean, _, _ = self._policy.advance(torch.from_numpy(observation).float(), self._state)
+        mean = self.means(torch.from_numpy(observation).float())
         self.drawn.append(self._head.draw(mean))
         return self._head.action(self.drawn[-1]).numpy()

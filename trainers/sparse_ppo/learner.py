@@ -1,31 +1,27 @@
 """Networks of PPO after imitation, and their gradient updates."""
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.trainers import adam
 from spikedeploy.trainers.critic import Critic
-from spikedeploy.trainers.policies import DeltaSnnPolicy
+from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.ppo.learner import CategoricalHead, descend
 from spikedeploy.trainers.sparse.collect import Earned
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import WalkPool, Windows
-from spikedeploy.trainers.sparse.pruning import operations
-from spikedeploy.trainers.sparse.rounding import rounding_offsets
-from spikedeploy.trainers.sparse.students import DeltaStudent, imitation
+from spikedeploy.trainers.sparse.students import imitation
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.sparse_ppo.explore import Exploring, NoisyActions
+from spikedeploy.trainers.sparse_ppo.replay import replay_of
 from spikedeploy.trainers.sparse_ppo.trials import Course, Tiles, Trials, states, tiles
 
 _EPS = 1e-8
 _FASTER, _RATES = 1.5, (1e-6, 1e-2)  # factor by which the learning rate changes, and its limits
-_READOUT = ("out", "past", "action_bias", "_gamma")  # parameters of a DeltaSnnPolicy
 
 
 class SparsePpoLearner:
@@ -38,11 +34,9 @@ class SparsePpoLearner:
     rate: learning rate of the policy
     """
 
-    def __init__(
-        self, config: SparsePpoConfig, source: SparseConfig, policy: DeltaSnnPolicy
-    ) -> None:
+    def __init__(self, config: SparsePpoConfig, source: SparseConfig, policy: Policy) -> None:
         self._config, self._source = config, source
-        self.student = DeltaStudent(policy, source)
+        self.student = replay_of(policy, source, config.burn_in)
         self.head: NoisyActions | CategoricalHead = (
             CategoricalHead() if policy.head == "discrete" else NoisyActions(config.noise[0])
         )
@@ -50,7 +44,7 @@ class SparsePpoLearner:
         self.scale = torch.tensor(torch.nan)
         self.rate = config.actor_rate
         for name, parameter in policy.named_parameters():
-            parameter.requires_grad_(config.learns == "all" or name.split(".")[0] in _READOUT)
+            parameter.requires_grad_(config.learns == "all" or name in self.student.readout)
         self._actor_adam = adam.adam(policy, config.actor_rate)
         self._critic_adam = adam.adam(self.critic, config.critic_rate)
 
@@ -62,26 +56,17 @@ class SparsePpoLearner:
         else:
             self.head.temperature = _between(config.temperature, progress)
 
-    def round(self, target: Chip) -> None:
-        """Compute with the weights that the chip would have now."""
-        if self._source.rounding:
-            self.student.offsets = rounding_offsets(self.student.policy, target)
-
     def exploring(self) -> Exploring:
         """Return a controller that explores, with the weights that are computed with."""
-        policy = deepcopy(self.student.policy)
-        for name, added in self.student.offsets.items():
-            getattr(policy, name).weight.data += added
-        return Exploring(policy, self.head)
+        return Exploring(self.student.acting(), self.head)
 
     def operations(self, pool: WalkPool) -> float:
-        """Return the mean operations of a control step on new walks, which are encoded."""
+        """Return the mean operations of a control step on new walks, and prepare their windows."""
         self.student.prepare(pool)
         found = tiles(pool, self._config.window, self._config.burn_in)
         with torch.no_grad():
-            _, spikes = self._replayed(found.windows)
-        self.student.hidden_rate = spikes[found.counts].mean(0)
-        return operations(self.student.synapses())
+            _, activities = self._replayed(found.windows)
+        return self.student.operations([each[found.counts] for each in activities])
 
     def learn(
         self, pool: WalkPool, drawn: Tensor, earned: Sequence[Earned], actor: bool
@@ -115,13 +100,11 @@ class SparsePpoLearner:
             mean.shape[:2]
         )
 
-    def _replayed(self, windows: Windows) -> tuple[Tensor, Tensor]:
-        """Return means (n, L, act) and hidden spikes (n, L, H) behind the burn-in."""
+    def _replayed(self, windows: Windows) -> tuple[Tensor, list[Tensor]]:
+        """Return means (n, L, act) and hidden activities (n, L, H) behind the burn-in."""
         burn_in = self._config.burn_in
-        mean, spikes = self.student.policy.unrolled(
-            windows.seen, windows.moved, self.student.weights(), burn_in, windows.begins
-        )
-        return mean[:, burn_in:], spikes[:, burn_in:]
+        mean, activities = self.student.replay(windows)
+        return mean[:, burn_in:], [each[:, burn_in:] for each in activities]
 
     def _assess(self, pool: WalkPool, earned: Sequence[Earned], row: dict[str, float]) -> Tensor:
         """Return advantages (S, W), after which the critic learns from them."""
@@ -175,7 +158,7 @@ class SparsePpoLearner:
         config, policy = self._config, self.student.policy
         for group in self._actor_adam.param_groups:
             group["lr"] = self.rate
-        mean, spikes = self._replayed(part.windows)
+        mean, activities = self._replayed(part.windows)
         change = (self.log_probability(mean, part.drawn) - part.before)[part.counts]
         ratio, advantage = change.exp(), part.advantage[part.counts]
         limited = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
@@ -183,7 +166,7 @@ class SparsePpoLearner:
         gain = torch.min(ratio * advantage, limited * advantage).mean()
         label = part.windows.label[:, config.burn_in :]
         error = imitation(mean, label, policy, self._source.sharpness)[part.counts].mean()
-        hidden = (spikes[part.counts].mean(0) * policy.out.fan_out).sum()
+        hidden = self.student.hidden([each[part.counts] for each in activities])
         budget = max(self._source.budget, self._source.penalty_floor)
         loss = -gain + config.imitation * error + config.penalty * hidden / budget
         descend(self._actor_adam, policy, loss, config.gradient_norm)

@@ -17,7 +17,7 @@ from torch import Tensor
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teachers import teacher
-from spikedeploy.trainers.policies import DeltaSnnPolicy
+from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.collect import Episodes
@@ -86,7 +86,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         config, learner = self._config, self.learner
         learner.schedule(self.iterations / max(self._total - 1, 1))
-        learner.round(self._chip)
+        learner.student.round(self._chip)
         controller = learner.exploring()
         seeds = self._rng.integers(_TRAINING_SEEDS, size=config.episodes).tolist()
         walks, returns, _ = self._episodes.play(seeds, controller, self._teacher.act_all)
@@ -146,7 +146,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         torch.set_rng_state(tensors["torch_rng"])
 
 
-def _start(config: SparsePpoConfig) -> tuple[SparseConfig, DeltaSnnPolicy]:
+def _start(config: SparsePpoConfig) -> tuple[SparseConfig, Policy]:
     """Return the configuration and the best policy of the run to start from."""
     if not config.start:
         raise ConfigError(
@@ -169,10 +169,4 @@ def _start(config: SparsePpoConfig) -> tuple[SparseConfig, DeltaSnnPolicy]:
             f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
             "continue it with --resume."
         )
-    policy = run.policy("best")
-    if not isinstance(policy, DeltaSnnPolicy):
-        raise ConfigError(
-            f"start: {config.start} holds a {policy.kind}, and windows of walks are replayed for a "
-            "delta-snn alone. Give a run of a spiking recipe."
-        )
-    return source, policy
+    return source, run.policy("best")

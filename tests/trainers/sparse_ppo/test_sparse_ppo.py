@@ -42,7 +42,7 @@ def played(start):
     source = run.config(SparseConfig)
     config = resolve(SparsePpoConfig, "smoke-sparse-tuned", overrides=["batch=3"])
     learner = SparsePpoLearner(config, source, run.policy("best").requires_grad_(True))
-    learner.round(chip(source.chip))
+    learner.student.round(chip(source.chip))
     controller = learner.exploring()
     episodes = Episodes(config.env, 2, 40)
     walks, _, _ = episodes.play([1, 2], controller, lambda seen: np.zeros((len(seen), 18)))
@@ -79,6 +79,18 @@ def test_masks_stay_as_they_are_while_weights_learn(start, tmp_path):
         assert torch.equal(old.mask, new.mask)
         assert not torch.equal(old.weight, new.weight)
         assert torch.equal(old.weight[old.mask == 0], new.weight[old.mask == 0])
+
+
+def test_the_float_rival_learns_in_the_same_way(tmp_path):
+    rival = train("smoke-sparse-mlp", overrides=SHORT, runs=tmp_path, quiet=True)
+    run = train("smoke-sparse-tuned", overrides=[f"start={rival}"], runs=tmp_path, quiet=True)
+    policy, old = load_policy(run, "last"), load_policy(rival)
+    assert RunFolder(run).settings()["policy"]["kind"] == policy.kind == "pruned-mlp"
+    for one, other in zip(policy.matrices, old.matrices, strict=True):
+        assert torch.equal(one.mask, other.mask)
+    assert not torch.equal(policy.matrices[-1].weight, old.matrices[-1].weight)
+    rows = read(run / "metrics.csv")
+    assert all(0 < row["operations"] <= 77 * 8 + 8 * 18 + 77 * 18 for row in rows[1:])
 
 
 def test_hidden_neurons_can_be_left_as_they_are(start, tmp_path):
@@ -128,7 +140,7 @@ def test_the_ratio_is_one_before_the_first_update(played):
 
 def test_replayed_windows_have_the_log_probabilities_of_what_was_executed(played):
     learner, pool, drawn, _ = played
-    policy = learner.exploring()._policy
+    policy = learner.exploring().means.policy
     observation = torch.from_numpy(np.stack([walk.observation for walk in pool.walks], 1))
     state = policy.rest(2)
     executed = torch.stack(
@@ -158,8 +170,8 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
     assert any(added.abs().max() > 0 for added in offsets.values())
     for name, added in offsets.items():
         plain = getattr(learner.student.policy, name)()
-        torch.testing.assert_close(getattr(learner.exploring()._policy, name)(), plain + added)
-        torch.testing.assert_close(getattr(learner.student.weights(), name), plain + added)
+        torch.testing.assert_close(getattr(learner.exploring().means.policy, name)(), plain + added)
+        torch.testing.assert_close(getattr(learner.student.student.weights(), name), plain + added)
 
 
 def test_noise_falls_to_its_last_value(played):
