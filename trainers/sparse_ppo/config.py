@@ -48,10 +48,10 @@ class SparsePpoConfig(RunConfig):
 
     policy: PolicyConfig = DeltaSnnConfig()
     start: str = ""
-    iterations: Positive = 40
+    iterations: Positive = 60
     warm_up: Count = 2
-    episodes: Positive = 16
-    noise: Ends = (0.15, 0.05)
+    episodes: Positive = 8
+    noise: Ends = (0.2, 0.1)
     temperature: Ends = (1.0, 0.2)
     window: Positive = 60
     burn_in: Count = 15
@@ -70,8 +70,8 @@ class SparsePpoConfig(RunConfig):
     critic_hidden: tuple[Positive, ...] = (128, 128)
     imitation: float = Field(default=1.0, ge=0)
     penalty: float = Field(default=0.1, ge=0)
-    checkpoint_every: Positive = 5
-    validation: ValidationConfig = ValidationConfig(every=4, episodes=24)
+    checkpoint_every: Positive = 10
+    validation: ValidationConfig = ValidationConfig(every=10, episodes=24)
 
     @model_validator(mode="after")
     def _windows_follow_each_other(self) -> "SparsePpoConfig":

@@ -177,9 +177,9 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
 def test_noise_falls_to_its_last_value(played):
     learner, *_ = played
     learner.schedule(0.5)
-    assert learner.head.spread == pytest.approx(0.1)
+    assert learner.head.spread == pytest.approx(0.15)
     learner.schedule(1.0)
-    assert learner.head.spread == pytest.approx(0.05)
+    assert learner.head.spread == pytest.approx(0.1)
 
 
 def test_the_learning_rate_follows_the_divergence(played):
