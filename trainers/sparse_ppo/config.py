@@ -32,9 +32,9 @@ class SparsePpoConfig(RunConfig):
     window, burn_in: control steps of a window of a walk, and how many of them at its beginning only
         bring the states up, which are learned from in the window before
     batch, epochs: windows of an update, and passes over those of an iteration
-    learns: which weights: "all", or those onto the readout and its decay factors alone. A hidden
-        spike more or less changes actions by more than the noise, so that the ratios of PPO are
-        noisy as soon as weights onto hidden neurons change
+    learns: which weights: "all", or those onto the readout and its decay factors alone. Then the
+        hidden spikes of a replayed walk stay what they were, and the ratios change smoothly; the
+        penalty has no effect
     gamma, trace, clip, gradient_norm: as of PPO, see PpoConfig
     actor_rate, target_kl: learning rate of the policy in the first pass, and the mean divergence
         from the policy that played which it is adapted to: a pass that ends above twice as much is
