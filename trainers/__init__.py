@@ -7,6 +7,7 @@ sac/             soft actor-critic
 ppo/             proximal policy optimisation
 distill/         distillation of a teacher by DAgger
 sparse/          imitation through whole walks, pruned by operations
+sparse_ppo/      reward after imitation, for what sparse/ left
 policies/        torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones
 train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
@@ -32,6 +33,7 @@ ALGORITHMS: dict[str, str] = {
     "distill": "spikedeploy.trainers.distill.distill:Distill",
     "ppo": "spikedeploy.trainers.ppo.ppo:Ppo",
     "sparse": "spikedeploy.trainers.sparse.sparse:Sparse",
+    "sparse-ppo": "spikedeploy.trainers.sparse_ppo.sparse_ppo:SparsePpo",
 }
 
 __all__ = ["ALGORITHMS", "RECIPES", "Recipe"]

@@ -209,11 +209,12 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
                 "dense_updates": 2_000,
                 "dense_rounds": 4,
                 "level_updates": 1_000,
-                "polish": 3,
-                "polish_updates": 1_000,
+                "polish": 8,
+                "polish_updates": 600,
+                "polish_rate": 3e-4,
                 "retune": "before-polish",
                 "walks": 60,
-                "validation": {"every": 500, "episodes": 200},
+                "validation": {"every": 600, "episodes": 200},
             },
         )
         for env in _KART_ENVS
@@ -282,6 +283,36 @@ def _sparse() -> dict[str, Recipe]:
     return found
 
 
+# -- reward after imitation: the best policy of a sparse run, given with --set start=RUN
+
+_SMOKE_TUNED: Settings = {
+    "env": {"name": "hexapod"},
+    "policy": {"kind": "delta-snn"},
+    "iterations": 3,
+    "warm_up": 1,
+    "episodes": 2,
+    "window": 16,
+    "burn_in": 4,
+    "batch": 4,
+    "epochs": 2,
+    "critic_hidden": [16],
+    "checkpoint_every": 1,
+    "validation": {"every": 1, "episodes": 1, "limit": 40},
+}
+
+
+def _tuned() -> dict[str, Recipe]:
+    """Return the recipes that go on where the spiking ones of `_sparse` end."""
+    found = {}
+    for task, (verb, settings) in _SPARSE_TASKS.items():
+        network, policy = _SPARSE_STUDENTS["sparse"]
+        size = _SPARSE_BUDGETS[task, "sparse"].get("policy", {})
+        changes = {"env": settings["env"], "policy": {**policy, **size}}
+        summary = f"{network}, that {verb}: reward after a sparse run, start=RUN"
+        found[f"{task}-sparse-tuned"] = Recipe("sparse-ppo", summary, changes)
+    return found
+
+
 RECIPES: dict[str, Recipe] = {
     "hexapod-sac": Recipe(
         "sac", "float MLP 77-512-512-18 that walks", merged(_HEXAPOD, MLP, _TEACHER)
@@ -323,4 +354,6 @@ RECIPES: dict[str, Recipe] = {
         "a tiny pruned float policy, seconds",
         merged(_SMOKE_SPARSE, {"policy": {"kind": "pruned-mlp", "hidden": [8]}}),
     ),
+    **_tuned(),
+    "smoke-sparse-tuned": Recipe("sparse-ppo", "PPO after smoke-sparse, seconds", _SMOKE_TUNED),
 }

@@ -174,7 +174,7 @@ class PpoLearner:
         loss = functional.mse_loss(
             self.critic(self.policy.normalizer(part.observation)), part.target
         )
-        _descend(self._critic_adam, self.critic, loss, self._config.gradient_norm)
+        descend(self._critic_adam, self.critic, loss, self._config.gradient_norm)
         return {**row, "critic_loss": float(loss.detach())}
 
     def _improve_actor(self, part: RolloutBatch) -> dict[str, float]:
@@ -189,7 +189,7 @@ class PpoLearner:
         if self._config.rate_penalty:
             excess = excess_rate(latent.rates, self._config.rate_target)
             loss = loss + self._config.rate_penalty * excess
-        _descend(self._actor_adam, self.actor, loss, self._config.gradient_norm)
+        descend(self._actor_adam, self.actor, loss, self._config.gradient_norm)
         with torch.no_grad():
             return {
                 "actor_loss": float(loss),
@@ -226,9 +226,10 @@ def _shrink(policy: Policy) -> None:
     last.bias.zero_()
 
 
-def _descend(
+def descend(
     optimizer: torch.optim.Adam, module: nn.Module, loss: Tensor, gradient_norm: float
 ) -> None:
+    """Take one gradient step of a module, with a limit on the gradient's norm."""
     optimizer.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(module.parameters(), gradient_norm)

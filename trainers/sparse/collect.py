@@ -1,6 +1,7 @@
 """Walks of teacher and students: whole episodes, several at once."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.pool import Walk
+from spikedeploy.trainers.sparse.pool import Single, Walk
 
 FloatArray = NDArray[np.float64]
 Label = Callable[[FloatArray], FloatArray]
@@ -34,12 +35,30 @@ class Stateless:
         """Do nothing."""
 
 
+@dataclass(frozen=True)
+class Earned:
+    """What an episode of S control steps brought.
+
+    reward: (S,) float32
+    final: (obs,) observation after the last step, float32
+    terminated: whether that was a terminal state, and not the time limit
+    """
+
+    reward: Single
+    final: Single
+    terminated: bool
+
+
 class Episodes:
-    """Copies of an environment, for whole episodes of at most `limit` control steps."""
+    """Copies of an environment, for whole episodes of at most `limit` control steps.
+
+    earned: what the episodes of the last call of `play` brought, one for each seed
+    """
 
     def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
         self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
         self._limit = limit
+        self.earned: list[Earned] = []
 
     def play(
         self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
@@ -51,11 +70,13 @@ class Episodes:
         walks: list[Walk] = []
         returns: list[float] = []
         infos: list[dict[str, Any]] = []
+        self.earned = []
         for at in range(0, len(seeds), len(self._envs)):
             batch = _Batch(self._envs, seeds[at : at + len(self._envs)])
             walks += self._walks(batch, controller, label)
             returns += batch.totals.tolist()
             infos += batch.infos
+            self.earned += batch.earned()
         return walks, returns, infos
 
     def _walks(
@@ -90,6 +111,8 @@ class _Batch:
         self.infos: list[dict[str, Any]] = [{} for _ in seeds]
         self.ended = np.zeros(len(seeds), np.bool_)
         self._crashed = np.zeros(len(seeds), np.bool_)
+        self._terminal = np.zeros(len(seeds), np.bool_)
+        self._rewards: list[list[float]] = [[] for _ in seeds]
         self._lengths = np.zeros(len(seeds), np.int64)
 
     def step(self, actions: NDArray[Any]) -> None:
@@ -99,6 +122,8 @@ class _Batch:
                 actions[k]
             )
             self.totals[k] += reward
+            self._rewards[k].append(reward)
+            self._terminal[k] = terminated
             self._lengths[k] += 1
             self.ended[k] = terminated or truncated
             self._crashed[k] = terminated and not self.infos[k].get("success", False)
@@ -108,3 +133,8 @@ class _Batch:
         shown, wanted = seen.astype(np.float32), labels.astype(np.float32)
         ends = zip(self._lengths, self._crashed, strict=True)
         return [Walk(shown[k, :n], wanted[k, :n], bool(fell)) for k, (n, fell) in enumerate(ends)]
+
+    def earned(self) -> list[Earned]:
+        """Return what each episode brought."""
+        ends = zip(self._rewards, self.now.astype(np.float32), self._terminal, strict=True)
+        return [Earned(np.array(r, np.float32), now, bool(end)) for r, now, end in ends]

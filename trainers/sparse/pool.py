@@ -109,6 +109,15 @@ class WalkPool:
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
 
+    def take_observations(self) -> None:
+        """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
+        self._length = np.array([len(walk.label) for walk in self.walks])
+        longest = int(self._length.max())
+        self._seen = torch.zeros(longest, len(self.walks), self.walks[0].observation.shape[1])
+        for k, walk in enumerate(self.walks):
+            self._seen[: len(walk.label), k] = torch.from_numpy(walk.observation)
+        self._moved = self._seen[..., :0]
+
     def sample(
         self, rng: np.random.Generator, count: int, window: int, burn_in: int,
         first: float, crash: float, crash_steps: int,
@@ -127,11 +136,12 @@ class WalkPool:
             back = rng.integers(0, crash_steps, size=count)
             start = np.where(near, np.maximum(last - back, 1 - burn_in), start)
         start = np.where((kind < first) | (start < 0), -burn_in, start)
-        return self._windows(which, start, window, burn_in)
+        return self.windows(which, start, window, burn_in)
 
-    def _windows(
+    def windows(
         self, which: NDArray[np.int64], start: NDArray[np.int64], window: int, burn_in: int
     ) -> Windows:
+        """Return windows of walks `which` (W,) from steps `start` (W,), -burn_in or from 0 on."""
         steps = start[:, None] + np.arange(window)
         # before the beginning nothing has happened; behind the end the last state stays
         before = torch.from_numpy(steps < 0)[:, :, None]

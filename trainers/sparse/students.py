@@ -90,7 +90,7 @@ class DeltaStudent:
             rng, c.batch, c.window, c.burn_in, c.first_windows, c.crash_windows, c.crash_steps
         )
         mean, spikes = self.policy.unrolled(
-            batch.seen, batch.moved, self._weights(), c.burn_in, batch.begins
+            batch.seen, batch.moved, self.weights(), c.burn_in, batch.begins
         )
         after = mean[:, c.burn_in :], batch.label[:, c.burn_in :]
         error = imitation(*after, self.policy, c.sharpness).mean()
@@ -99,7 +99,8 @@ class DeltaStudent:
         excess = (rate.sum() / max(len(rate), 1) - c.rate_target).relu()
         return error, (rate * self.policy.out.fan_out).sum() + c.rate_cost * excess
 
-    def _weights(self) -> DeltaWeights:
+    def weights(self) -> DeltaWeights:
+        """Return what is computed with: the policy's weights, as the chip rounds them."""
         weights = self.policy.weights()
         if not self.offsets:
             return weights

@@ -1,0 +1,259 @@
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy import envs
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.distill.teachers import Teacher
+from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.sparse.collect import Episodes
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.pool import WalkPool
+from spikedeploy.trainers.sparse.rounding import rounding_offsets
+from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
+from spikedeploy.trainers.sparse_ppo.learner import SparsePpoLearner
+from spikedeploy.trainers.sparse_ppo.trials import tiles
+from spikedeploy.trainers.train import train
+from tests.toy_pointing_env import PointingEnv
+from tests.toy_quadrant_env import QuadrantEnv
+
+SHORT = [
+    "dense_updates=10", "level_updates=10", "polish=0", "teacher_walks=1", "noisy_walks=0",
+    "validation.every=5",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory):
+    """A finished run of a sparse recipe."""
+    return train("smoke-sparse", overrides=SHORT, runs=tmp_path_factory.mktemp("runs"), quiet=True)
+
+
+@pytest.fixture
+def played(start):
+    """A learner with rounded weights, and two walks on which it explored."""
+    torch.manual_seed(0)
+    run = RunFolder(start)
+    source = run.config(SparseConfig)
+    config = resolve(SparsePpoConfig, "smoke-sparse-tuned", overrides=["batch=3"])
+    learner = SparsePpoLearner(config, source, run.policy("best").requires_grad_(True))
+    learner.student.round(chip(source.chip))
+    controller = learner.exploring()
+    episodes = Episodes(config.env, 2, 40)
+    walks, _, _ = episodes.play([1, 2], controller, lambda seen: np.zeros((len(seen), 18)))
+    pool = WalkPool()
+    pool.add(walks)
+    learner.operations(pool)
+    return learner, pool, torch.stack(controller.drawn), episodes.earned
+
+
+def test_it_trains_from_the_command_line_and_never_ends_below_its_start(start, tmp_path, command):
+    code, _, err = command(
+        "train", "smoke-sparse-tuned", "--set", f"start={start}", "--runs", tmp_path
+    )
+    assert code == 0, err
+    (run,) = tmp_path.iterdir()
+    rows = read(run / "metrics.csv")
+    assert [row["iterations"] for row in rows] == [0, 1, 2, 3]
+    assert "gain" not in rows[1]  # the critic alone learns first
+    assert "gain" in rows[2]
+    begin = rows[0]
+    record = RunFolder(run).load("best")[0]
+    # the CSV file has ten digits
+    assert record["eval_return"] >= begin["eval_return"] - 1e-6
+    assert record["eval_operations"] <= max(60, begin["eval_operations"]) + 1e-6
+    # the folder says which policy is in it, and exporters find it there
+    assert RunFolder(run).settings()["policy"] == RunFolder(start).settings()["policy"]
+
+
+def test_masks_stay_as_they_are_while_weights_learn(start, tmp_path):
+    overrides = [f"start={start}", "actor_rate=1e-3", "learns=all"]
+    run = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
+    before, after = load_policy(start), load_policy(run, "last")
+    for name in ("into", "out", "past"):
+        old, new = getattr(before, name), getattr(after, name)
+        assert torch.equal(old.mask, new.mask)
+        assert not torch.equal(old.weight, new.weight)
+        assert torch.equal(old.weight[old.mask == 0], new.weight[old.mask == 0])
+
+
+def test_the_float_rival_learns_in_the_same_way(tmp_path):
+    rival = train("smoke-sparse-mlp", overrides=SHORT, runs=tmp_path, quiet=True)
+    run = train("smoke-sparse-tuned", overrides=[f"start={rival}"], runs=tmp_path, quiet=True)
+    policy, old = load_policy(run, "last"), load_policy(rival)
+    assert RunFolder(run).settings()["policy"]["kind"] == policy.kind == "pruned-mlp"
+    for one, other in zip(policy.matrices, old.matrices, strict=True):
+        assert torch.equal(one.mask, other.mask)
+    assert not torch.equal(policy.matrices[-1].weight, old.matrices[-1].weight)
+    rows = read(run / "metrics.csv")
+    assert all(0 < row["operations"] <= 77 * 8 + 8 * 18 + 77 * 18 for row in rows[1:])
+
+
+def test_hidden_neurons_can_be_left_as_they_are(start, tmp_path):
+    overrides = [f"start={start}", "learns=readout"]
+    run = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
+    policies = load_policy(start), load_policy(run, "last")
+    before, after = (dict(policy.named_parameters()) for policy in policies)
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed == {"out.weight", "past.weight", "action_bias", "_gamma"}
+
+
+def test_a_resumed_run_ends_as_one_that_was_not_interrupted(start, tmp_path, monkeypatch):
+    from spikedeploy.trainers.sparse_ppo.sparse_ppo import SparsePpo
+
+    overrides = [f"start={start}"]
+    whole = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
+    iterate = SparsePpo._iterate
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            SparsePpo, "_iterate", lambda self, stop: self.iterations < 2 and iterate(self, stop)
+        )
+        part = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
+    assert RunFolder(part).load("last")[0]["iterations"] == 2
+    train("smoke-sparse-tuned", resume=part, quiet=True)
+    (one, state), (other, again) = (
+        (tensors, state) for state, tensors in (RunFolder(r).load("last") for r in (whole, part))
+    )
+    assert state == again
+    assert one.keys() == other.keys()
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert len(read(part / "metrics.csv")) == 4
+
+
+def test_the_ratio_is_one_before_the_first_update(played):
+    learner, pool, drawn, _ = played
+    found = tiles(pool, 16, 4)
+    trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
+    for part in trials.minibatches(3):
+        mean, _ = learner._replayed(part.windows)
+        again = learner.log_probability(mean, part.drawn)
+        # matrix products of other batch sizes add in another order
+        torch.testing.assert_close(again, part.before, rtol=1e-4, atol=1e-4)
+    metrics = learner._update(trials)
+    assert metrics["kl"] == pytest.approx(0, abs=1e-5)
+    assert metrics["clipped"] == 0
+
+
+def test_replayed_windows_have_the_log_probabilities_of_what_was_executed(played):
+    learner, pool, drawn, _ = played
+    policy = learner.exploring().means.policy
+    observation = torch.from_numpy(np.stack([walk.observation for walk in pool.walks], 1))
+    state = policy.rest(2)
+    executed = torch.stack(
+        [learner.head.log_probability(policy.advance(seen, state)[0], each)
+         for seen, each in zip(observation, drawn, strict=True)]
+    )  # fmt: skip
+    whole = tiles(pool, 44, 4)  # a window of each walk, from its beginning
+    trials = learner.trials(whole, drawn, torch.randn(drawn.shape[:2]))
+    assert len(trials) == 2
+    torch.testing.assert_close(trials.before, executed.T.contiguous(), rtol=1e-3, atol=1e-3)
+
+
+def test_windows_cover_every_step_of_every_walk_once(played):
+    _, pool, _, _ = played
+    walks = list(pool.walks)
+    pool.walks[1] = type(walks[1])(walks[1].observation[:30], walks[1].label[:30])
+    found = tiles(pool, 16, 4)
+    counted = zip(found.row, found.at, found.counts, strict=True)
+    steps = [(int(row), int(t)) for row, at, counts in counted for t in at[counts]]
+    assert sorted(steps) == [(0, t) for t in range(40)] + [(1, t) for t in range(30)]
+    assert found.windows.begins.tolist() == [True, False, False, False, True, False, False]
+
+
+def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
+    learner, _, _, _ = played
+    offsets = rounding_offsets(learner.student.policy, chip("loihi1"))
+    assert any(added.abs().max() > 0 for added in offsets.values())
+    for name, added in offsets.items():
+        plain = getattr(learner.student.policy, name)()
+        torch.testing.assert_close(getattr(learner.exploring().means.policy, name)(), plain + added)
+        torch.testing.assert_close(getattr(learner.student.student.weights(), name), plain + added)
+
+
+def test_noise_falls_to_its_last_value(played):
+    learner, *_ = played
+    learner.schedule(0.5)
+    assert learner.head.spread == pytest.approx(0.15)
+    learner.schedule(1.0)
+    assert learner.head.spread == pytest.approx(0.1)
+
+
+def test_the_learning_rate_follows_the_divergence(played):
+    learner, pool, drawn, _ = played
+    found = tiles(pool, 16, 4)
+    trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
+    learner.rate, row = 1e-6, {}
+    learner._improve(trials, row)
+    assert row["kl"] < 0.005
+    assert row["learning_rate"] == pytest.approx(1e-6 * 1.5**2)  # after two passes
+    learner.rate, row = 0.3, {}
+    learner._improve(trials, row)
+    assert row["kl"] > 0.02
+    assert row["learning_rate"] == pytest.approx(0.2)  # after one
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ([], "smoke-sparse-tuned needs a finished run: --set start=RUN"),
+        (["start=nowhere"], "'nowhere' is no run folder"),
+        (["start={start}", "env.name=hexapod-command"], "trained in hexapod, not in hexapod-comm"),
+        (["start={start}", "burn_in=9"], "window: 16 is less than twice burn_in"),
+    ],
+)
+def test_what_it_cannot_start_from_is_refused(overrides, message, start, tmp_path):
+    overrides = [each.format(start=start) for each in overrides]
+    with pytest.raises(ConfigError, match=message):
+        train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
+
+
+def test_runs_without_a_policy_at_their_budget_and_other_runs_are_refused(start, tmp_path):
+    unfinished = tmp_path / "unfinished"
+    shutil.copytree(start, unfinished)
+    (unfinished / "checkpoints" / "best.safetensors").unlink()
+    with pytest.raises(ConfigError, match="no policy at its budget yet"):
+        train("smoke-sparse-tuned", overrides=[f"start={unfinished}"], runs=tmp_path, quiet=True)
+    tuned = train("smoke-sparse-tuned", overrides=[f"start={start}"], runs=tmp_path, quiet=True)
+    with pytest.raises(ConfigError, match="is a run of sparse-ppo"):
+        train("smoke-sparse-tuned", overrides=[f"start={tuned}"], runs=tmp_path, quiet=True)
+
+
+TOY = [
+    "env.name=kart-grid", "teacher=toy", "budget=40", "levels=[60]", "walks=50", "window=10",
+    "burn_in=0", "validation.limit=10", "validation.episodes=20", "dense_updates=150",
+    "level_updates=60", "polish=0", "step=0.2", "policy.most=8", "teacher_walks=50",
+]  # fmt: skip
+REWARDED = [
+    "env.name=kart-grid", "iterations=12", "episodes=60", "window=10", "burn_in=0", "batch=20",
+    "gamma=0.0", "validation.limit=10", "validation.every=4", "actor_rate=1e-2",
+    "validation.episodes=20", "imitation=0.0", "target_kl=0.2", "noise=[0.3,0.1]",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("world", "taught"),
+    [
+        # both teachers know half of what the task rewards
+        (PointingEnv, lambda seen: seen * np.array([1.0, 0.0])),
+        (QuadrantEnv, lambda seen: 3.0 * np.stack([x := -np.sign(seen[:, 0]), -x, x, -x], 1)),
+    ],
+)
+def test_reward_teaches_what_the_teacher_does_not_know(world, taught, tmp_path, monkeypatch):
+    monkeypatch.setattr(envs, "make", lambda name, **options: world())
+    actions = 2 if world is PointingEnv else 4
+    toy = Teacher(taught, 2, actions)
+    for module in ("sparse.sparse", "sparse_ppo.sparse_ppo"):
+        monkeypatch.setattr(f"spikedeploy.trainers.{module}.teacher", lambda path, env: toy)
+    run = train("smoke-sparse", overrides=TOY, runs=tmp_path, quiet=True)
+    better = train(
+        "smoke-sparse-tuned", overrides=[f"start={run}", *REWARDED], runs=tmp_path, quiet=True
+    )
+    first, *_, last = (
+        row["eval_return"] for row in read(better / "metrics.csv") if "eval_return" in row
+    )
+    assert last > first + 1.0
