@@ -301,13 +301,21 @@ _SMOKE_TUNED: Settings = {
 }
 
 
+# episodes of the karts are short, and each says little more than whether it finished
+_TUNED_KART: Settings = {
+    "episodes": 48,
+    "validation": {"every": 5, "episodes": 200},
+}
+
+
 def _tuned() -> dict[str, Recipe]:
     """Return the recipes that go on where the spiking ones of `_sparse` end."""
     found = {}
     for task, (verb, settings) in _SPARSE_TASKS.items():
         network, policy = _SPARSE_STUDENTS["sparse"]
         size = _SPARSE_BUDGETS[task, "sparse"].get("policy", {})
-        changes = {"env": settings["env"], "policy": {**policy, **size}}
+        length = _TUNED_KART if task in _KART_ENVS else {}
+        changes = {"env": settings["env"], "policy": {**policy, **size}, **length}
         summary = f"{network}, that {verb}: reward after a sparse run, start=RUN"
         found[f"{task}-sparse-tuned"] = Recipe("sparse-ppo", summary, changes)
     return found

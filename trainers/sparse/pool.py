@@ -116,6 +116,7 @@ class WalkPool:
         self._seen = torch.zeros(longest, len(self.walks), self.walks[0].observation.shape[1])
         for k, walk in enumerate(self.walks):
             self._seen[: len(walk.label), k] = torch.from_numpy(walk.observation)
+        self._label = torch.from_numpy(self._labels())
         self._moved = self._seen[..., :0]
 
     def sample(
