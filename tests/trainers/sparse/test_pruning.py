@@ -118,7 +118,9 @@ def _recounted(artifact, observation):
     nodes = artifact.graph.nodes
     raster = artifact.codec.encode_episode(observation)[:, 0].astype(float)
     found = sum(
-        (raster @ (nodes[name].weight != 0).sum(0)).sum() for name in ("fc1", "skip") if name in nodes
+        (raster @ (nodes[name].weight != 0).sum(0)).sum()
+        for name in ("fc1", "skip")
+        if name in nodes
     )
     if "fc2" in nodes:
         found += _emitted(artifact, raster) @ (nodes["fc2"].weight != 0).sum(0)
