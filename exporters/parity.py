@@ -39,7 +39,7 @@ from spikedeploy.trainers.policies.delta_graph import event_channels, live_neuro
 
 _FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
 
-Spikes = dict[str, NDArray[np.uint8]]
+Spikes = dict[str, NDArray[np.integer[Any]]]
 Numbers = NDArray[np.float64]
 
 
@@ -189,7 +189,7 @@ def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
 def _by_numpy(graph: FloatGraph, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
     graph.reset()
     values = graph.run(raster)
-    spikes = {name: values[name].astype(np.uint8) for name in graph.spiking}
+    spikes = {name: values[name].astype(np.int64) for name in graph.spiking}
     return {"input": raster, **spikes}, values["output"].astype(np.float64)
 
 

@@ -59,13 +59,15 @@ def range_of(layer: Layer, registers: CubaRegisters, timesteps: int | None) -> s
     """What registers hold of a quantised layer, in a sentence; "" where that is all, or it leaks.
 
     Of layers that spike the current is looked at, where it hardly leaks: thresholds bound the rest.
+    Nothing bounds what sigma-delta neurons add up. A graded spike counts as one, so that net spikes
+    are those of the level that a source has sent.
 
     timesteps: T of an inference; None is a state that is never reset.
     """
     one = float(registers.decay_one)
     current, membrane = layer.current_decay / one, layer.membrane_decay / one
     states = [registers.current.limit, registers.push.limit, registers.membrane.limit]
-    if layer.spiking:
+    if layer.spiking and not layer.graded:
         if current.max() < 1 - _SLOW:
             return ""
         membrane, states = 0 * membrane, states[:2]
@@ -79,7 +81,7 @@ def range_of(layer: Layer, registers: CubaRegisters, timesteps: int | None) -> s
     if _most(proven) <= held:
         return ""
     room = np.divide(held - bias, each, out=np.full(layer.size, np.inf), where=each > 0)
-    kind = "layer" if layer.spiking else "readout"
+    kind = "sigma-delta layer" if layer.graded else "layer" if layer.spiking else "readout"
     return (
         f"{kind} {layer.name!r}: its leaks do not bound what it adds up; its registers hold "
         f"{max(int(min(room.min(), _MANY)), 0)} net spikes over a heaviest synapse (the ledger "
