@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -14,9 +15,11 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
-from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.metrics.energy import energy, energy_table
+from spikedeploy.runtime.metrics.host_work import host_work
+from spikedeploy.runtime.metrics.neurobench import neurobench
 from tests.graded import GRADED, INPUT, OUTPUT, SIGMA, delta_network, one_neuron, rasters
 
 GRADED_CHIPS = ("ideal", "loihi2")
@@ -183,3 +186,33 @@ def test_compile_says_what_sigma_can_hold():
 def test_a_proven_headroom_is_refused():
     with pytest.raises(RuleError, match="rule headroom"):
         compile_program(one_neuron(), chip("loihi2"), Quantisation(headroom="proven"))
+
+
+def test_the_host_multiplies_weights_by_graded_spikes():
+    program = compile_program(one_neuron(), chip("loihi2:membrane_output=none"))
+    assert program.layers[0].graded  # stays on the chip, which has no readout now
+    machine = Machine(program, trace=True)
+    np.testing.assert_allclose(machine.infer(INPUT)[0, :, 0], OUTPUT)
+    spikes = {"input": INPUT, "sd1": machine.recordings["sd1"].spikes}
+    # 3 graded spikes, a weight each; the readout has neither decay factors nor a bias
+    assert (host_work(program, spikes).multiplications, host_work(program, spikes).additions) == (
+        3,
+        3,
+    )
+
+
+def test_graded_spikes_are_multiply_accumulates_for_neurobench():
+    artifact = one_neuron()
+    program = compile_program(artifact, chip("ideal"))
+    machine = Machine(program, trace=True)
+    machine.infer(INPUT)
+    spikes = {"input": INPUT, "sd1": machine.recordings["sd1"].spikes}
+    found = neurobench(artifact.graph, program, spikes)
+    # 3 and -2 multiply, -1 does not; 3 spikes of the input
+    assert (found.effective_macs, found.effective_acs) == (2, 1 + 4)
+    assert found.activation_sparsity == pytest.approx(2 / 5)
+
+
+def test_drift_says_that_it_does_not_compare_graded_spikes():
+    with pytest.raises(ConfigError, match=r"sd1.*graded.*spikedeploy compare"):
+        drift(one_neuron(), chip("loihi2"), INPUT)
