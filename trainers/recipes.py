@@ -183,6 +183,7 @@ _SPARSE_STUDENTS: dict[str, tuple[str, Settings]] = {
     ),
     "small-mlp": ("control: float MLP, pruned", {"kind": "pruned-mlp"}),
     "small-linear": ("control: float linear policy, pruned", {"kind": "pruned-mlp", "hidden": []}),
+    "delta-mlp": ("control: events into sigma-delta ReLU neurons", {"kind": "delta-mlp"}),
 }
 
 _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
@@ -244,7 +245,27 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
             "sparse-linear": {"budget": 10, "levels": [30, 20, 14], "policy": {"most": 4}},
             "small-mlp": {"budget": 30, "levels": [80, 55, 40], "policy": {"hidden": [8]}},
             "small-linear": {"budget": 30, "levels": [70, 50, 40]},
+            "delta-mlp": {
+                "budget": 25,
+                "levels": [60, 40, 32],
+                "policy": {"hidden": 8, "most": 4},
+                "chip": "loihi2",
+            },
         }.items()
+    },
+    # graded spikes run on no other chip
+    ("hexapod", "delta-mlp"): {
+        "budget": 70,
+        "levels": [250, 160, 110, 85],
+        "policy": {"hidden": 8},
+        "chip": "loihi2",
+    },
+    ("hexapod-command", "delta-mlp"): {
+        "budget": 480,
+        "levels": [1_600, 1_000, 700, 560],
+        "rate_cost": 4_000,
+        "policy": {"hidden": 64},
+        "chip": "loihi2",
     },
 }
 
@@ -318,5 +339,10 @@ RECIPES: dict[str, Recipe] = {
         "sparse",
         "a tiny pruned float policy, seconds",
         merged(_SMOKE_SPARSE, {"policy": {"kind": "pruned-mlp", "hidden": [8]}}),
+    ),
+    "smoke-sparse-delta-mlp": Recipe(
+        "sparse",
+        "a tiny delta network, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-mlp", "hidden": 8}, "chip": "loihi2"}),
     ),
 }

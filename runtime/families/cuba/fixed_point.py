@@ -79,7 +79,9 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
         timesteps: T of an inference; None where it is not known, or states are kept.
         """
-        return [found for layer in layers if (found := range_of(layer, self, timesteps))]
+        drifts = not any(layer.graded for layer in layers)
+        found = [range_of(layer, self, timesteps, drifts) for layer in layers]
+        return [sentence for sentence in found if sentence]
 
     def update(
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState

@@ -179,8 +179,11 @@ def test_a_graded_spike_that_is_too_large_is_clipped_and_counted():
 
 
 def test_compile_says_what_sigma_can_hold():
-    program = compile_program(delta_network(), chip("loihi2"))
-    assert any("sigma-delta layer 'sd1'" in remark for remark in program.remarks)
+    program = compile_program(one_neuron(), chip("loihi2"))
+    # 24 bits of sigma, less the bias of 4080, over 255 * 64: (8388607 - 4080) / 16320
+    (found,) = (remark for remark in program.remarks if "sigma-delta layer 'sd1'" in remark)
+    assert "hold 513 net spikes" in found
+    assert not any("drift" in remark for remark in program.remarks)
 
 
 def test_a_proven_headroom_is_refused():
