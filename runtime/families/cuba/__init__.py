@@ -7,7 +7,6 @@ fixed_point      the integer arithmetic of Loihi
 free_width       the same with free widths: the chip `int`
 floating_point   float64 and float32 arithmetic: the chips `ideal` and `spinnaker2`
 quantise         a layer in floats becomes the integers that registers hold
-sigma_delta      one timestep of sigma-delta neurons, in floats and in integers
 readouts         the scale of a layer without a threshold, and what its registers hold
 bounds           how large the numbers of a layer can get, and scales at which none overflows
 loihi            the datasheets of Loihi 1, in three readings, and of Loihi 2

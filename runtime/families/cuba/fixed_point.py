@@ -13,9 +13,13 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import decay
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.cuba import sigma_delta
 from spikedeploy.runtime.families.cuba.bounds import with_headroom
-from spikedeploy.runtime.families.cuba.neurons import CubaRegisters, arriving, update
+from spikedeploy.runtime.families.cuba.neurons import (
+    CubaRegisters,
+    arriving,
+    sigma_delta,
+    update,
+)
 from spikedeploy.runtime.families.cuba.quantise import quantise
 from spikedeploy.runtime.families.cuba.readouts import range_of
 
@@ -146,7 +150,7 @@ class CubaGradedSpikes(CubaFixedPoint):
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
         if layer.graded:
             weights = arriving(layer, presynaptic)
-            return sigma_delta.update(self, _GRADED_BITS, layer, weights, state)
+            return sigma_delta(self, _GRADED_BITS, layer, weights, state)
         return super().update(network, layer, presynaptic, state)
 
 

@@ -22,8 +22,11 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, rounded
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
-from spikedeploy.runtime.families.cuba import sigma_delta
-from spikedeploy.runtime.families.cuba.neurons import arriving, float_update
+from spikedeploy.runtime.families.cuba.neurons import (
+    arriving,
+    float_sigma_delta,
+    float_update,
+)
 
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -67,7 +70,7 @@ class CubaFloat64(ArithmeticDefaults):
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
         weights = arriving(layer, presynaptic)
         if layer.graded:
-            return sigma_delta.float_update(layer, weights, state)
+            return float_sigma_delta(layer, weights, state)
         return float_update(network.convention, layer, weights, state)
 
     def before_reset(
