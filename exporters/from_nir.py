@@ -16,7 +16,12 @@ from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import SPIKING, discretise
-from spikedeploy.trainers.policies import DeltaSnnPolicy, PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.trainers.policies import (
+    DeltaMlpPolicy,
+    DeltaSnnPolicy,
+    PopsanPolicy,
+    SpikingMlpPolicy,
+)
 
 _DIGITS = 12  # of a decay; dt / tau loses precision beyond them
 
@@ -39,7 +44,7 @@ def _policy(artifact: Artifact) -> SpikingPolicy | DeltaSnnPolicy:
     if artifact.codec is None:
         raise AttributeError("no codec")
     if isinstance(artifact.codec.encoder, DeltaEncoder):
-        return _delta_snn(artifact, artifact.codec, artifact.codec.encoder)
+        return _event_driven(artifact, artifact.codec, artifact.codec.encoder)
     cuba = isinstance(artifact.graph.nodes["lif1"], nir.CubaLIF)
     network = (_popsan if cuba else _spiking_mlp)(artifact, artifact.codec)
     layers = _layers(artifact.graph)
@@ -56,23 +61,27 @@ def _policy(artifact: Artifact) -> SpikingPolicy | DeltaSnnPolicy:
     return network
 
 
-def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
+def _event_driven(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
     nodes = artifact.graph.nodes
-    neurons = nodes.get("lif1")
+    graded = isinstance(nodes["readout"], nir.I)
+    neurons = nodes.get("sd1" if graded else "lif1")
     decays = discretise("readout", nodes["readout"], artifact.convention).membrane_decay
-    policy = DeltaSnnPolicy(
-        encoder.observed,
-        nodes["action"].bias.size,
-        hidden=0 if neurons is None else neurons.r.size,
-        skip="skip" in nodes,
-        integrated="integral" in nodes,
-        most=encoder.most,
-        code=encoder.code,
-        events_above=encoder.threshold,
-        current_decay=round(float(_current_decays(artifact, decays)[0]), _DIGITS),
-        clip=codec.normaliser.clip,
-        head="discrete" if codec.chooses else "continuous",
-    )
+    settings: dict[str, Any] = {
+        "hidden": 0 if neurons is None else neurons.r.size,
+        "skip": "skip" in nodes,
+        "most": encoder.most,
+        "code": encoder.code,
+        "events_above": encoder.threshold,
+        "clip": codec.normaliser.clip,
+        "head": "discrete" if codec.chooses else "continuous",
+    }
+    policy: DeltaSnnPolicy
+    if graded:
+        policy = DeltaMlpPolicy(encoder.observed, nodes["action"].bias.size, **settings)
+    else:
+        settings["integrated"] = "integral" in nodes
+        settings["current_decay"] = round(float(_current_decays(artifact, decays)[0]), _DIGITS)
+        policy = DeltaSnnPolicy(encoder.observed, nodes["action"].bias.size, **settings)
     arrays: Arrays = {
         "normalizer.mean": codec.normaliser.mean,
         "normalizer.std": codec.normaliser.std,
@@ -83,8 +92,9 @@ def _delta_snn(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
     if "skip" in nodes:
         arrays["past.weight"] = _of_observations(nodes["skip"].weight, encoder)
     if neurons is not None:
-        arrays |= _hidden(artifact, encoder)
-    arrays["_gamma"] = _logits(decays)
+        arrays |= (_sigma_delta if graded else _hidden)(artifact, encoder)
+    if not graded:
+        arrays["_gamma"] = _logits(decays)
     state = policy.state_dict() | {n: torch.from_numpy(a).float() for n, a in arrays.items()}
     masks = {f"{n}.mask": (state[f"{n}.weight"] != 0).float() for n in ("into", "out", "past")}
     policy.load_state_dict(state | masks)
@@ -111,6 +121,16 @@ def _hidden(artifact: Artifact, encoder: DeltaEncoder) -> Arrays:
         "out.weight": nodes["fc2"].weight,
         "bias": neuron.leak,
         "_beta": _logits(neuron.membrane_decay),
+    }
+
+
+def _sigma_delta(artifact: Artifact, encoder: DeltaEncoder) -> Arrays:
+    nodes, neurons = artifact.graph.nodes, artifact.sigma_delta["sd1"]
+    return {
+        "into.weight": _of_observations(nodes["fc1"].weight, encoder),
+        "out.weight": nodes["fc2"].weight / neurons.threshold,
+        "bias": neurons.bias,
+        "threshold": neurons.threshold,
     }
 
 

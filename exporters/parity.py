@@ -35,11 +35,11 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationEr
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PopsanPolicy
-from spikedeploy.trainers.policies.delta_graph import event_channels, live_neurons
+from spikedeploy.trainers.policies.delta_graph import event_channels, hidden_node, live_neurons
 
 _FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
 
-Spikes = dict[str, NDArray[np.uint8]]
+Spikes = dict[str, NDArray[np.integer[Any]]]
 Numbers = NDArray[np.float64]
 
 
@@ -140,9 +140,9 @@ def _by_steps(policy: DeltaSnnPolicy, observations: NDArray[np.float64]) -> _Pol
     rows = [policy.advance(observation[None], state) for observation in seen]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
     live = live_neurons(policy)
-    spikes = {"input": event_channels(policy, events.numpy())[None]}
+    spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
     if bool(live.any()):
-        spikes["lif1"] = hidden[:, live].numpy().astype(np.uint8)[None]
+        spikes[hidden_node(policy)] = hidden[:, live].numpy().astype(np.int64)[None]
     if policy.head == "continuous":
         return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
     return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
@@ -189,7 +189,7 @@ def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
 def _by_numpy(graph: FloatGraph, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
     graph.reset()
     values = graph.run(raster)
-    spikes = {name: values[name].astype(np.uint8) for name in graph.spiking}
+    spikes = {name: values[name].astype(np.int64) for name in graph.spiking}
     return {"input": raster, **spikes}, values["output"].astype(np.float64)
 
 

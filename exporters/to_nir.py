@@ -2,7 +2,7 @@
 
     input (M) -> fc1 -> lif1 -> ... -> fcL -> lifL -> readout -> output (act)
 
-A DeltaSnnPolicy has the graph of trainers.policies.delta_graph.
+Event-driven policies have the graphs of trainers.policies.delta_graph.
 
 The nodes are built with nir directly: exporters of training libraries lose the reset, the
 population code and the loop over timesteps, and choose their own dt.
@@ -70,8 +70,8 @@ def artifact(
     if isinstance(policy, DeltaSnnPolicy):
         if state == "reset":
             raise ConfigError(
-                "state reset: a policy of kind 'delta-snn' keeps its states through an episode, as "
-                "its inputs are changes since the last inference; leave the option out"
+                f"state reset: a policy of kind {policy.kind!r} keeps its states through an "
+                "episode, as its inputs are changes since the last inference; leave the option out"
             )
         return delta_artifact(policy, origin, dt)
     # the file holds the float32 weights exactly; arithmetic on them is float64 from here on

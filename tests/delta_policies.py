@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
+from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, PrunedMlpPolicy
 
 
 def delta_policy(obs=5, act=2, hidden=8, seed=0, left=0.7, **settings):
@@ -19,6 +19,21 @@ def delta_policy(obs=5, act=2, hidden=8, seed=0, left=0.7, **settings):
         policy._beta.normal_(0.4, 0.5)
         if hidden:
             policy._gamma.normal_(0, 0.5)
+    return thinned(policy, left)
+
+
+def delta_mlp(obs=5, act=2, hidden=8, seed=0, left=0.7, **settings):
+    """A delta network with random weights and thresholds, of which a share is left."""
+    torch.manual_seed(seed)
+    policy = DeltaMlpPolicy(obs, act, hidden, **settings)
+    policy.normalizer.mean.normal_()
+    policy.normalizer.std.uniform_(0.5, 2.0)
+    policy.step.uniform_(0.2, 0.6)
+    policy.threshold.uniform_(0.1, 0.4)
+    with torch.no_grad():
+        policy.past.weight.normal_(0, 0.3)
+        policy.bias.normal_(0.1, 0.2)
+        policy.action_bias.normal_(0, 0.2)
     return thinned(policy, left)
 
 

@@ -136,6 +136,27 @@ class DeltaSnnConfig(_Section):
         return int(self.hidden > 0)
 
 
+class DeltaMlpConfig(_Section):
+    """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
+
+    hidden, skip, most, code: as in DeltaSnnConfig
+    threshold: of a neuron, below which a change of its activation is not sent [standard deviations
+        of the activation]
+    """
+
+    kind: Literal["delta-mlp"] = "delta-mlp"
+    hidden: Positive = 16
+    skip: bool = True
+    most: Positive = 3
+    code: Literal["unary", "one-hot"] = "one-hot"
+    threshold: Rate = 0.5
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of layers that send spikes, graded ones here; without encoder and readout."""
+        return 1
+
+
 class PrunedMlpConfig(_Section):
     """A small float network with a skip connection, pruned as the spiking ones are."""
 
@@ -150,7 +171,7 @@ class PrunedMlpConfig(_Section):
 
 
 PolicyConfig = Annotated[
-    MlpConfig | PopsanConfig | SpikingMlpConfig | DeltaSnnConfig | PrunedMlpConfig,
+    MlpConfig | PopsanConfig | SpikingMlpConfig | DeltaSnnConfig | DeltaMlpConfig | PrunedMlpConfig,
     Field(discriminator="kind"),
 ]
 

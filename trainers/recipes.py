@@ -183,6 +183,7 @@ _SPARSE_STUDENTS: dict[str, tuple[str, Settings]] = {
     ),
     "small-mlp": ("control: float MLP, pruned", {"kind": "pruned-mlp"}),
     "small-linear": ("control: float linear policy, pruned", {"kind": "pruned-mlp", "hidden": []}),
+    "delta-mlp": ("control: events into sigma-delta ReLU neurons", {"kind": "delta-mlp"}),
 }
 
 _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
@@ -249,7 +250,27 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
             "sparse-linear": {"budget": 10, "levels": [20, 14], "policy": {"most": 4}},
             "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
             "small-linear": {"budget": 30, "levels": [60, 40]},
+            "delta-mlp": {
+                "budget": 25,
+                "levels": [60, 40, 32],
+                "policy": {"hidden": 8, "most": 4},
+                "chip": "loihi2",
+            },
         }.items()
+    },
+    # graded spikes run on no other chip
+    ("hexapod", "delta-mlp"): {
+        "budget": 70,
+        "levels": [250, 160, 110, 85],
+        "policy": {"hidden": 8},
+        "chip": "loihi2",
+    },
+    ("hexapod-command", "delta-mlp"): {
+        "budget": 480,
+        "levels": [1_600, 1_000, 700, 560],
+        "rate_cost": 4_000,
+        "policy": {"hidden": 64},
+        "chip": "loihi2",
     },
 }
 
@@ -364,4 +385,9 @@ RECIPES: dict[str, Recipe] = {
     ),
     **_tuned(),
     "smoke-sparse-tuned": Recipe("sparse-ppo", "PPO after smoke-sparse, seconds", _SMOKE_TUNED),
+    "smoke-sparse-delta-mlp": Recipe(
+        "sparse",
+        "a tiny delta network, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-mlp", "hidden": 8}, "chip": "loihi2"}),
+    ),
 }

@@ -15,6 +15,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.float_model.nodes import FloatNeurons
 
@@ -93,11 +94,21 @@ def activity(
     def ran(rows: NDArray[np.uint8]) -> Activity:
         return chip_activity(program, rows) if program else float_activity(artifact, rows)
 
+    _refuse_graded(artifact)
     trains = trains_of(artifact, raster, episodes)
     if not trains:
         return ran(raster)
     parts = zip(in_trains(raster, trains), trains, strict=True)
     return _concatenated([ran(part).parted(inferences) for part, inferences in parts])
+
+
+def _refuse_graded(artifact: Artifact) -> None:
+    if artifact.sigma_delta:
+        raise ConfigError(
+            f"node {min(artifact.sigma_delta)!r}: drift compares trains of spikes that are all or "
+            "nothing, and sigma-delta neurons send graded ones. Compare actions and returns with "
+            "`spikedeploy compare`."
+        )
 
 
 def trains_of(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> Sequence[int]:

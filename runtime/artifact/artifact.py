@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import h5py
@@ -18,6 +18,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.nesting import flattened
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise, infer_convention, infer_timestep
 from spikedeploy.runtime.graph.order import delay_timesteps
+from spikedeploy.runtime.graph.sigma_delta import SigmaDelta, check_sigma_delta
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 
@@ -33,17 +34,20 @@ class Artifact:
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.
+    sigma_delta: names of nodes `I` that are sigma-delta neurons, and what NIR cannot say of them.
     """
 
     graph: nir.NIRGraph
     codec: Codec | None
     convention: Convention
     provenance: Provenance | None = None
+    sigma_delta: Mapping[str, SigmaDelta] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # the one field that construction changes: every reader expects a flat graph
         object.__setattr__(self, "graph", flattened(self.graph))
         check_graph(self.graph)
+        check_sigma_delta(self.graph, self.sigma_delta)
         for name in sorted(self.graph.nodes):
             if isinstance(self.graph.nodes[name], NEURONS):
                 discretise(name, self.graph.nodes[name], self.convention)
@@ -157,6 +161,8 @@ def _record(artifact: Artifact) -> Tree:
     record: Tree = {"schema": _SCHEMA, "convention": artifact.convention.to_record()}
     if artifact.codec is not None:
         record["codec"] = artifact.codec.to_record()
+    if artifact.sigma_delta:
+        record["sigma_delta"] = {n: each.to_record() for n, each in artifact.sigma_delta.items()}
     return record
 
 
@@ -183,8 +189,9 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     codec = Codec.from_record(record.group("codec")) if "codec" in record else None
     # "origin" is the key of the file format
     found = Provenance.from_record(record.group("origin")) if "origin" in record else None
+    graded = _sigma_delta(record)
     del graph.metadata[_KEY]
-    stated = Artifact(graph, codec, convention, found)
+    stated = Artifact(graph, codec, convention, found, graded)
     if found is not None:
         _check_digest(stated, found)
     return replace(stated, convention=convention.with_options(given))
@@ -204,8 +211,15 @@ def _stated_convention(record: Record) -> Convention:
         raise ArtifactError(f"metadata {record.where}: {error}") from error
 
 
+def _sigma_delta(record: Record) -> dict[str, SigmaDelta]:
+    if "sigma_delta" not in record:
+        return {}
+    group = record.group("sigma_delta")
+    return {name: SigmaDelta.from_record(group.group(name)) for name in sorted(group.fields)}
+
+
 def _check_schema(record: Record) -> None:
-    record.only("schema", "convention", "codec", "origin")
+    record.only("schema", "convention", "codec", "origin", "sigma_delta")
     if (schema := record.integer("schema")) != _SCHEMA:
         raise ArtifactError(
             f"metadata {record.where}.schema is {schema}; this version reads {_SCHEMA}. "

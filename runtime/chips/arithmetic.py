@@ -49,6 +49,11 @@ class ArithmeticDefaults(Protocol):
         """Spikes of an input channel in a timestep."""
         return 1
 
+    @property
+    def graded_bits(self) -> int | None:
+        """Width of a graded spike between neurons [bits], with the sign; None where it has none."""
+        return None
+
     # what can be compiled
 
     @property

@@ -1,7 +1,7 @@
 """Layers of neurons: what a chip stores of them, what they remember, and when they start."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -58,6 +58,8 @@ class Layer:
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     spiking: False for a readout layer: it never spikes, and its membranes leave the chip instead.
         Its threshold is infinite, or NEVER.
+    graded: whether its neurons are sigma-delta neurons (runtime.graph.sigma_delta): they send
+        signed whole numbers of thresholds; the voltage bias is added before the rectification.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Layer:
     start: int
     aliases: tuple[tuple[int, ...], ...] = ()
     spiking: bool = True
+    graded: bool = False
 
     @property
     def size(self) -> int:
@@ -120,11 +123,13 @@ class LayerState:
     current: (B, N) [state units]; (B, K, N) where neurons have K currents.
     membrane: (B, N) [state units].
     refractory: (B, N) timesteps left of the refractory period.
+    sent: (B, N) graded spikes so far, added up; (B, 0) where neurons are no sigma-delta neurons.
     """
 
     current: Numbers
     membrane: Numbers
     refractory: NDArray[np.int64]
+    sent: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
 
     @classmethod
     def zero(cls, layer: Layer, batch: int) -> "LayerState":
@@ -132,14 +137,16 @@ class LayerState:
         shape = (batch, layer.size)
         dtype = layer.threshold.dtype if layer.threshold.dtype.kind == "f" else np.dtype(np.int64)
         currents = np.zeros((batch, *layer.current_decay.shape), dtype)
-        return cls(currents, np.zeros(shape, dtype), np.zeros(shape, np.int64))
+        sent = np.zeros((batch, layer.size * layer.graded), np.int64)
+        return cls(currents, np.zeros(shape, dtype), np.zeros(shape, np.int64), sent)
 
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
     """What a layer did in one timestep.
 
-    spikes: (B, N); counts where neurons spike several times in a timestep.
+    spikes: (B, N); counts where neurons spike several times in a timestep, signed numbers of
+        sigma-delta neurons.
     active: (B, N) where there was a membrane, a current or a bias to add up.
     overflows: (B, N) how many numbers did not fit their register.
     """

@@ -41,9 +41,10 @@ def compile_program(
         the chip lacks capacity for the network, or something that the network asks for.
     """
     _check_reset(artifact.convention, chip)
+    _check_graded(artifact, chip)
     if not limits:
         chip = replace(chip, delay_max=_ENDLESS)
-    graph = wiring(artifact.graph, artifact.convention)
+    graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
     plan = design(artifact, chip, chip.limits) if limits and chip.limits else None
     if plan:
         refuse(plan, CAPACITY)
@@ -147,13 +148,24 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
     chip.arithmetic.check_convention(convention, chip.name)
 
 
+def _check_graded(artifact: Artifact, chip: Chip) -> None:
+    if artifact.sigma_delta and chip.arithmetic.graded_bits is None:
+        raise RuleError(
+            f"rule graded: node {min(artifact.sigma_delta)!r}: sigma-delta neurons send graded "
+            f"spikes to neurons, and {chip.name} has none between neurons. Choose loihi2 or ideal, "
+            "or run in float."
+        )
+
+
 def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
     """A layer in floats, with the lags of the graph for delays.
 
     Gains of the neuron are folded into the weights, which is exact.
     """
     neuron = discretise(name, artifact.graph.nodes[name], artifact.convention).flat()
-    threshold, current_decay = _threshold(name, neuron), neuron.current_decay
+    graded = artifact.sigma_delta.get(name)
+    threshold = _threshold(name, neuron) if graded is None else graded.threshold.ravel()
+    current_decay = neuron.current_decay
     return Layer(
         name=name,
         synapses=tuple(
@@ -161,13 +173,14 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
             for connection in graph.connections[name]
         ),
         bias=graph.bias[name] * neuron.gain,
-        voltage_bias=neuron.leak,
+        voltage_bias=neuron.leak if graded is None else graded.bias.ravel(),
         threshold=threshold,
         current_decay=np.zeros_like(threshold) if current_decay is None else current_decay,
         membrane_decay=neuron.membrane_decay,
         scale=1.0,
         start=0,
-        spiking=neuron.threshold is not None,
+        spiking=neuron.threshold is not None or graded is not None,
+        graded=graded is not None,
     )
 
 

@@ -170,6 +170,11 @@ class Program:
         """The layers that can spike."""
         return tuple(layer for layer in self.layers if layer.spiking)
 
+    @cached_property
+    def graded(self) -> frozenset[str]:
+        """Names of the layers of sigma-delta neurons, whose spikes are signed numbers."""
+        return frozenset(layer.name for layer in self.layers if layer.graded)
+
     @property
     def readouts(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
         """The layers that the host listens to through weights, and those weights (N, act)."""

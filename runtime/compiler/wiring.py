@@ -3,7 +3,7 @@
 Neurons without a threshold are readouts: an Output alone may receive their membranes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import nir
@@ -62,15 +62,20 @@ class LayerGraph:
         return sum(port.size for port in self.inputs)
 
 
-def wiring(graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
-    """The wiring of a graph; nodes that neither spike nor are linear are refused."""
+def wiring(
+    graph: nir.NIRGraph, convention: Convention, sigma_delta: Collection[str] = ()
+) -> LayerGraph:
+    """The wiring of a graph; nodes that neither spike nor are linear are refused.
+
+    sigma_delta: names of nodes that send graded spikes, although NIR calls them integrators.
+    """
     _check_kinds(graph)
     when = timing(graph, convention)
     linear, inputs = Linear(graph, when, convention), ports(graph.inputs)
     layers = tuple(name for name in when.names if isinstance(graph.nodes[name], NEURONS))
     regions = {name: linear.region(name) for name in (*layers, *sorted(graph.outputs))}
     for layer in layers:
-        _check_sources(graph, regions[layer])
+        _check_sources(graph, regions[layer], sigma_delta)
     name = ", ".join(port.name for port in inputs)
     while name in layers:
         name = f"{name}, inputs"
@@ -95,10 +100,12 @@ def _check_kinds(graph: nir.NIRGraph) -> None:
             )
 
 
-def _check_sources(graph: nir.NIRGraph, region: LinearBlock) -> None:
+def _check_sources(graph: nir.NIRGraph, region: LinearBlock, sigma_delta: Collection[str]) -> None:
     """Refuse neurons that receive membranes: between neurons there are only spikes."""
     for source in region.sources:
         node = graph.nodes[source]
+        if source in sigma_delta:
+            continue
         if isinstance(node, NEURONS) and not isinstance(node, SPIKING):
             raise RuleError(
                 f"rule primitive: node {source!r}: {type(node).__name__} does not spike, and node "

@@ -36,7 +36,8 @@ def primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
         else:
             remedy = "Replace the node, or run the network in float."
             possible: tuple[str, ...] = design.limits.primitives
-            if kind in READOUTS and design.network.leaving(name):
+            spikes = name in design.artifact.sigma_delta
+            if kind in READOUTS and not spikes and design.network.leaving(name):
                 kind = f"{kind} before neurons"
                 possible = tuple(each for each in possible if each not in READOUTS)
             yield allowed("primitive", name, kind, possible, remedy)
@@ -56,6 +57,15 @@ def reset(design: PlacedNetwork) -> Iterator[RuleResult]:
             found = f"reset {design.artifact.convention.reset!r}"
             possible = tuple(f"reset {each!r}" for each in design.chip.resets)
             yield allowed("reset", name, found, possible, remedy)
+
+
+def graded(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Sigma-delta neurons only where neurons send graded spikes to neurons."""
+    bits = design.chip.arithmetic.graded_bits
+    possible = () if bits is None else ("graded spikes",)
+    remedy = "Choose loihi2 or ideal, or run the network in float."
+    for name in sorted(design.artifact.sigma_delta):
+        yield allowed("graded", name, "graded spikes", possible, remedy)
 
 
 def delay(design: PlacedNetwork) -> Iterator[RuleResult]:

@@ -73,7 +73,9 @@ def design(artifact: Artifact, chip: Chip, limits: Limits) -> PlacedNetwork:
         artifact=artifact,
         chip=chip,
         limits=limits,
-        network=topology(artifact.graph, chip.membrane_output != "none"),
+        network=topology(
+            artifact.graph, chip.membrane_output != "none", frozenset(artifact.sigma_delta)
+        ),
         neurons={
             name: discretise(name, node, artifact.convention)
             for name, node in artifact.graph.nodes.items()

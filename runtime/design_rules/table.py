@@ -13,6 +13,7 @@ Rule: TypeAlias = Callable[[PlacedNetwork], Iterable[RuleResult]]
 NODE_RULES: dict[str, Rule] = {
     "primitive": node_rules.primitive,
     "reset": node_rules.reset,
+    "graded": node_rules.graded,
     "neurons": capacity_rules.neurons,
     "fan-in": capacity_rules.fan_in,
     "fan-out": capacity_rules.fan_out,
@@ -48,6 +49,7 @@ COMPILER_RULES = ("bias", "matrix", "headroom")
 ARITHMETIC = (
     "primitive",
     "reset",
+    "graded",
     "sign",
     "axon-types",
     "weight-bits",

@@ -93,16 +93,19 @@ class Topology:
         return np.sum(out, axis=0) if out else np.zeros(1, np.int64)
 
 
-def topology(graph: nir.NIRGraph, membranes: bool = True) -> Topology:
+def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str] = ()) -> Topology:
     """The topology of a sound, flat graph.
 
     membranes: whether they can leave the chip; else the host integrates neurons without a
         threshold that only outputs are reached from.
+    graded: names of nodes without a threshold that spike all the same.
     """
     names, late = _order(graph)
     ways = _ways(graph, names, late)
     ahead = {name: {t for s, t in graph.edges if s == name} for name in graph.nodes}
-    host = _host(graph, ahead, (*SPIKING, nir.Threshold) if not membranes else _POPULATIONS)
+    kinds = (*SPIKING, nir.Threshold) if not membranes else _POPULATIONS
+    on_chip = {n for n, node in graph.nodes.items() if isinstance(node, kinds) or n in graded}
+    host = _host(graph, ahead, on_chip)
     return Topology(
         inputs={name: _size(node) for name, node in sorted(graph.inputs.items())},
         populations=tuple(
@@ -184,17 +187,14 @@ def _different(node: nir.NIRNode, fields: tuple[str, ...]) -> int:
     return len(np.unique(np.stack(found), axis=1).T) if found else 1
 
 
-def _host(
-    graph: nir.NIRGraph, ahead: dict[str, set[str]], on_chip: tuple[type[nir.NIRNode], ...]
-) -> set[str]:
-    """Nodes from which only outputs are reached, and none of the kinds that a chip computes."""
+def _host(graph: nir.NIRGraph, ahead: dict[str, set[str]], on_chip: set[str]) -> set[str]:
+    """Nodes from which only outputs are reached, and none of those that a chip computes."""
     found: set[str] = set()
     waiting = list(graph.outputs)
     while waiting:
         target = waiting.pop()
         for name in sources(graph, target):
-            node = graph.nodes[name]
-            inside = isinstance(node, (*on_chip, nir.Input)) or name in found
+            inside = isinstance(graph.nodes[name], nir.Input) or name in on_chip | found
             if not inside and ahead[name] <= found | set(graph.outputs):
                 found.add(name)
                 waiting.append(name)

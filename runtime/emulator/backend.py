@@ -39,12 +39,12 @@ class Recording:
 
     current: (B, T, N) after each timestep [state units]; (B, T, K, N) where neurons have K.
     membrane: (B, T, N) after each timestep, resets included [state units].
-    spikes: (B, T, N).
+    spikes: (B, T, N); of sigma-delta neurons signed numbers in int64.
     """
 
     current: NDArray[Any]
     membrane: NDArray[Any]
-    spikes: NDArray[np.uint8]
+    spikes: NDArray[np.integer[Any]]
 
 
 def joined(parts: Sequence[Mapping[str, Recording]], axis: int) -> dict[str, Recording]:

@@ -112,7 +112,9 @@ class FloatMachine:
             self._real |= not all(np.isin(each, (0, 1)).all() for each in rows.values())
         if self._real:
             return
-        spikes = {name: each.reshape(*each.shape[:2], -1) for name, each in self.spikes.items()}
+        spikes: dict[str, NDArray[Any]] = {
+            name: each.reshape(*each.shape[:2], -1) for name, each in self.spikes.items()
+        }
         raster = self.program.joined(rows).astype(np.uint8)
         timesteps = raster.shape[1]
         counts = count(self.program, {self.program.input: raster, **spikes})

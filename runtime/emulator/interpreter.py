@@ -6,6 +6,7 @@ is tested to be equal to this in every current, membrane and spike.
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +21,15 @@ class LayerTrace:
 
     current: (B, T, N) [state units]; (B, T, K, N) where neurons have K currents.
     membrane: (B, T, N) [state units].
-    spikes: (B, T, N); counts where neurons spike several times in a timestep.
+    spikes: (B, T, N); counts where neurons spike several times in a timestep, signed numbers in
+        int64 of sigma-delta neurons.
     active: (B, T, N) as in StepResult.
     overflows: (B, T, N) as in StepResult.
     """
 
     current: Numbers
     membrane: Numbers
-    spikes: NDArray[np.uint8]
+    spikes: NDArray[np.integer[Any]]
     active: NDArray[np.bool_]
     overflows: NDArray[np.int64]
 
@@ -45,8 +47,9 @@ class Interpreter:
         self.states = {layer.name: LayerState.zero(layer, batch) for layer in program.layers}
         # last rows of the inference before: synapses with a lag still have to deliver them
         self._memory = max(lag for lags in program.lags for lag in lags)
-        self.tails = {
-            name: np.zeros((batch, self._memory, size), np.uint8)
+        graded = program.graded
+        self.tails: dict[str, NDArray[np.integer[Any]]] = {
+            name: np.zeros((batch, self._memory, size), np.int64 if name in graded else np.uint8)
             for name, size in program.sizes.items()
         }
 
@@ -76,10 +79,10 @@ class Interpreter:
                 output_spikes[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self.tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
-        return {name: _stacked(ticks) for name, ticks in history.items()}
+        return {name: _stacked(ticks, output_spikes[name].dtype) for name, ticks in history.items()}
 
     def _presynaptic(
-        self, layer: Layer, step: int, output_spikes: dict[str, NDArray[np.uint8]]
+        self, layer: Layer, step: int, output_spikes: dict[str, NDArray[np.integer[Any]]]
     ) -> list[Numbers]:
         """Spikes (B, M) that arrive through each synapse of a layer in a chip timestep."""
         presynaptic = []
@@ -96,16 +99,18 @@ def _waiting(state: LayerState) -> StepResult:
     return StepResult(none, none.astype(np.bool_), none)
 
 
-def _lengthened(tail: NDArray[np.uint8], timesteps: int) -> NDArray[np.uint8]:
+def _lengthened(tail: NDArray[np.integer[Any]], timesteps: int) -> NDArray[np.integer[Any]]:
     batch, _, size = tail.shape
-    return np.concatenate([tail, np.zeros((batch, timesteps, size), np.uint8)], axis=1)
+    return np.concatenate([tail, np.zeros((batch, timesteps, size), tail.dtype)], axis=1)
 
 
-def _stacked(ticks: list[tuple[Numbers, Numbers, StepResult]]) -> LayerTrace:
+def _stacked(
+    ticks: list[tuple[Numbers, Numbers, StepResult]], kind: np.dtype[np.integer[Any]]
+) -> LayerTrace:
     return LayerTrace(
         current=np.stack([current for current, _, _ in ticks], axis=1),
         membrane=np.stack([membrane for _, membrane, _ in ticks], axis=1),
-        spikes=np.stack([tick.spikes for _, _, tick in ticks], axis=1).astype(np.uint8),
+        spikes=np.stack([tick.spikes for _, _, tick in ticks], axis=1).astype(kind),
         active=np.stack([tick.active for _, _, tick in ticks], axis=1),
         overflows=np.stack([tick.overflows for _, _, tick in ticks], axis=1),
     )

@@ -42,7 +42,7 @@ class InterpreterBackend:
         size = self._program.layer(self._program.output).size
         self._tail = np.zeros((self._lag, self._batch, size), np.uint8)
 
-    def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[np.uint8]:
+    def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
         check_counts(rows, self._program.chip.input_spikes_max)
         self._waiting = {

@@ -23,6 +23,7 @@ EVENTS = (
     # layer, and of a readout layer the membrane of each neuron in each timestep
     "message",
     "saturation",  # numbers that did not fit the accumulator, a current or a membrane
+    "graded_sop",  # those of the synaptic operations that multiply a weight by a graded spike
 )
 
 
@@ -79,20 +80,22 @@ class Ledger:
 
 def count(
     program: Program,
-    spikes: Mapping[str, NDArray[np.uint8]],
+    spikes: Mapping[str, NDArray[np.integer[Any]]],
     busy: Mapping[str, NDArray[np.bool_]] | None = None,
     overflows: Mapping[str, Counts] | None = None,
     waiting: Collection[str] = (),
 ) -> Counts:
     """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
 
-    spikes: (B, T, N) of the input and of each layer that can spike.
+    spikes: (B, T, N) of the input and of each layer that can spike; a graded one counts as one.
     busy: (B, T, N) of each layer, as in StepResult; None takes every neuron-timestep for an update.
     overflows: (B, T, N) of each layer, as in StepResult; None takes none.
     waiting: names of layers that have not started.
     """
     batch, timesteps, _ = spikes[program.input].shape
+    spikes = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
     counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
+    graded = program.graded
     for index, layer in enumerate(program.layers):
         neuron_steps = layer.size * program.steps(timesteps)
         spike_in = sum(_each(spikes[s.source]) for s in layer.synapses)
@@ -109,6 +112,10 @@ def count(
             "spike_out": spike_out,
             "message": spike_in + timesteps * (layer.bias_fan_out > 0) + to_host,
             "saturation": _each(overflows[layer.name]) if overflows else 0,
+            "graded_sop": sum(
+                (_each(spikes[s.source] * s.fan_out) for s in layer.synapses if s.source in graded),
+                np.zeros(batch, np.int64),
+            ),
         }
         for kind, name in enumerate(EVENTS):
             counts[:, index, kind] = event[name]

@@ -13,10 +13,18 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.nodes import Array, Delay, FloatNeurons, Node, build_node
+from spikedeploy.runtime.float_model.nodes import (
+    Array,
+    Delay,
+    FloatNeurons,
+    Node,
+    SigmaDeltaNeurons,
+    build_node,
+)
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
 from spikedeploy.runtime.graph.ports import by_port, ports
+from spikedeploy.runtime.graph.sigma_delta import SigmaDelta
 
 # bytes that one run may compute
 MAX_RUN_BYTES = 1 << 32
@@ -36,7 +44,8 @@ class FloatGraph:
         self.convention = artifact.convention
         self.dtype = np.dtype(dtype)
         self.inputs, self.outputs = ports(self.graph.inputs), ports(self.graph.outputs)
-        self.spiking = _spiking(self.graph)
+        self.sigma_delta = artifact.sigma_delta
+        self.spiking = _spiking(self.graph, self.sigma_delta)
         self.timing = timing(self.graph, self.convention)
         self.sources = {name: sources(self.graph, name) for name in self.timing.names}
         self.nodes = self._built()
@@ -63,7 +72,8 @@ class FloatGraph:
     def run(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> Trace:
         """Spikes (B, T, *N) uint8 of each spiking node, and "output" (B, T, *act).
 
-        Where the convention allows several spikes of a neuron in a timestep, counts in int64.
+        Where the convention allows several spikes of a neuron in a timestep, counts in int64; of
+        sigma-delta neurons signed numbers in int64.
         Several Output nodes are in the trace by their names, instead of "output". Raises
         ObservationError where the raster does not fit the graph, or values overflow.
 
@@ -83,8 +93,7 @@ class FloatGraph:
             name: np.concatenate([step[name] for step in steps], axis=1)
             for name in (*self.spiking, *(port.name for port in self.outputs))
         }
-        kind = np.int64 if self.convention.spikes == "many" else np.uint8
-        trace: Trace = {name: values[name].astype(kind) for name in self.spiking}
+        trace: Trace = {name: values[name].astype(self._kind(name)) for name in self.spiking}
         for port in self.outputs:
             trace["output" if len(self.outputs) == 1 else port.name] = values[port.name]
         return trace
@@ -95,10 +104,18 @@ class FloatGraph:
             name: build_node(name, self.graph.nodes[name], self.convention, self.dtype)
             for name in self.timing.names
         }
+        for name, neurons in self.sigma_delta.items():
+            node = self.graph.nodes[name]
+            nodes[name] = SigmaDeltaNeurons(name, node, self.convention, self.dtype, neurons)
         for name, timesteps in self.timing.delays.items():
             # without the timestep that its late edges take
             nodes[name] = Delay(name, timesteps)
         return nodes
+
+    def _kind(self, name: str) -> type[np.integer[Any]]:
+        """What holds the spikes of a node."""
+        many = self.convention.spikes == "many" or name in self.sigma_delta
+        return np.int64 if many else np.uint8
 
     def _advance(self, x: Mapping[str, Array]) -> dict[str, Array]:
         """Output (B, T, *shape) of every node for the next T timesteps."""
@@ -165,9 +182,9 @@ class FloatGraph:
             )
 
 
-def _spiking(graph: nir.NIRGraph) -> list[str]:
+def _spiking(graph: nir.NIRGraph, graded: Mapping[str, SigmaDelta]) -> list[str]:
     kinds = (*SPIKING, nir.Threshold)
-    names = sorted(name for name, node in graph.nodes.items() if isinstance(node, kinds))
+    names = sorted(n for n, node in graph.nodes.items() if isinstance(node, kinds) or n in graded)
     if "output" in names:
         raise ArtifactError(
             "node 'output' spikes, but that name is reserved for the readout. Rename it."

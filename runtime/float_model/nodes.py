@@ -17,6 +17,7 @@ from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import DENSE
+from spikedeploy.runtime.graph.sigma_delta import SigmaDelta
 from spikedeploy.runtime.graph.windows import (
     CONVOLUTIONS,
     POOLS,
@@ -131,6 +132,41 @@ class FloatNeurons:
                 f"is for {len(like)}. Call reset() between batches of different size."
             )
         return self.current, self.membrane
+
+
+class SigmaDeltaNeurons(FloatNeurons):
+    """A layer of sigma-delta neurons (runtime.graph.sigma_delta); puts out graded spikes.
+
+    sent: (B, *N) graded spikes so far, added up.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        node: nir.NIRNode,
+        convention: Convention,
+        dtype: DTypeLike,
+        neurons: SigmaDelta,
+    ) -> None:
+        super().__init__(name, node, convention, dtype)
+        self.step = neurons.threshold.astype(dtype)
+        self.bias = neurons.bias.astype(dtype)
+        self.sent: Array | None = None
+
+    def reset(self) -> None:
+        """Set sigma to 0, as if nothing had been sent."""
+        super().reset()
+        self.sent = None
+
+    def _fire(self, membrane: Array) -> tuple[NDArray[Any], Array]:
+        """Graded spikes (B, *N) of this timestep, and sigma, which stays."""
+        sent = np.zeros_like(membrane) if self.sent is None else self.sent
+        # e = max(sigma + b, 0) / threshold - q
+        apart = np.maximum(membrane + self.bias, 0) / self.step - sent
+        far = np.abs(apart)
+        graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0)
+        self.sent = sent + graded
+        return graded, membrane
 
 
 def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Array | None:

@@ -15,7 +15,8 @@ from spikedeploy.runtime.compiler.program import Program
 class HostWork:
     """Operations of the host, in float64; no table of energies has a price for them.
 
-    multiplications: a current or a membrane times its decay factor, where that is neither 0 nor 1.
+    multiplications: a current or a membrane times its decay factor, where that is neither 0 nor 1,
+        and a weight times a graded spike.
     additions: a weight for each spike and synapse, biases, and currents onto membranes.
     """
 
@@ -32,14 +33,16 @@ def host_work(program: Program, spikes: Mapping[str, NDArray[Any]]) -> HostWork 
         return None
     batch, timesteps, _ = spikes[program.input].shape
     updates = batch * timesteps
-    arriving = sum(
-        int((spikes[synapses.source].sum(axis=(0, 1), dtype=np.int64) * synapses.fan_out).sum())
-        for layer in program.host
-        for synapses in layer.synapses
-    )
+    graded = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
+    sources = [synapses for layer in program.host for synapses in layer.synapses]
+    arriving = {
+        index: int((graded[s.source].sum(axis=(0, 1), dtype=np.int64) * s.fan_out).sum())
+        for index, s in enumerate(sources)
+    }
+    weighed = sum(n for index, n in arriving.items() if sources[index].source in program.graded)
     return HostWork(
-        multiplications=updates * sum(layer.multiplications for layer in program.host),
-        additions=arriving + updates * sum(map(_steady_additions, program.host)),
+        multiplications=updates * sum(layer.multiplications for layer in program.host) + weighed,
+        additions=sum(arriving.values()) + updates * sum(map(_steady_additions, program.host)),
     )
 
 

@@ -176,8 +176,8 @@ def _synaptic_operations(program: Program, spikes: Mapping[str, NDArray[Any]]) -
     """
     acs = macs = 0
     for presynaptic, fan_out in _presynaptic(program, spikes):
-        # an input above 1 of any sample makes the operations of its timestep MACs
-        graded = (presynaptic > 1).any(axis=(0, 2))
+        # an input beyond 1 of any sample makes the operations of its timestep MACs
+        graded = (np.abs(presynaptic) > 1).any(axis=(0, 2))
         operations = (presynaptic != 0).sum(axis=0) @ fan_out
         acs += int(operations[~graded].sum())
         macs += int(operations[graded].sum())

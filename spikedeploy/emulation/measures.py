@@ -75,8 +75,10 @@ def measured(
 
 
 def _events(ledger: Ledger) -> dict[str, dict[str, int]]:
-    found = {event: ledger.by_layer(event) for event in EVENTS}
-    return {name: {event: found[event][name] for event in EVENTS} for name in ledger.layers}
+    # only sigma-delta neurons send graded spikes
+    events = [event for event in EVENTS if event != "graded_sop" or ledger.total(event)]
+    found = {event: ledger.by_layer(event) for event in events}
+    return {name: {event: found[event][name] for event in events} for name in ledger.layers}
 
 
 def _latencies(

@@ -78,8 +78,13 @@ class Emulation:
                 "rate": float(rows.mean()),
                 "sops": sops.get(name),
             }
-            for name, rows in self.spikes.items()
+            for name, rows in self._messages().items()
         }
+
+    def _messages(self) -> dict[str, NDArray[Any]]:
+        """Spikes of each node; graded ones of any size are one each."""
+        graded = self.artifact.sigma_delta
+        return {n: rows != 0 if n in graded else rows for n, rows in self.spikes.items()}
 
     def readouts(self) -> dict[str, dict[str, int]]:
         """Readout layer on the chip -> neurons, SOPs and messages; it never spikes."""
@@ -98,7 +103,7 @@ class Emulation:
             "chip": self.chip,
             "timesteps": self.timesteps,
             "convention": self.artifact.convention.to_record(),
-            "spikes": sum(int(rows.sum()) for rows in self.spikes.values()),
+            "spikes": sum(int(rows.sum()) for rows in self._messages().values()),
             "sops": self._total("sop"),
             "bias_sops": self._total("bias_sop"),
             "neuron_updates": self._total("neuron_update"),

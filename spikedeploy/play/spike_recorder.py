@@ -42,6 +42,7 @@ class SpikeRecorder:
         if artifact.codec is None:
             raise ConfigError(f"{candidate.path} has no codec, so observations become no spikes")
         self._codec = artifact.codec
+        self._graded = frozenset(artifact.sigma_delta)
         self._network = running(artifact, chip_called(chip), "none", trace=True)
 
     def record(self, observations: Floats, seed: int) -> InferenceTrace:
@@ -54,7 +55,9 @@ class SpikeRecorder:
             spikes = self._codec.encode(observation[None], state)
             scores.append(self._codec.scores(self._network.infer(spikes))[0])
             for name, raster in {"input": spikes, **self._network.spikes}.items():
-                rasters.setdefault(name, []).append(raster[0])
+                # a graded spike is shown as one
+                shown = (raster != 0).astype(np.uint8) if name in self._graded else raster
+                rasters.setdefault(name, []).append(shown[0])
         return InferenceTrace(
             {name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores)
         )

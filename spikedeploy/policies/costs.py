@@ -102,15 +102,15 @@ _MEANS = (
 
 def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
     """Costs of a spiking network from its ledger; `chip` None is the float twin."""
-    sops = ledger.per_inference("sop")
+    sops, graded = ledger.per_inference("sop"), ledger.per_inference("graded_sop")
     return Costs(
         sparsity=ledger.sparsity,
         spikes=ledger.per_inference("spike_out"),
         input_spikes=_input_spikes(ledger, program) / ledger.inferences,
         sops=sops,
         bias_sops=ledger.per_inference("bias_sop"),
-        effective_acs=sops + _readout_acs(ledger, program),
-        effective_macs=_readout_macs(ledger, program),
+        effective_acs=sops - graded + _readout_acs(ledger, program),
+        effective_macs=graded + _readout_macs(ledger, program),
         dense=_weights(program) * ledger.timesteps / ledger.inferences,
         saturations=ledger.total("saturation") if chip else None,
         # by every table, so that a report can choose

@@ -131,6 +131,27 @@ class Neurons:
         return spikes.astype(float)
 
 
+class SigmaDelta(Neurons):
+    """An I that rectifies, and sends changes in whole numbers of thresholds."""
+
+    def __init__(self, node, convention, stated):
+        super().__init__(node, convention)
+        self.theta, self.bias = stated["threshold"], stated["bias"]
+
+    def reset(self):
+        """Nothing has arrived or been sent."""
+        super().reset()
+        self.sent = np.zeros(self.gain.shape)
+
+    def step(self, x):
+        """Graded spikes (N,) of the next timestep."""
+        apart = np.maximum(super().step(x) + self.bias, 0) / self.theta - self.sent
+        far = np.abs(apart)
+        graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0)
+        self.sent = self.sent + graded
+        return graded
+
+
 class Policy:
     """A policy file."""
 
@@ -148,7 +169,12 @@ class Policy:
         self.neurons = {
             name: Neurons(node, self.convention) for name, node in self.nodes.items() if "r" in node
         }
-        self.spiking = [n for n, layer in self.neurons.items() if layer.threshold is not None]
+        graded = known.get("sigma_delta", {})
+        for name, stated in graded.items():
+            self.neurons[name] = SigmaDelta(self.nodes[name], self.convention, stated)
+        self.spiking = [
+            n for n, layer in self.neurons.items() if layer.threshold is not None or n in graded
+        ]
         self.input, self.output = (
             next(name for name, node in self.nodes.items() if node["type"] == kind)
             for kind in ("Input", "Output")
@@ -191,7 +217,7 @@ class Policy:
         for row in raster:
             values = self.step(row)
             for name in (self.input, *self.spiking):
-                counts[f"spikes/{name}"] += int(values[name].sum())
+                counts[f"spikes/{name}"] += int(np.count_nonzero(values[name]))
             for name in self.neurons:
                 counts[f"sops/{name}"] += self.operations(name, values)
             outputs.append(values[self.output])
@@ -219,7 +245,8 @@ class Policy:
         total = 0
         for weights in self.sources[name]:
             fan_out = np.count_nonzero(self.nodes[weights]["weight"], axis=0)
-            total += sum(int(values[source] @ fan_out) for source in self.sources[weights])
+            for source in self.sources[weights]:
+                total += int((values[source] != 0) @ fan_out)
         return total
 
     def action(self, score):

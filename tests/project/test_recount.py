@@ -11,9 +11,12 @@ import pytest
 
 from spikedeploy import zoo
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies.costs import spiking_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.trainers.policies.delta_graph import delta_artifact
+from tests.delta_policies import delta_mlp
 from tests.networks import chain, cuba, event_driven, graph
 from tests.paths import ROOT
 
@@ -40,7 +43,8 @@ def acted(artifact, path, observed):
     actions, spikes = [], []
     for row in seen[:-1]:
         actions.append(controller.act(row))
-        spikes.append({name: rows.sum() for name, rows in controller.network.spikes.items()})
+        seen_spikes = controller.network.spikes.items()
+        spikes.append({name: np.count_nonzero(rows) for name, rows in seen_spikes})
     none = np.zeros(STEPS)
     Rollout("test", 0, seen, np.stack(actions), none, False, True, {"success": none}).save(path)
     return controller, np.stack(actions), spikes
@@ -141,3 +145,16 @@ def test_another_convention_is_recounted(reset, integrator, tmp_path):
     network = chain(nodes["n1"], neurons, nodes["n3"], width=policy.codec.encoder.width, act=2)
     save(replace(policy, graph=network, convention=convention), tmp_path / "p.nir")
     check(tmp_path / "p.nir", tmp_path)
+
+
+def test_a_delta_network_is_recounted(tmp_path):
+    path = tmp_path / "graded.nir"
+    save(delta_artifact(delta_mlp()), path)
+    found, controller = check(path, tmp_path)
+    check_operations(found, controller.ledger)
+    assert 0 < found["spikes/sd1"].mean() < 8
+    ledger, program = controller.ledger, controller.network.program
+    costs = spiking_costs(ledger, program, None)
+    # what the host reads are membranes, through the identity of `action`
+    assert costs.effective_macs == ledger.per_inference("graded_sop") + 2
+    assert costs.effective_acs + costs.effective_macs == pytest.approx(costs.sops + 2)

@@ -8,7 +8,8 @@ mlp.py          float multilayer perceptron, or a linear map
 popsan.py       population-coded spiking actor
 spiking_mlp.py  spiking multilayer perceptron with a linear readout
 delta_snn.py    event-driven: delta code, a layer of LIF neurons, leaky integrator readout
-delta_graph.py  its NIR graph and codec
+delta_mlp.py    delta network: the same with a layer of sigma-delta ReLU neurons
+delta_graph.py  NIR graphs and codecs of both
 pruned_mlp.py   small float network with a skip connection and masks
 pruned.py       weights with masks
 neurons.py      LIF and CuBa-LIF layers with surrogate gradients, firing rates
@@ -22,6 +23,7 @@ from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig, known
+from spikedeploy.trainers.policies.delta_mlp import DeltaMlpPolicy
 from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
 from spikedeploy.trainers.policies.features import Features, features
 from spikedeploy.trainers.policies.mlp import MlpPolicy
@@ -31,6 +33,7 @@ from spikedeploy.trainers.policies.pruned_mlp import PrunedMlpPolicy
 from spikedeploy.trainers.policies.spiking_mlp import SpikingMlpPolicy
 
 __all__ = [
+    "DeltaMlpPolicy",
     "DeltaSnnPolicy",
     "Head",
     "Latent",
@@ -45,6 +48,7 @@ __all__ = [
 
 _POLICIES: dict[str, Callable[..., Policy]] = {
     "delta-snn": DeltaSnnPolicy,
+    "delta-mlp": DeltaMlpPolicy,
     "pruned-mlp": PrunedMlpPolicy,
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,

@@ -1,4 +1,4 @@
-"""The network of a DeltaSnnPolicy as a NIR graph with its codec: what is exported, and validated.
+"""The network of an event-driven policy as a NIR graph with its codec: exported, and validated.
 
     input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
     input (M) ------> skip ----------> readout, or integral -> action
@@ -7,12 +7,16 @@
 gains of 1.
 `action` adds the constant c to each readout. Channels of the encoder carry their own weights, so
 event k of a one-hot code weighs k times as much.
+
+Of a DeltaMlpPolicy the neurons are `sd1`, sigma-delta neurons (runtime.graph.sigma_delta), and the
+readout is an I. fc2 weighs each graded spike with the threshold that it counts.
 """
 
 from copy import deepcopy
 
 import nir
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -20,7 +24,9 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.graph.sigma_delta import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.delta_mlp import DeltaMlpPolicy
 from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
 
 _DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
@@ -37,7 +43,9 @@ def delta_artifact(
     """
     precise = deepcopy(policy).double()
     convention = Convention(dt=dt, source="as trained").with_options({"state": "kept"})
-    return Artifact(_graph(precise, dt), delta_codec(precise), convention, origin)
+    graph = _graph(precise, dt)
+    graded = _sigma_delta(precise) if "sd1" in graph.nodes else {}
+    return Artifact(graph, delta_codec(precise), convention, origin, graded)
 
 
 def delta_codec(policy: DeltaSnnPolicy) -> Codec:
@@ -95,30 +103,50 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
     live = live_neurons(policy)
     if bool(live.any()):
         into = channel_weights(policy, _array(policy.into()[live]))
+        name = hidden_node(policy)
         nodes["fc1"] = nir.Linear(into)
-        nodes["lif1"] = _neurons(policy, live, dt)
-        nodes["fc2"] = nir.Linear(_array(policy.out()[:, live]))
-        edges += [("input", "fc1"), ("fc1", "lif1"), ("lif1", "fc2"), ("fc2", "readout")]
+        nodes[name] = _neurons(policy, live, dt)
+        nodes["fc2"] = nir.Linear(_array((policy.out() * _spike(policy))[:, live]))
+        edges += [("input", "fc1"), ("fc1", name), (name, "fc2"), ("fc2", "readout")]
     integral = np.full(policy.actions, policy.current_decay)
     past = policy.past() if policy.skip else policy.step.new_zeros(policy.actions, len(policy.step))
     if not edges or bool(past.any()):  # the input is read, if only with weights of 0
         nodes["skip"] = nir.Linear(channel_weights(policy, _array(past)))
         edges.append(("input", "skip"))
         if policy.integrated and "lif1" in nodes:
-            nodes["integral"] = _readout(integral, dt)
+            nodes["integral"] = _readout(policy, integral, dt)
             edges += [("skip", "integral"), ("integral", "action")]
         else:
             edges.append(("skip", "readout"))
     alone = policy.integrated and "lif1" not in nodes  # the readout is then the integral
-    nodes["readout"] = _readout(integral if alone else _array(policy.gamma), dt)
+    nodes["readout"] = _readout(policy, integral if alone else _array(policy.gamma), dt)
     nodes["action"] = nir.Affine(np.eye(policy.actions), _array(policy.action_bias))
     nodes["output"] = nir.Output({"output": np.array([policy.actions])})
     edges += [("readout", "action"), ("action", "output")]
     return nir.NIRGraph(nodes, edges)
 
 
-def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF:
-    """Return the hidden neurons; the bias is their resting membrane."""
+def hidden_node(policy: DeltaSnnPolicy) -> str:
+    """Return the name of the hidden neurons' node."""
+    return "sd1" if isinstance(policy, DeltaMlpPolicy) else "lif1"
+
+
+def _spike(policy: DeltaSnnPolicy) -> Tensor:
+    """Return what a spike of each hidden neuron (H,) stands for."""
+    if isinstance(policy, DeltaMlpPolicy):
+        return policy.threshold
+    return torch.ones_like(policy.bias)
+
+
+def _sigma_delta(policy: DeltaSnnPolicy) -> dict[str, SigmaDelta]:
+    live = live_neurons(policy)
+    return {"sd1": SigmaDelta(_array(_spike(policy)[live]), _array(policy.bias[live]))}
+
+
+def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | nir.I:
+    """Return the hidden neurons; the bias of LIF neurons is their resting membrane."""
+    if isinstance(policy, DeltaMlpPolicy):
+        return nir.I(np.full(int(live.sum()), 1 / dt))
     beta, bias = _array(policy.beta[live]), _array(policy.bias[live])
     # tau = dt / (1 - decay) ; gains of 1 ; V = beta V + I + (1 - beta) v_leak
     tau_mem, tau_syn = dt / (1 - beta), np.full(beta.size, dt / (1 - policy.current_decay))
@@ -133,7 +161,9 @@ def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF:
     )
 
 
-def _readout(decay: Array, dt: float) -> nir.LI:
+def _readout(policy: DeltaSnnPolicy, decay: Array, dt: float) -> nir.LI | nir.I:
+    if isinstance(policy, DeltaMlpPolicy):
+        return nir.I(np.full(policy.actions, 1 / dt))
     tau = dt / (1 - decay)
     return nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
 

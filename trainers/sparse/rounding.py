@@ -12,7 +12,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import DeltaSnnPolicy
+from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.delta_graph import delta_artifact, live_neurons
 
 Array = NDArray[np.float64]
@@ -44,6 +44,8 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     for before, after in zip(exact.layers, rounded.layers, strict=True):
         for name, source, error in _errors(exact, before, after, target):
             added = _per_observation(policy, error) if source == exact.input else error
+            if name == "out" and isinstance(policy, DeltaMlpPolicy):  # by what a spike counts
+                added = added / policy.threshold[hidden].double().numpy()[:, None]
             rows = hidden if name == "into" else torch.arange(policy.actions)
             columns = hidden if name == "out" else torch.arange(policy.observations)
             offsets[name][rows[:, None], columns[None]] = torch.from_numpy(added.T).float()

@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.policies import DeltaSnnPolicy, from_config
+from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, from_config
 from spikedeploy.trainers.policies.normaliser import Moments
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
@@ -31,7 +31,7 @@ from spikedeploy.trainers.sparse.phases import phases
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, load_walks, save_walks
 from spikedeploy.trainers.sparse.pruning import operations
 from spikedeploy.trainers.sparse.rounding import check_rounding, rounding_offsets
-from spikedeploy.trainers.sparse.steps import binary_columns, retuned
+from spikedeploy.trainers.sparse.steps import binary_columns, retuned, tuned_thresholds
 from spikedeploy.trainers.sparse.students import DeltaStudent, student
 
 _TRAINING_SEEDS = 5_000  # validation and evaluation are above
@@ -110,6 +110,7 @@ class Sparse(Runner[SparseConfig]):
             self._collect(Stateless(self._noisy), config.noisy_walks)
         self._fit()
         self._student.prepare(self.pool)
+        self._set_thresholds()
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         if self.updates == self._phases[self.phase].end:
@@ -145,10 +146,17 @@ class Sparse(Runner[SparseConfig]):
         if self._retunes and isinstance(self.policy, DeltaSnnPolicy):
             step = retuned(self.policy, self.pool, self._binary, self._config)
             self.policy.step.copy_(torch.from_numpy(step))
+        self._set_thresholds()
         self._student.prepare(self.pool)
         self.phase += 1
         self.start = operations(self._student.synapses())
         self.learner.restart()
+
+    def _set_thresholds(self) -> None:
+        """Set the thresholds of a delta network by the walks that are encoded."""
+        if isinstance(self.policy, DeltaMlpPolicy):
+            found = tuned_thresholds(self.policy, self.pool, self._config)
+            self.policy.threshold.copy_(found)
 
     # walks
 

@@ -1,16 +1,21 @@
-"""Steps of the delta encoder, by how much each observation matters and how often it moves."""
+"""Steps of the delta encoder, by how much each observation matters and how often it moves.
+
+Thresholds of a delta network, by how much each neuron's activation varies.
+"""
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from spikedeploy.trainers.policies import DeltaSnnPolicy
+from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import WalkPool
 
 _WINDOWS = 256  # on which sensitivities are measured
 _PROJECTIONS = 8
 _SMALLEST, _LARGEST = 0.1, 4.0  # steps [standard deviations]
+_STILL = 1e-3  # standard deviation of an activation that hardly varies
 _SAMPLE = 20_000  # states that show whether an observation is binary
 
 
@@ -43,6 +48,20 @@ def retuned(
     wanted *= config.step / np.exp(np.log(wanted).mean())
     step[chosen] = np.clip(wanted, _SMALLEST, _LARGEST)
     return step
+
+
+@torch.no_grad()
+def tuned_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConfig) -> Tensor:
+    """Return thresholds (H,), the policy's share of the standard deviation of each activation.
+
+    That of a neuron whose activation hardly varies stays as it is.
+    """
+    batch = pool.sample(
+        np.random.default_rng(0), _WINDOWS, config.window, config.burn_in, 0.0, 0.0, 1
+    )
+    seen = batch.seen[:, config.burn_in :]
+    spread = torch.relu(seen @ policy.into().T + policy.bias).std((0, 1))
+    return torch.where(spread > _STILL, policy.share * spread, policy.threshold)
 
 
 def _sensitivity(

@@ -12,13 +12,21 @@ from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers,
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import decay
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.bounds import with_headroom
-from spikedeploy.runtime.families.cuba.neurons import CubaRegisters, arriving, update
+from spikedeploy.runtime.families.cuba.neurons import (
+    CubaRegisters,
+    arriving,
+    sigma_delta,
+    update,
+)
 from spikedeploy.runtime.families.cuba.quantise import quantise
 from spikedeploy.runtime.families.cuba.readouts import range_of
 
 # from rounded weights to the chip, each with those before it
 _ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
+# of lava's neurons
+_GRADED_BITS = 24
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
     ) -> Sequence[Layer]:
         """The float layers as integers, with as much headroom as is asked for."""
         if quantisation.headroom == "proven":
+            _refuse_graded(network)
             return with_headroom(self, network, quantisation, timesteps)
         return [quantise(layer, self, quantisation) for layer in network.layers]
 
@@ -74,7 +83,9 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
         timesteps: T of an inference; None where it is not known, or states are kept.
         """
-        return [found for layer in layers if (found := range_of(layer, self, timesteps))]
+        drifts = not any(layer.graded for layer in layers)
+        found = [range_of(layer, self, timesteps, drifts) for layer in layers]
+        return [sentence for sentence in found if sentence]
 
     def update(
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
@@ -120,6 +131,36 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         """Neurons, weights and membrane in a few words each."""
         signs = "with the sign" if self.sign_mode == "mixed" else "and sign"
         return Description("CuBa-LIF", f"{self.weight_bits} bits {signs}", self.membrane.describe())
+
+
+@dataclass(frozen=True)
+class CubaGradedSpikes(CubaFixedPoint):
+    """The same where neurons can also be sigma-delta neurons, which send graded spikes.
+
+    Of 24 bits with the sign, as lava keeps them (lava-nc 0.10.0, proc.sdn, source read); 32 by
+    public statements on Loihi 2 (Orchard et al. 2021, IEEE SiPS). That the chip's microcode counts
+    thresholds is derived, and measured on no board.
+    """
+
+    graded_bits: ClassVar[int | None] = _GRADED_BITS
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        if layer.graded:
+            weights = arriving(layer, presynaptic)
+            return sigma_delta(self, _GRADED_BITS, layer, weights, state)
+        return super().update(network, layer, presynaptic, state)
+
+
+def _refuse_graded(network: Network) -> None:
+    for layer in network.layers:
+        if layer.graded:
+            raise RuleError(
+                f"rule headroom: layer {layer.name!r}: nothing bounds its graded spikes, so no "
+                "scale is proven to hold their sums. Choose headroom 'none'."
+            )
 
 
 def _one_step_later(states: NDArray[Any]) -> NDArray[Any]:

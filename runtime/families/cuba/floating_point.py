@@ -22,7 +22,11 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, rounded
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
-from spikedeploy.runtime.families.cuba.neurons import arriving, float_update
+from spikedeploy.runtime.families.cuba.neurons import (
+    arriving,
+    float_sigma_delta,
+    float_update,
+)
 
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -43,6 +47,8 @@ class CubaFloat64(ArithmeticDefaults):
     spikes_max: ClassVar[int] = 1
     weight_bits: ClassVar[int] = 32
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)
+    # whole numbers that float64 holds
+    graded_bits: ClassVar[int | None] = 53
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
         """Take any choice, since nothing is rounded."""
@@ -62,7 +68,10 @@ class CubaFloat64(ArithmeticDefaults):
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
     ) -> StepResult:
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
-        return float_update(network.convention, layer, arriving(layer, presynaptic), state)
+        weights = arriving(layer, presynaptic)
+        if layer.graded:
+            return float_sigma_delta(layer, weights, state)
+        return float_update(network.convention, layer, weights, state)
 
     def before_reset(
         self,

@@ -22,7 +22,7 @@ from spikedeploy.runtime.chips.limits import (
     SynapticMemory,
 )
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint, CubaGradedSpikes
 
 LAVA = "lava-nc 0.10.0, bit-accurate LIF and Dense models (source read, traces equal)"
 NENGO = "nengo-loihi 1.1.0, emulator and discretisation (source read)"
@@ -222,6 +222,8 @@ LOIHI2 = replace(
     LOIHI1,
     name="loihi2",
     summary="Loihi 2 with its default neuron, which computes as Loihi 1's does",
+    # sigma-delta neurons besides
+    arithmetic=CubaGradedSpikes(**vars(_LAVA)),
     energy_tables=(),  # no public energy per operation
     limits=_LIMITS2,
     membrane_output="graded",

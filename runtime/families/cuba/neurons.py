@@ -1,6 +1,8 @@
 """CuBa-LIF neurons: the registers that hold them in integers, and one timestep.
 
 `update` and `float_update` are the specification that everything fast is tested to equal.
+Sigma-delta neurons (runtime.graph.sigma_delta), which the interpreter alone runs, have the same
+registers.
 """
 
 from collections.abc import Sequence
@@ -170,3 +172,54 @@ def _fire(
     state.refractory = np.where(spikes, refractory - 1, np.maximum(state.refractory - 1, 0))
     active = (before != 0) | (current != 0) | (layer.voltage_bias != 0)
     return StepResult(spikes, active, overflows)
+
+
+def float_sigma_delta(layer: Layer, weights: Numbers, state: LayerState) -> StepResult:
+    """Advance sigma-delta neurons by one timestep in floats; weights (B, N) arrive in it.
+
+        sigma = sigma + W g ;  a = max(sigma + b, 0) ;  d = a - q theta
+        k = sign(d) floor(|d| / theta + 1/2) where |d| >= theta, else 0 ;  q = q + k
+
+    k, a signed whole number, is sent; the weights behind the layer count it in thresholds theta.
+    """
+    before = state.membrane
+    state.current, state.membrane = weights, before + weights
+    # e = max(sigma + b, 0) / theta - q
+    apart = np.maximum(state.membrane + layer.voltage_bias, 0) / layer.threshold - state.sent
+    far = np.abs(apart)
+    graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0).astype(np.int64)
+    return _sent(layer, before, state, graded, np.zeros(before.shape, np.int64))
+
+
+def sigma_delta(
+    registers: CubaRegisters, bits: int, layer: Layer, weights: Numbers, state: LayerState
+) -> StepResult:
+    """The same in integers, each as its register holds it; a graded spike has so many bits.
+
+    lava's neurons send where |d| >= vth too (lava-nc 0.10.0, proc.sdn: the corrected fixed-point
+    model; source read), in units of 2**state_exp, rounded down, and keep sigma and what they send
+    in 24 bits. The unit here is theta: a multiplication by 1 / theta, which no public source shows.
+    """
+    before = state.membrane
+    drive, lost = registers.accumulator.fit_counted(weights << registers.mantissa_shift)
+    state.current = drive
+    state.membrane, clipped = registers.membrane.fit_counted(before + drive)
+    activation, pushed = registers.push.fit_counted(state.membrane + layer.voltage_bias)
+    apart = np.maximum(activation, 0) - state.sent * layer.threshold
+    far = np.abs(apart)
+    # floor(|d| / theta + 1/2) = (2 |d| + theta) // (2 theta)
+    whole = (2 * far + layer.threshold) // (2 * layer.threshold)
+    graded = np.where(far >= layer.threshold, np.sign(apart) * whole, 0)
+    most = (1 << (bits - 1)) - 1
+    held = np.clip(graded, -most, most)
+    overflows = lost + clipped + pushed + (held != graded)
+    return _sent(layer, before, state, held, overflows)
+
+
+def _sent(
+    layer: Layer, before: Numbers, state: LayerState, graded: Numbers, overflows: Numbers
+) -> StepResult:
+    """The end of a timestep: what is sent is remembered."""
+    state.sent = state.sent + graded
+    active = (before != 0) | (state.current != 0) | (layer.voltage_bias != 0)
+    return StepResult(graded, active, overflows)

@@ -131,9 +131,7 @@ def quantise(
         synapses=tuple(_synapses(s, scale, registers, rounding, exponent) for s in layer.synapses),
         bias=_weights(layer.bias, scale, registers, rounding) << exponent,
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
-        threshold=_threshold(tuned, scale, registers, rounding) * one
-        if layer.spiking
-        else np.full(layer.size, NEVER),
+        threshold=_thresholds(tuned, scale, registers, rounding, one),
         current_decay=_decay_factor(layer, "current", registers, rounding),
         membrane_decay=_decay_factor(layer, "membrane", registers, rounding),
         scale=layer.scale / (scale * one),
@@ -186,6 +184,17 @@ def _weights(
     """Multiples of the chip's weight step; what a clip ratio above 1 sends further is clipped."""
     steps = rounded(weights * scale / registers.weight_step, rounding)
     return np.clip(steps * registers.weight_step, -registers.weight_max, registers.weight_max)
+
+
+def _thresholds(
+    layer: Layer, scale: Scale, registers: CubaRegisters, rounding: Rounding, one: int
+) -> Integers:
+    """Thresholds [state units], of which mantissas are `one` apart."""
+    if not layer.spiking:
+        return np.full(layer.size, NEVER)
+    if layer.graded:  # a state of the neuron's program, not a mantissa
+        return np.maximum(rounded(layer.threshold * scale * one, rounding), 1)
+    return _threshold(layer, scale, registers, rounding) * one
 
 
 def _threshold(

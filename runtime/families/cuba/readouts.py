@@ -55,17 +55,22 @@ def exponent_and_share(
     return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
 
 
-def range_of(layer: Layer, registers: CubaRegisters, timesteps: int | None) -> str:
+def range_of(
+    layer: Layer, registers: CubaRegisters, timesteps: int | None, drifts: bool = True
+) -> str:
     """What registers hold of a quantised layer, in a sentence; "" where that is all, or it leaks.
 
     Of layers that spike the current is looked at, where it hardly leaks: thresholds bound the rest.
+    Nothing bounds what sigma-delta neurons add up. A graded spike counts as one, so that net spikes
+    are those of the level that a source has sent.
 
     timesteps: T of an inference; None is a state that is never reset.
+    drifts: whether `spikedeploy drift` takes the network.
     """
     one = float(registers.decay_one)
     current, membrane = layer.current_decay / one, layer.membrane_decay / one
     states = [registers.current.limit, registers.push.limit, registers.membrane.limit]
-    if layer.spiking:
+    if layer.spiking and not layer.graded:
         if current.max() < 1 - _SLOW:
             return ""
         membrane, states = 0 * membrane, states[:2]
@@ -79,17 +84,20 @@ def range_of(layer: Layer, registers: CubaRegisters, timesteps: int | None) -> s
     if _most(proven) <= held:
         return ""
     room = np.divide(held - bias, each, out=np.full(layer.size, np.inf), where=each > 0)
-    kind = "layer" if layer.spiking else "readout"
+    look = "; `spikedeploy drift` shows what recorded inputs fill" if drifts else ""
+    kind = "sigma-delta layer" if layer.graded else "layer" if layer.spiking else "readout"
     return (
         f"{kind} {layer.name!r}: its leaks do not bound what it adds up; its registers hold "
         f"{max(int(min(room.min(), _MANY)), 0)} net spikes over a heaviest synapse (the ledger "
-        "counts saturations; `spikedeploy drift` shows what recorded inputs fill)"
+        f"counts saturations{look})"
     )
 
 
 def _biased(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Floats:
     """What the biases (N,) add up to; without a leak over _LONG timesteps."""
-    pushed = np.abs(layer.voltage_bias) / np.maximum(1 - membrane, 1 / _LONG)
+    # sigma-delta neurons add it once, when they read sigma
+    kept = 1 - membrane if not layer.graded else np.ones(layer.size)
+    pushed = np.abs(layer.voltage_bias) / np.maximum(kept, 1 / _LONG)
     return np.asarray(
         np.abs(layer.bias) * unit * np.minimum(_steady(current, membrane), _LONG) + pushed
     )

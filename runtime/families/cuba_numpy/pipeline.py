@@ -107,6 +107,11 @@ class NumpyPipeline:
     def obstacle(program: Program) -> str | None:
         """Why it cannot compute the program."""
         for layer in program.layers:
+            if layer.graded:
+                return (
+                    f"layer {layer.name!r}: its sigma-delta neurons send graded spikes, which only "
+                    "the interpreter supports."
+                )
             if any(synapses.shift for synapses in layer.synapses):
                 return (
                     f"layer {layer.name!r}: its weights have a negative exponent, by which "

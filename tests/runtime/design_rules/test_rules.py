@@ -21,6 +21,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.design_rules.table import COMPILER_RULES, NODE_RULES, RULES, judged
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
+from tests.graded import one_neuron
 from tests.networks import chain, cuba, graph, lif, popsan
 from tests.paths import ROOT
 from tests.runtime.graph.test_generated_graphs import graphs
@@ -155,6 +156,8 @@ BOUNDARIES = [
     ("reset", "loihi1", one(), one(reset="subtract")),
     ("reset", "xylo-imu", one(reset="subtract"), one()),
     ("reset", "loihi2", reset_to(0.0), reset_to(0.1)),
+    ("graded", "loihi2", one_neuron(), None),
+    ("graded", "loihi1", one(), one_neuron()),
     ("neurons", "xylo-a2", xylo(hidden=500), xylo(hidden=501)),
     ("neurons", "xylo-a3", xylo(hidden=496), xylo(hidden=497)),
     ("neurons", "xylo-imu", xylo(hidden=248), xylo(hidden=249)),

@@ -261,6 +261,7 @@ NAMES = {
     "spike_out": "SPIKE_OUT",
     "message": "MESSAGE",
     "saturation": "SATURATION",
+    "graded_sop": "GRADED_SOP",
 }
 
 

@@ -1,0 +1,221 @@
+"""Sigma-delta neurons on `ideal` and Loihi 2."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.analysis.drift import drift
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import MachinePool
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.metrics.energy import energy, energy_table
+from spikedeploy.runtime.metrics.host_work import host_work
+from spikedeploy.runtime.metrics.neurobench import neurobench
+from tests.graded import GRADED, INPUT, OUTPUT, SIGMA, delta_network, one_neuron, rasters
+
+GRADED_CHIPS = ("ideal", "loihi2")
+
+
+def on(artifact, name, batch=1, **options):
+    return Machine(compile_program(artifact, chip(name)), batch, **options)
+
+
+def test_a_neuron_on_ideal_by_hand():
+    machine = on(one_neuron(), "ideal", trace=True)
+    assert machine.infer(INPUT)[0, :, 0].tolist() == OUTPUT
+    seen = machine.recordings["sd1"]
+    assert seen.spikes[0, :, 0].tolist() == GRADED
+    assert seen.membrane[0, :, 0].tolist() == SIGMA
+
+
+@pytest.mark.parametrize("hidden", [(10,), (10, 6)])
+@pytest.mark.parametrize("state", ["kept", "reset"])
+def test_ideal_equals_the_float_graph(hidden, state):
+    artifact = delta_network(hidden=hidden, state=state)
+    raster = rasters()
+    machine = on(artifact, "ideal", 3, trace=True)
+    trace = FloatGraph(artifact).run(raster)
+    np.testing.assert_allclose(machine.infer(raster), trace["output"], atol=1e-12)
+    for name in artifact.sigma_delta:
+        np.testing.assert_array_equal(machine.recordings[name].spikes, trace[name])
+    assert min(trace["sd1"].min(), -trace["sd1"].max()) < -1  # signed, and more than one
+
+
+@pytest.mark.parametrize("name", GRADED_CHIPS)
+def test_parts_steps_and_batches_equal_the_whole(name):
+    artifact, raster = delta_network(), rasters()
+    whole = on(artifact, name, 3).infer(raster)
+    parts = on(artifact, name, 3)
+    found = [parts.infer(raster[:, at : at + 10]) for at in range(0, 40, 10)]
+    np.testing.assert_allclose(np.concatenate(found, 1), whole, atol=1e-12)
+    for k in range(3):
+        np.testing.assert_allclose(on(artifact, name).infer(raster[k : k + 1])[0], whole[k])
+    # a step is as late as the layers that it passes
+    stepped = on(artifact, name, 3)
+    late = sum(layer.start for layer in stepped.program.layers[-1:])
+    rows = [stepped.step(row) for row in np.moveaxis(raster, 1, 0)]
+    np.testing.assert_allclose(np.stack(rows[late:], 1), whole[:, : 40 - late], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", GRADED_CHIPS)
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
+def test_a_copy_goes_on_as_the_original_does(name, copied):
+    raster = rasters()
+    machine = on(delta_network(), name, 3)
+    machine.infer(raster[:, :20])
+    other = copied(machine)
+    first = machine.infer(raster[:, 20:])
+    np.testing.assert_array_equal(other.infer(raster[:, 20:]), first)
+    machine.reset()
+    np.testing.assert_array_equal(machine.infer(raster), on(delta_network(), name, 3).infer(raster))
+    np.testing.assert_array_equal(machine.ledger.counts[:6], other.ledger.counts)
+
+
+def test_the_ledger_counts_messages_and_multiplications_by_hand():
+    machine = on(one_neuron(), "ideal")
+    machine.infer(INPUT)
+    ledger = machine.ledger
+    # 4 input spikes with a fan-out of 1; 3 graded spikes, of 3, -2 and -1, with a fan-out of 1
+    assert ledger.by_layer("sop") == {"sd1": 4, "readout": 3}
+    assert ledger.by_layer("graded_sop") == {"sd1": 0, "readout": 3}
+    assert ledger.by_layer("spike_out") == {"sd1": 3, "readout": 0}
+    # 3 of the 5 neuron-timesteps were not silent
+    assert ledger.sparsity == pytest.approx(2 / 5)
+    # of 7 synaptic operations 3 multiply: they cost what a multiply-accumulate does
+    plain = replace(ledger, counts=ledger.counts.copy())
+    plain.counts[:, :, EVENTS.index("graded_sop")] = 0
+    table = energy_table("horowitz45-int8")
+    more = 3 * (table.joules["mac"] - table.joules["sop"])
+    assert energy(ledger, table) - energy(plain, table) == pytest.approx(more)
+    # a table that has no price for them takes each for a synaptic operation
+    assert energy(ledger, energy_table("davies2018")) == energy(plain, energy_table("davies2018"))
+
+
+def test_the_float_twin_counts_as_ideal_does():
+    artifact, raster = delta_network(hidden=(10, 6)), rasters()
+    twin, machine = FloatMachine(artifact), on(artifact, "ideal", 3)
+    twin.infer(raster)
+    machine.infer(raster)
+    for event in ("sop", "graded_sop", "spike_out", "message"):
+        assert twin.ledger.by_layer(event) == machine.ledger.by_layer(event)
+
+
+@pytest.mark.parametrize("name", sorted(set(CHIPS) - {"ideal", "loihi2"}))
+@pytest.mark.parametrize("limits", [True, False])
+def test_other_chips_refuse_by_the_rule(name, limits):
+    with pytest.raises(RuleError, match=r"rule (graded|reset|convention)"):
+        compile_program(one_neuron(), chip(name), limits=limits)
+
+
+@pytest.mark.parametrize("backend", ["numpy", "auto"])
+def test_backends_without_kernels_fall_back_to_the_interpreter(backend):
+    raster = rasters()
+    outputs = [
+        on(delta_network(), "ideal", 3, backend=each).infer(raster)
+        for each in (backend, "interpreter")
+    ]
+    np.testing.assert_array_equal(*outputs)
+
+
+def test_a_pool_runs_any_batch():
+    program = compile_program(delta_network(state="reset"), chip("ideal"))
+    raster = rasters(70, 12)
+    pool = MachinePool(program, trace=True)
+    np.testing.assert_allclose(pool.infer(raster)[65:], Machine(program, 5).infer(raster[65:]))
+    assert pool.recordings["sd1"].spikes.dtype == np.int64
+
+
+def test_a_neuron_on_loihi2_by_hand():
+    program = compile_program(one_neuron(), chip("loihi2"))
+    layer = program.layer("sd1")
+    # 255 for the weight of 1, and -128 for -1/2 (-127.5, half to even); a state unit is 1 / 16320:
+    # threshold 1/2 and bias 1/4 are 8160 and 4080, which is 4080 * 2**0
+    assert layer.synapses[0].weight[:, 0].tolist() == [255, -128]
+    assert (layer.threshold[0], layer.voltage_bias[0]) == (8160, 4080)
+    machine = Machine(program, trace=True)
+    output = machine.infer(INPUT)
+    seen = machine.recordings["sd1"]
+    # sigma  16320  16320   8128    -64   -8256
+    # a      20400  20400  12208   4016       0
+    # d      20400  -4080 -12272  -4144   -8160      of q  0  3  3  1  1
+    # k      floor(2.5 + 0.5) = 3, 0, -floor(1.504 + 0.5) = -2, 0, -1
+    assert seen.membrane[0, :, 0].tolist() == [16320, 16320, 8128, -64, -8256]
+    assert seen.spikes[0, :, 0].tolist() == GRADED
+    np.testing.assert_allclose(output[0, :, 0], OUTPUT)
+
+
+def test_loihi2_stays_near_the_float_graph():
+    artifact, raster = delta_network(hidden=(10, 6)), rasters()
+    program = compile_program(artifact, chip("loihi2"))
+    machine = Machine(program, 3, trace=True)
+    output, trace = machine.infer(raster), FloatGraph(artifact).run(raster)
+    levels = np.cumsum(machine.recordings["sd2"].spikes, 1), np.cumsum(trace["sd2"], 1)
+    assert np.abs(levels[0] - levels[1]).max() <= 1  # a threshold apart at most
+    assert np.abs(output - trace["output"]).max() < 0.1 * np.abs(trace["output"]).max()
+    assert not machine.ledger.total("saturation")
+
+
+def test_a_graded_spike_that_is_too_large_is_clipped_and_counted():
+    artifact = one_neuron()
+    program = compile_program(artifact, chip("loihi2"))
+    narrow = replace(program.layer("sd1"), threshold=np.array([1]))
+    layers = tuple(narrow if layer.graded else layer for layer in program.layers)
+    machine = Machine(replace(program, layers=layers), trace=True)
+    # 1,000 spikes of 16320 fill sigma's 24 bits, and each of them sends all of it
+    rows = np.zeros((1, 1000, 2), np.uint8)
+    rows[:, :, 0] = 1
+    machine.infer(rows)
+    assert machine.recordings["sd1"].membrane.max() == (1 << 23) - 1
+    assert machine.ledger.by_layer("saturation")["sd1"] > 0
+
+
+def test_compile_says_what_sigma_can_hold():
+    program = compile_program(one_neuron(), chip("loihi2"))
+    # 24 bits of sigma, less the bias of 4080, over 255 * 64: (8388607 - 4080) / 16320
+    (found,) = (remark for remark in program.remarks if "sigma-delta layer 'sd1'" in remark)
+    assert "hold 513 net spikes" in found
+    assert not any("drift" in remark for remark in program.remarks)
+
+
+def test_a_proven_headroom_is_refused():
+    with pytest.raises(RuleError, match="rule headroom"):
+        compile_program(one_neuron(), chip("loihi2"), Quantisation(headroom="proven"))
+
+
+def test_the_host_multiplies_weights_by_graded_spikes():
+    program = compile_program(one_neuron(), chip("loihi2:membrane_output=none"))
+    assert program.layers[0].graded  # stays on the chip, which has no readout now
+    machine = Machine(program, trace=True)
+    np.testing.assert_allclose(machine.infer(INPUT)[0, :, 0], OUTPUT)
+    spikes = {"input": INPUT, "sd1": machine.recordings["sd1"].spikes}
+    # 3 graded spikes, a weight each; the readout has neither decay factors nor a bias
+    assert (host_work(program, spikes).multiplications, host_work(program, spikes).additions) == (
+        3,
+        3,
+    )
+
+
+def test_graded_spikes_are_multiply_accumulates_for_neurobench():
+    artifact = one_neuron()
+    program = compile_program(artifact, chip("ideal"))
+    machine = Machine(program, trace=True)
+    machine.infer(INPUT)
+    spikes = {"input": INPUT, "sd1": machine.recordings["sd1"].spikes}
+    found = neurobench(artifact.graph, program, spikes)
+    # 3 and -2 multiply, -1 does not; 3 spikes of the input
+    assert (found.effective_macs, found.effective_acs) == (2, 1 + 4)
+    assert found.activation_sparsity == pytest.approx(2 / 5)
+
+
+def test_drift_says_that_it_does_not_compare_graded_spikes():
+    with pytest.raises(ConfigError, match=r"sd1.*graded.*spikedeploy compare"):
+        drift(one_neuron(), chip("loihi2"), INPUT)
