@@ -130,5 +130,5 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
         settings = super().spec()
-        del settings["current_decay"], settings["surrogate_width"]
+        del settings["current_decay"], settings["surrogate_width"], settings["integrated"]
         return {**settings, "threshold": self.share}
