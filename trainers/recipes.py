@@ -246,14 +246,14 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
         (env, student): settings
         for env in _KART_ENVS
         for student, settings in {
-            "sparse": {"budget": 28, "levels": [45, 35], "policy": {"most": 4, "integrated": True}},
-            "sparse-linear": {"budget": 10, "levels": [20, 14], "policy": {"most": 4}},
+            "sparse": {"budget": 28, "levels": [45, 35], "policy": {"integrated": True}},
+            "sparse-linear": {"budget": 10, "levels": [20, 14]},
             "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
             "small-linear": {"budget": 30, "levels": [60, 40]},
             "delta-mlp": {
                 "budget": 25,
                 "levels": [60, 40, 32],
-                "policy": {"hidden": 8, "most": 4},
+                "policy": {"hidden": 8},
                 "chip": "loihi2",
             },
         }.items()

@@ -1,6 +1,14 @@
-"""Rounding in training: what a chip's own quantiser makes of a policy's weights."""
+"""Rounding in training: what a chip's own quantiser makes of a policy's weights.
+
+The channels of an observation must weigh exactly 1, 2 ... K times the same integer. Rounded each by
+itself, three events up and one event down three times would not cancel, and currents that hardly
+decay would drift away from the observation. So the weight of one event is rounded, and a policy
+with rounded weights has multiples of it on all channels, which the quantiser then leaves as they
+are: its scale is that of the largest weight, which is 255 on Loihi and a multiple of K for 3 and 5.
+"""
 
 from collections.abc import Iterator
+from copy import deepcopy
 
 import numpy as np
 import torch
@@ -12,7 +20,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
+from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy
 from spikedeploy.trainers.policies.delta_graph import delta_artifact, live_neurons
 
 Array = NDArray[np.float64]
@@ -31,8 +39,7 @@ def check_rounding(target: Chip) -> None:
 def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     """Return what rounding adds to the weights of `into`, `out` and `past`, by name, each (N, M).
 
-    The channels of an observation are rounded apart, each by its own error; an observation takes
-    their mean error for one event.
+    That of an observation is the error of the channel of one event.
     """
     artifact = delta_artifact(policy)
     exact = compile_program(artifact, chip("ideal"), limits=False)
@@ -53,6 +60,22 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     return {name: added * getattr(policy, name).mask for name, added in offsets.items()}
 
 
+@torch.no_grad()
+def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
+    """Return the policy with the weights that the chip holds; a float policy as it is.
+
+    rounding: whether they are rounded; those that round to 0 are taken out
+    """
+    if not rounding or not isinstance(policy, DeltaSnnPolicy):
+        return policy
+    copy = deepcopy(policy)
+    for name, added in rounding_offsets(policy, target).items():
+        matrix = getattr(copy, name)
+        matrix.weight += added
+        matrix.mask *= matrix.weight != 0
+    return copy
+
+
 def _errors(
     program: Program, before: Layer, after: Layer, target: Chip
 ) -> Iterator[tuple[str, str, Array]]:
@@ -64,10 +87,6 @@ def _errors(
 
 
 def _per_observation(policy: DeltaSnnPolicy, error: Array) -> Array:
-    """Mean error (obs, N) of one event of each observation, from those of its channels (M, N)."""
-    k = np.arange(1, policy.most + 1)
-    each = k if policy.code == "one-hot" else np.ones_like(k)
-    signed = np.concatenate([each, -each])[None, :, None]
-    channels = error.reshape(policy.observations, len(signed[0]), -1)
-    moved = policy.step.double().numpy()[:, None]
-    return np.asarray((channels / signed).mean(axis=1) / moved)
+    """Error (obs, N) of one event of each observation, from those of all channels (M, N)."""
+    first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
+    return np.asarray(first / policy.step.double().numpy()[:, None])

@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, from_config
+from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
 from spikedeploy.trainers.policies.normaliser import Moments
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
@@ -30,7 +30,7 @@ from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
 from spikedeploy.trainers.sparse.phases import phases
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, load_walks, save_walks
 from spikedeploy.trainers.sparse.pruning import operations
-from spikedeploy.trainers.sparse.rounding import check_rounding, rounding_offsets
+from spikedeploy.trainers.sparse.rounding import check_rounding, deployed, rounding_offsets
 from spikedeploy.trainers.sparse.steps import binary_columns, retuned, tuned_thresholds
 from spikedeploy.trainers.sparse.students import DeltaStudent, student
 
@@ -207,8 +207,11 @@ class Sparse(Runner[SparseConfig]):
         first = self._config.validation.first_seed
         return list(range(first, first + self._config.validation.episodes))
 
+    def _deployed(self) -> Policy:
+        return deployed(self.policy, self._chip, self._config.rounding)
+
     def _evaluate(self) -> dict[str, float]:
-        controller = on_chip(self.policy, self._chip)
+        controller = on_chip(self._deployed(), self._chip)
         _, returns, infos = self._episodes.play(self._validation_seeds, controller)
         row = {
             "eval_return": float(np.mean(returns)),
@@ -228,10 +231,10 @@ class Sparse(Runner[SparseConfig]):
         row = self._evaluate()
         name = f"ops-{phase.last:g}"
         if row["eval_return"] >= self._best_of(name):
-            self._run.save(name, self.policy, {**self._counters(), **row})
+            self._run.save(name, self._deployed(), {**self._counters(), **row})
         if phase.last == self._config.budget and row["eval_return"] >= self.best:
             self.best = row["eval_return"]
-            self._run.save("best", self.policy, {**self._counters(), **row})
+            self._run.save("best", self._deployed(), {**self._counters(), **row})
         return row
 
     def _best_of(self, name: str) -> float:

@@ -24,6 +24,7 @@ from spikedeploy.trainers.sparse.collect import Episodes
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.on_chip import on_chip
 from spikedeploy.trainers.sparse.pool import WalkPool
+from spikedeploy.trainers.sparse.rounding import deployed
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.sparse_ppo.learner import SparsePpoLearner
 
@@ -81,7 +82,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self._first = {**self._evaluate(), "eval_gain": 0.0}
         self.start_return = self.best = self._first["eval_return"]
         self.allowed = max(self._source.budget, self._first["eval_operations"])
-        self._run.save("best", self.policy, {**self._counters(), **self._first})
+        self._run.save("best", self._deployed(), {**self._counters(), **self._first})
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         config, learner = self._config, self.learner
@@ -103,10 +104,13 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self.iterations += 1
         return True
 
+    def _deployed(self) -> Policy:
+        return deployed(self.policy, self._chip, self._source.rounding)
+
     def _evaluate(self) -> dict[str, float]:
         first = self._config.validation.first_seed
         seeds = range(first, first + self._config.validation.episodes)
-        controller = on_chip(self.policy, self._chip)
+        controller = on_chip(self._deployed(), self._chip)
         walks, returns, infos = self._episodes.play(seeds, controller, self._teacher.act_all)
         pool = WalkPool()
         pool.add(walks)
@@ -125,7 +129,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         row = self._evaluate()
         if row["eval_return"] > self.best and row["eval_operations"] <= self.allowed:
             self.best = row["eval_return"]
-            self._run.save("best", self.policy, {**self._counters(), **row})
+            self._run.save("best", self._deployed(), {**self._counters(), **row})
         return row
 
     def _report(self, journal: Any, before: int) -> None:  # noqa: ANN401

@@ -6,7 +6,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies.delta_graph import delta_artifact, live_neurons
-from spikedeploy.trainers.sparse.rounding import check_rounding, rounding_offsets
+from spikedeploy.trainers.sparse.rounding import check_rounding, deployed, rounding_offsets
 from tests.delta_policies import delta_policy
 
 
@@ -49,15 +49,31 @@ def test_what_was_taken_out_stays_out():
         assert not added[getattr(policy, name).mask == 0].any()
 
 
-def test_events_of_several_sizes_share_their_mean_error():
-    policy = delta_policy(code="one-hot", hidden=0, left=1.0)
-    added = rounding_offsets(policy, chip("loihi1"))["past"]
-    mantissa = mantissas(policy, "loihi1")["readout", "input"]
-    # channels of +1 to +3 and -1 to -3 events
-    sizes = np.array([1, 2, 3, -1, -2, -3])[None, :, None]
-    each = (mantissa.reshape(5, 6, 2) / sizes).mean(1).T / policy.step.numpy()
-    found = (policy.past() + added).numpy() / each
-    np.testing.assert_allclose(found, np.median(found), rtol=1e-5)
+@pytest.mark.parametrize("shape", [{}, {"hidden": 0}, {"integrated": True}])
+def test_channels_of_a_deployed_policy_weigh_exact_multiples_of_one_event(shape):
+    # so that three events up and one event down three times cancel
+    policy = deployed(delta_policy(code="one-hot", left=1.0, **shape), chip("loihi1"), True)
+    for (_, source), mantissa in mantissas(policy, "loihi1").items():
+        if source == "input":
+            channels = mantissa.reshape(5, 2, 3, -1)
+            for k in (1, 2, 3):
+                np.testing.assert_array_equal(channels[:, 0, k - 1], k * channels[:, 0, 0])
+                np.testing.assert_array_equal(channels[:, 1, k - 1], -k * channels[:, 0, 0])
+
+
+def test_a_deployed_policy_is_what_the_chip_holds():
+    once = deployed(delta_policy(code="one-hot", left=1.0), chip("loihi1"), True)
+    for name, added in rounding_offsets(once, chip("loihi1")).items():
+        np.testing.assert_allclose(added, 0.0, atol=1e-6 * getattr(once, name)().abs().max())
+
+
+def test_weights_that_round_to_zero_are_taken_out():
+    policy = delta_policy(code="one-hot", left=1.0)
+    with torch.no_grad():
+        policy.past.weight[0, 0] = 1e-6
+    assert policy.past.mask[0, 0] == 1
+    assert deployed(policy, chip("loihi1"), True).past.mask[0, 0] == 0
+    assert deployed(policy, chip("loihi1"), False) is policy
 
 
 @pytest.mark.parametrize("target", ["ideal", "xylo-a3"])
