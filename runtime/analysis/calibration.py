@@ -103,7 +103,7 @@ def _layers(artifact: Artifact, on: Chip, quantisation: Quantisation) -> list[st
             "Leave it out."
         )
     program = compile_program(artifact, on, quantisation, limits=False)
-    return [layer.name for layer in program.spiking]
+    return [layer.name for layer in program.layers]
 
 
 def _with_headroom(
