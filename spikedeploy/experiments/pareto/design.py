@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.pareto.training import Training
-from spikedeploy.experiments.pareto.tuning import Tuning
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.runtime.errors import ConfigError
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
@@ -97,14 +97,14 @@ class ParetoDesign:
         """All trainings by imitation, seed by seed, the spiking network of a seed first."""
         return [self._training(s, seed) for seed in range(self.seeds) for s in STUDENTS]
 
-    def tunings(self) -> list[Tuning]:
+    def tunings(self) -> list[RewardTraining]:
         """All trainings with reward, in the order of those by imitation."""
         recipe, settings = f"{self.env}-sparse-tuned", self.tuned_overrides
-        return [Tuning(recipe, training, settings) for training in self.trainings()]
+        return [RewardTraining(recipe, training, settings) for training in self.trainings()]
 
-    def everything(self) -> list[Training | Tuning]:
+    def everything(self) -> list[Training | RewardTraining]:
         """Trainings of both kinds: within a seed first those by imitation."""
-        both: list[Training | Tuning] = [*self.trainings(), *self.tunings()]
+        both: list[Training | RewardTraining] = [*self.trainings(), *self.tunings()]
         return sorted(both, key=lambda training: training.seed)
 
     def _training(self, student: str, seed: int) -> Training:

@@ -15,7 +15,7 @@ from typing import Any
 from spikedeploy.experiments.pareto.design import LAST, LEVELS, ParetoDesign, student_of
 from spikedeploy.experiments.pareto.networks import greedy, network, outcomes
 from spikedeploy.experiments.pareto.training import Training
-from spikedeploy.experiments.pareto.tuning import Tuning
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
@@ -51,7 +51,7 @@ class StoredRow:
 
 
 def rows(
-    design: ParetoDesign, training: Training | Tuning, last: bool, levels: int | None = None
+    design: ParetoDesign, training: Training | RewardTraining, last: bool, levels: int | None = None
 ) -> list[StoredRow]:
     """The rows of a training: of its last levels, or of the last one with few episodes.
 
@@ -64,7 +64,7 @@ def rows(
 
 
 def _row(
-    design: ParetoDesign, training: Training | Tuning, level: str, place: str, last: bool
+    design: ParetoDesign, training: Training | RewardTraining, level: str, place: str, last: bool
 ) -> StoredRow:
     if training.run is None:
         raise ConfigError(f"{training.name} has no run folder")
@@ -109,7 +109,7 @@ def perform(design: Record, name: str, last: bool) -> bool:
     return True
 
 
-def _evaluated(design: ParetoDesign, training: Training | Tuning, row: StoredRow) -> Record:
+def _evaluated(design: ParetoDesign, training: Training | RewardTraining, row: StoredRow) -> Record:
     level, place = row.of["level"], row.of["place"]
     if training.run is None:
         raise ConfigError(f"{training.name} has no run folder")
@@ -183,7 +183,7 @@ def all_rows(design: ParetoDesign) -> Iterator[Record]:
     teacher = teacher_row(design).found
     if teacher is not None:
         yield teacher
-    trainings: list[Training | Tuning] = [*design.trainings(), *design.tunings()]
+    trainings: list[Training | RewardTraining] = [*design.trainings(), *design.tunings()]
     for training in trainings:
         for last in (False, True):
             for row in rows(design, training, last) if training.trained else ():

@@ -11,7 +11,7 @@ from spikedeploy.experiments.pareto import page
 from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import rows, teacher_row
 from spikedeploy.experiments.pareto.training import Training, check
-from spikedeploy.experiments.pareto.tuning import Tuning
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.experiments.workers import Job, JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
@@ -47,7 +47,7 @@ class _Part:
     """
 
     job: Job
-    training: Training | Tuning | None
+    training: Training | RewardTraining | None
     evaluates: bool
     last: bool
     design: ParetoDesign
@@ -111,7 +111,7 @@ def experiment(
     return Outcome(sum(done), len(done), failed, not whole, files)
 
 
-def _progress(job: Job, training: Training | Tuning | None) -> str:
+def _progress(job: Job, training: Training | RewardTraining | None) -> str:
     """A running job, and how far its training is."""
     if training is None or training.run is None:
         return job.name
@@ -140,7 +140,7 @@ def _every_level(design: ParetoDesign) -> Iterator[_Part]:
     yield _Part(teacher, None, True, False, design)
     for training in design.everything():
         after = (training.donor.name,) if training.donor else ()
-        call = f"{_TUNING if isinstance(training, Tuning) else _TRAINING}:perform"
+        call = f"{_TUNING if isinstance(training, RewardTraining) else _TRAINING}:perform"
         job = _job(design, training.name, call, training.arguments(), after)
         yield _Part(job, training, False, False, design)
         yield _evaluation(design, training, last=False)
@@ -151,7 +151,7 @@ def _last_levels(design: ParetoDesign) -> Iterator[_Part]:
         yield _evaluation(design, training, last=True)
 
 
-def _evaluation(design: ParetoDesign, training: Training | Tuning, last: bool) -> _Part:
+def _evaluation(design: ParetoDesign, training: Training | RewardTraining, last: bool) -> _Part:
     arguments = {"design": _of(design), "name": training.name, "last": last}
     name = f"{training.name}: {'last level on chips' if last else 'levels'}"
     job = _job(design, name, f"{_EVALUATION}:perform", arguments, (training.name,))

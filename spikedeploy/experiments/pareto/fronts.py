@@ -11,7 +11,7 @@ import numpy as np
 from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.experiments.pareto.costs import INT8, TERMS, spikes, terms, total
 from spikedeploy.experiments.pareto.design import FLOAT, LABELS, LEVELS, SPIKING, STUDENTS
-from spikedeploy.experiments.pareto.tuning import Tuning
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 
 Record = dict[str, Any]
 
@@ -74,7 +74,7 @@ class Point:
 
 
 def _rewarded(row: Record) -> bool:
-    return row.get("trained_by") == Tuning.trained_by
+    return row.get("trained_by") == RewardTraining.trained_by
 
 
 def teacher_of(rows: Iterable[Record]) -> Record | None:

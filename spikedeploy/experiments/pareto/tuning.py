@@ -18,7 +18,7 @@ _OWN = ("start=", "policy.")  # settings that follow from the training before
 
 
 @dataclass(frozen=True)
-class Tuning:
+class RewardTraining:
     """A training with reward.
 
     recipe     of trainers.recipes, trained by the sparse-ppo algorithm
@@ -151,4 +151,4 @@ def _origin(start: str, runs: Path) -> tuple[str, int] | None:
 
 def perform(recipe: str, start: dict[str, Any], overrides: Sequence[str]) -> bool:
     """Complete the training with these fields; False if it was interrupted."""
-    return complete(Tuning(recipe, Training(**start), overrides))
+    return complete(RewardTraining(recipe, Training(**start), overrides))

@@ -7,7 +7,7 @@ import pytest
 from spikedeploy.experiments.pareto import training, tuning
 from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.training import Training, perform
-from spikedeploy.experiments.pareto.tuning import Tuning
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import train
 from spikedeploy.trainers.run_folder import RunFolder
@@ -102,7 +102,7 @@ def test_levels_begin_with_the_most_operations(asked):
 
 
 def tuned(start):
-    return Tuning("kart-grid-sparse-tuned", start, ("iterations=5",))
+    return RewardTraining("kart-grid-sparse-tuned", start, ("iterations=5",))
 
 
 def leave_tuned(asked, start, iterations):
