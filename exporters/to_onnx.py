@@ -78,6 +78,7 @@ def _model(
         "created": origin.created,
         "version": origin.version,
         "sha256": graph.sha256(),
+        **({"checkpoint": origin.checkpoint} if origin.checkpoint else {}),
         **pruned,
     }
     return graph.model(policy.observations, policy.actions, policy.head, properties)

@@ -98,10 +98,11 @@ class Provenance:
     env: id of the training environment.
     recipe: name of the training recipe.
     seed: of the training run.
-    steps: environment steps of the training run.
+    steps: environment steps of the training run, or updates where it has walks alone.
     created: UTC time of the export, ISO 8601.
     version: of the spikedeploy that wrote the file.
     sha256: of network, codec and convention; `save` writes it and `load` checks it.
+    checkpoint: of the training run; empty for its best, and then not in the file.
     """
 
     env: str
@@ -111,6 +112,7 @@ class Provenance:
     created: str = ""
     version: str = ""
     sha256: str = ""
+    checkpoint: str = ""
 
     def to_record(self) -> Tree:
         """The fields as the file stores them."""
@@ -122,12 +124,14 @@ class Provenance:
             "created": self.created,
             "version": self.version,
             "sha256": self.sha256,
+            **({"checkpoint": self.checkpoint} if self.checkpoint else {}),
         }
 
     @classmethod
     def from_record(cls, record: Record) -> "Provenance":
         """The provenance stored in a file; unknown fields raise ArtifactError."""
-        record.only("env", "recipe", "seed", "steps", "created", "version", "sha256")
+        names = ("env", "recipe", "seed", "steps", "created", "version", "sha256")
+        record.only(*names, "checkpoint")
         return cls(
             env=record.text("env"),
             recipe=record.text("recipe"),
@@ -136,6 +140,7 @@ class Provenance:
             created=record.text("created"),
             version=record.text("version"),
             sha256=record.text("sha256"),
+            checkpoint=record.text("checkpoint") if "checkpoint" in record else "",
         )
 
 

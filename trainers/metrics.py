@@ -3,11 +3,16 @@
 import csv
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from spikedeploy.trainers.atomic import replacing
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _RENAMED = {"hoist": "support_force"}  # columns of version 0.1
 _CURVES = {"episode_return": "training", "eval_return": "validation"}
+_OPERATIONS = "eval_operations"  # pruning lowers the return, too
 
 
 class Metrics:
@@ -53,13 +58,17 @@ def _rounded(row: Mapping[str, float]) -> dict[str, str]:
 
 
 def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
-    """Draw the returns of a metrics file as PNG; return whether there are any."""
+    """Draw the returns of a metrics file as PNG, and operations where they are counted.
+
+    Return whether there are returns.
+    """
     rows = read(metrics)
     steps = next(iter(rows[0]), None) if rows else None
     if steps is None or not any(name in row for row in rows for name in _CURVES):
         return False
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
@@ -70,9 +79,22 @@ def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
                 *zip(*points, strict=True), label=label, marker="." if len(points) < 80 else ""
             )
     axes.set(xlabel=steps.replace("_", " "), ylabel="return", title=title)
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.grid(alpha=0.3)
+    _draw_operations(axes, [(r[steps], r[_OPERATIONS]) for r in rows if _OPERATIONS in r])
     axes.legend()
     with replacing(picture) as temporary:
         FigureCanvasAgg(figure)
         figure.savefig(temporary, format="png", dpi=120)
     return True
+
+
+def _draw_operations(axes: "Axes", points: list[tuple[float, float]]) -> None:
+    """Draw (step, operations of a control step) on an axis of their own, at the right."""
+    if not points:
+        return
+    right, grey = axes.twinx(), "#8A939E"
+    right.plot(*zip(*points, strict=True), "--", color=grey, linewidth=1)
+    right.set_ylabel("operations of a control step (dashed)", color=grey)
+    right.set_ylim(0, 1.15 * max(count for _, count in points) or 1.0)
+    right.tick_params(axis="y", colors=grey)

@@ -8,6 +8,15 @@ import typer
 from spikedeploy import seeds
 from spikedeploy.commands.options import Json, States, Workers
 
+Checkpoint = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Checkpoint of the run, such as last or ops-480.",
+        show_default="best, else last",
+    ),
+]
+
 
 def train(
     recipe: Annotated[
@@ -85,6 +94,7 @@ def export(
             help="Membranes at an inference: reset, or kept; nir only.", show_default="as trained"
         ),
     ] = None,
+    checkpoint: Checkpoint = None,
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it."""
@@ -92,7 +102,7 @@ def export(
     from spikedeploy.reports.terminal import print_checks
     from spikedeploy.shipping.export_run import export_run
 
-    written = export_run(run, to, output, observations, state=state)
+    written = export_run(run, to, output, observations, state=state, checkpoint=checkpoint)
     if json:
         checks = [vars(check) for check in written.checks]
         print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
@@ -112,6 +122,7 @@ def publish(
     control: Annotated[
         bool, typer.Option("--control", help="Comparisons show it as a control.")
     ] = False,
+    checkpoint: Checkpoint = None,
     workers: Workers = None,
     output: Annotated[
         Path | None,
@@ -124,7 +135,8 @@ def publish(
     from spikedeploy.console import print_json
     from spikedeploy.shipping.publish_run import publish_run
 
-    files = publish_run(run, name, episodes, output or zoo.FOLDER, workers, note, control)
+    folder = output or zoo.FOLDER
+    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:
@@ -182,6 +194,12 @@ def experiment(
             min=1, help="pareto: episodes on other chips and in fewer bits.", show_default="30"
         ),
     ] = None,
+    levels: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="pareto: how many of the last levels are evaluated.", show_default="all"
+        ),
+    ] = None,
     chip: Annotated[
         str | None, typer.Option(help="Chip of the spiking policies.", show_default="loihi1")
     ] = None,
@@ -223,7 +241,7 @@ def experiment(
     given = {
         "env": env, "seeds": seeds, "controls": controls, "finishes": finishes,
         "set": tuple(set_) if set_ else None, "episodes": episodes, "chip-episodes": chip_episodes,
-        "chip": chip, "runs": folder and str(folder), "quick": quick or None,
+        "levels": levels, "chip": chip, "runs": folder and str(folder), "quick": quick or None,
     }  # fmt: skip
     run, asked = (
         getattr(import_module(module), function)

@@ -24,17 +24,18 @@ Floats = NDArray[np.float64]
 class TorchController:
     """A policy in torch, float32; a random encoder uses the generator of the chip.
 
-    `sampled` draws one of several actions from the softmax of their scores.
+    `sampled` draws one of several actions from the softmax of their scores; `checkpoint` is of the
+    run, by default its best, else its last.
     """
 
-    def __init__(self, run: str, sampled: bool = False) -> None:
+    def __init__(self, run: str, sampled: bool = False, checkpoint: str | None = None) -> None:
         import torch
 
         from spikedeploy.trainers.run_folder import load_policy
 
         torch.set_num_threads(1)
         self._torch = torch
-        self.policy = load_policy(run)
+        self.policy = load_policy(run, checkpoint)
         self._sampler = Sampler(self.policy.head == "discrete") if sampled else None
         self.reset(0)
 

@@ -21,22 +21,36 @@ def versions(run: Path) -> dict[str, str | None]:
     return _read(run / "versions.json")
 
 
-def _checkpoint(run: Path) -> dict[str, Any]:
-    """The record of the deployed checkpoint: the best, else the last."""
-    best, last = (run / "checkpoints" / f"{name}.json" for name in ("best", "last"))
-    return _read(best if best.is_file() else last)
+def deployed(run: Path, checkpoint: str | None = None) -> str:
+    """Name of the deployed checkpoint: the one asked for, else the best, else the last."""
+    names = sorted(path.stem for path in (run / "checkpoints").glob("*.safetensors"))
+    if checkpoint is None:
+        return "best" if "best" in names else "last"
+    if checkpoint not in names:
+        raise ConfigError(
+            f"{run} has no checkpoint {checkpoint!r}; it has: {', '.join(names) or 'none yet'}"
+        )
+    return checkpoint
 
 
-def origin(run: Path) -> Provenance:
-    """The provenance of the run's policy, for an exported file."""
-    config = settings(run)
+def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
+    """How long the policy of a checkpoint was trained, and in which unit: see Provenance."""
+    record = _read(run / "checkpoints" / f"{deployed(run, checkpoint)}.json")
+    unit = "environment steps" if "env_steps" in record else "updates"
+    return int(record.get("env_steps", record.get("updates", 0))), unit
+
+
+def origin(run: Path, checkpoint: str | None = None) -> Provenance:
+    """The provenance of the policy of a checkpoint, for an exported file."""
+    config, name = settings(run), deployed(run, checkpoint)
     return Provenance(
         env=env_id(config["env"]["name"]) or "",
         recipe=config["recipe"],
         seed=config["seed"],
-        steps=_checkpoint(run).get("env_steps", 0),
+        steps=steps(run, name)[0],
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
+        checkpoint="" if name == deployed(run) else name,
     )
 
 

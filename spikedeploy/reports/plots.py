@@ -72,7 +72,7 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
 
 def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
     """Return against steps, a line for each run."""
-    from matplotlib.ticker import EngFormatter
+    from matplotlib.ticker import EngFormatter, MaxNLocator
 
     figure, axes = _figure(7)
     axes.grid(axis="y", color="#E6E8EB")
@@ -82,7 +82,8 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
     signals = " or ".join(dict.fromkeys(curve.signal for curve in curves))
     axes.set_ylabel(f"return of an episode, {signals}")
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.legend(frameon=False, loc="lower right")
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
+    axes.legend(frameon=False)
     return save(figure, path)
 
 

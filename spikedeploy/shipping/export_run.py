@@ -52,26 +52,29 @@ def export_run(
     observations: int = _OBSERVATIONS,
     control: bool = False,
     state: "State | None" = None,
+    checkpoint: str | None = None,
 ) -> ExportedPolicy:
     """Write a run's policy as a file.
 
     run           run folder, its name under runs/, or "last"
     to            key of exporters.EXPORTERS
-    path          of the file; by default policy.<to> in the run folder
+    path          of the file; by default policy.<to> in the run folder, or policy-<checkpoint>.<to>
     observations  number of recorded observations on which file and policy are compared
     control       whether comparisons show a float network as a control
     state         of a spiking policy between inferences: "reset", or "kept"; None as trained
+    checkpoint    of the run, such as "ops-480"; by default its best, else its last
     """
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
     folder = RunFolder.find(run).path
-    policy = load_policy(folder)
-    path = path or folder / f"policy.{to}"
+    policy = load_policy(folder, run_record.deployed(folder, checkpoint))
+    path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy, control)
     options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
-    exporter(to)(policy, run_record.origin(folder), path, **options.get(to, {}))
-    return ExportedPolicy(path, kind, check(policy, path, recorded(folder, observations)))
+    exporter(to)(policy, run_record.origin(folder, checkpoint), path, **options.get(to, {}))
+    seen = recorded(folder, observations, checkpoint)
+    return ExportedPolicy(path, kind, check(policy, path, seen))
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:
@@ -83,11 +86,11 @@ def kind_of(policy: "Policy", control: bool = False) -> str:
     return "ann" if sees_all and spec["hidden"] and not control else "control"
 
 
-def recorded(run: Path, count: int) -> NDArray[np.float64]:
-    """Observations (count, obs) from episodes of the run's policy."""
+def recorded(run: Path, count: int, checkpoint: str | None = None) -> NDArray[np.float64]:
+    """Observations (count, obs) from episodes of the policy of a checkpoint."""
     world = run_record.settings(run)["env"]
     env = envs.make(world["name"], **world["options"])
-    controller = TorchController(str(run))
+    controller = TorchController(str(run), checkpoint=checkpoint)
     episodes: list[NDArray[np.float64]] = []
     while sum(map(len, episodes)) < count:
         seed = VALIDATION[len(episodes)]

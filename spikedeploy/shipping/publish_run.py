@@ -2,7 +2,7 @@
 
 import shlex
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,6 +22,7 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
 from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse_ppo.start import find_start
 from spikedeploy.trainers.train import algorithm
 
 _KINDS = {
@@ -29,6 +30,9 @@ _KINDS = {
     "snn": "spiking network (NIR)",
     "control": "control: a float policy that is kept simple, to see what a network is worth (ONNX)",
 }
+# the setting of an algorithm that names another run, and settings that follow from that run
+_NEEDED = {"sparse": "pool", "sparse-ppo": "start"}
+_DERIVED = {"sparse-ppo": ("policy.",)}
 
 
 def markdown(name: str, record: Mapping[str, Any]) -> str:
@@ -37,8 +41,9 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
     facts = {
         "what": _KINDS[record["kind"]],
         "environment": record["env"],
-        "made by": f"`{_command(record)}`",
-        "environment steps": f"{record['steps']:,}",
+        "made by": ", then ".join(f"`{_command(r)}`" for r in [*record["before"], record]),
+        "checkpoint": _checkpoint(record["checkpoint"]),
+        record["steps_unit"]: _steps(record),
         "commit": record["commit"] or "unknown",
         "exported": record["created"],
         "evaluated on": f"{rows[0]['episodes']} episodes, seeds from 10000 up",
@@ -73,6 +78,21 @@ def _command(record: Mapping[str, Any]) -> str:
     return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])
 
 
+def _checkpoint(name: str) -> str:
+    """What a checkpoint is of, where its name does not say it."""
+    operations = name.removeprefix("ops-")
+    if operations == name:
+        return name
+    return f"{name}, the best of those pruned to {float(operations):g} operations a control step"
+
+
+def _steps(record: Mapping[str, Any]) -> str:
+    """How long the policy was trained, and the one that it began with."""
+    starts = [r for r in record["before"] if r["gives"] == "start"]
+    after = "".join(f", after {r['steps']:,} {r['steps_unit']} by imitation" for r in starts)
+    return f"{record['steps']:,}{after}"
+
+
 def publish_run(
     run: str,
     name: str,
@@ -81,21 +101,25 @@ def publish_run(
     processes: int | None = None,
     note: str = "",
     control: bool = False,
+    checkpoint: str | None = None,
 ) -> list[Path]:
     """Put a run's policy into the zoo, with card and learning curve; return the files.
 
-    run       run folder, its name under runs/, or "last"
-    name      of the policy in the zoo, such as "popsan"
-    episodes  of its evaluation, on each chip of the card
-    folder    of the zoo
-    note      for the card
-    control   whether comparisons show it as a control, such as a small network
+    run         run folder, its name under runs/, or "last"
+    name        of the policy in the zoo, such as "popsan"
+    episodes    of its evaluation, on each chip of the card
+    folder      of the zoo
+    note        for the card
+    control     whether comparisons show it as a control, such as a small network
+    checkpoint  of the run, such as "ops-480"; by default its best, else its last
     """
     source = RunFolder.find(run).path
     target = folder / envs.spec(run_record.settings(source)["env"]["name"]).short
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
-        exported = _exported(source, Path(stage) / name, control)
-        record = _describe(source, exported, episodes, processes) | {"note": note}
+        exported = _exported(source, Path(stage) / name, control, checkpoint)
+        record = _describe(source, exported, checkpoint)
+        record |= {"evaluation": _evaluation(exported.path, source, episodes, processes)}
+        record = {key: _portable(value) for key, value in record.items()} | {"note": note}
         file = _copied(exported.path, target / exported.path.name)
     return [
         file,
@@ -106,39 +130,60 @@ def publish_run(
     ]
 
 
-def _describe(
-    source: Path, exported: ExportedPolicy, episodes: int, processes: int | None
-) -> dict[str, Any]:
-    """The card as data: training, parity and evaluation."""
-    origin = run_record.origin(source)
-    record = {
+def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) -> dict[str, Any]:
+    """The card as data: training and parity."""
+    origin = run_record.origin(source, checkpoint)
+    return {
         "file": exported.path.name,
         "kind": exported.kind,
         "env": origin.env,
-        "recipe": origin.recipe,
-        "seed": origin.seed,
-        "steps": origin.steps,
+        **_training(source, checkpoint),
+        "before": list(_before(source)),
         "commit": run_record.versions(source)["commit"],
         "created": origin.created,
         "versions": run_record.versions(source),
         "config": run_record.settings(source),
-        "overrides": _overrides(source),
         "parity": [vars(check) for check in exported.checks],
-        "evaluation": _evaluation(exported.path, source, episodes, processes),
     }
-    return {key: _portable(value) for key, value in record.items()}
+
+
+def _training(source: Path, checkpoint: str | None = None) -> dict[str, Any]:
+    """How a run was made, and how far it was at a checkpoint."""
+    settings = run_record.settings(source)
+    steps, unit = run_record.steps(source, checkpoint)
+    return {
+        "recipe": settings["recipe"],
+        "seed": settings["seed"],
+        "checkpoint": run_record.deployed(source, checkpoint),
+        "steps": steps,
+        "steps_unit": unit,
+        "overrides": _overrides(source),
+    }
+
+
+def _before(source: Path) -> Iterator[dict[str, Any]]:
+    """The runs that a run needs, the first one first: for its walks, or as its start."""
+    settings = run_record.settings(source)
+    setting = _NEEDED.get(settings["algorithm"])
+    if setting is None or not settings[setting]:
+        return
+    run = find_start(settings[setting], source.parent).path
+    yield from _before(run)
+    yield _training(run) | {"run": run.name, "gives": setting}
 
 
 def _overrides(source: Path) -> list[str]:
     """Settings that differ from the recipe."""
-    kind = algorithm(run_record.settings(source)["algorithm"])
-    return differences(RunFolder(source).config(kind.Config))
+    name = run_record.settings(source)["algorithm"]
+    found = differences(RunFolder(source).config(algorithm(name).Config))
+    return [each for each in found if not each.startswith(_DERIVED.get(name, ()))]
 
 
-def _exported(source: Path, path: Path, control: bool) -> ExportedPolicy:
+def _exported(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportedPolicy:
     """The run's policy as a file that passes its parity checks."""
     to = "nir" if run_record.settings(source)["policy"]["kind"] in SPIKING else "onnx"
-    exported = export_run(str(source), to, path.with_suffix(f".{to}"), control=control)
+    path = path.with_suffix(f".{to}")
+    exported = export_run(str(source), to, path, control=control, checkpoint=checkpoint)
     failed = [check.name for check in exported.checks if not check.passed]
     if failed:
         raise SpikedeployError(f"the file does not do what {source} does: {', '.join(failed)}")

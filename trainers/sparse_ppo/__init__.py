@@ -2,6 +2,7 @@
 
 config.py      settings
 sparse_ppo.py  the algorithm: episodes that explore, validation on the chip within the budget
+start.py       the run that it goes on from
 learner.py     gradient updates of policy and critic
 trials.py      walks that explored, cut into windows with advantages
 replay.py      policies whose walks are played again in windows, spiking and float

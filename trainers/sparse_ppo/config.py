@@ -21,8 +21,8 @@ Ends = tuple[Rate, Rate]
 class SparsePpoConfig(RunConfig):
     """PPO on windows of whole walks, from the best policy of a sparse run (docs/training.md).
 
-    start: run folder of a sparse recipe. Policy, masks, teacher, budget, chip, rounding and
-        sharpness are those of its configuration
+    start: run folder of a sparse recipe: a path, or a name in the folder that this run is in.
+        Policy, masks, teacher, budget, chip, rounding and sharpness are those of its configuration
     iterations: number of times that episodes are played and learned from; `validation.every` and
         `checkpoint_every` count them
     warm_up: iterations at the beginning in which only the critic learns

@@ -15,18 +15,16 @@ import torch
 from torch import Tensor
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teachers import teacher
-from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.collect import Episodes
-from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.on_chip import on_chip
 from spikedeploy.trainers.sparse.pool import WalkPool
 from spikedeploy.trainers.sparse.rounding import deployed
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.sparse_ppo.learner import SparsePpoLearner
+from spikedeploy.trainers.sparse_ppo.start import starting_point, stored_start
 
 _TRAINING_SEEDS = 5_000  # validation and evaluation are above
 
@@ -55,9 +53,11 @@ class SparsePpo(Runner[SparsePpoConfig]):
         return cls.COLUMNS
 
     def __init__(self, config: SparsePpoConfig, run: RunFolder) -> None:
-        source, self.policy = _start(config)
-        # the folder says which policy is in it
-        config = config.model_copy(update={"policy": source.policy})
+        runs = run.path.parent
+        start, source, self.policy = starting_point(config, runs)
+        # the folder says which policy is in it, and can be moved with its start
+        more = {"policy": source.policy, "start": stored_start(start, runs)}
+        config = config.model_copy(update=more)
         run.write_config(config)
         super().__init__(
             config,
@@ -148,29 +148,3 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self.iterations, self.env_steps = state["iterations"], state["env_steps"]
         self.start_return, self.allowed = state["start_return"], state["allowed"]
         torch.set_rng_state(tensors["torch_rng"])
-
-
-def _start(config: SparsePpoConfig) -> tuple[SparseConfig, Policy]:
-    """Return the configuration and the best policy of the run to start from."""
-    if not config.start:
-        raise ConfigError(
-            f"{config.recipe} needs a finished run: --set start=RUN, where RUN is the run folder "
-            "of a sparse recipe for the same task"
-        )
-    run = RunFolder.find(config.start)
-    if (found := run.settings()["algorithm"]) != "sparse":
-        raise ConfigError(
-            f"start: {config.start} is a run of {found}. Give one of a sparse recipe."
-        )
-    source = run.config(SparseConfig)
-    if source.env.name != config.env.name:
-        raise ConfigError(
-            f"start: {config.start} was trained in {source.env.name}, not in {config.env.name}. "
-            "Take the recipe of its task."
-        )
-    if not run.checkpoint("best").is_file():
-        raise ConfigError(
-            f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
-            "continue it with --resume."
-        )
-    return source, run.policy("best")

@@ -2,7 +2,8 @@
 
 experiment   which parts are missing, done in order of importance
 design       its trainings and evaluations
-training     one training, found, resumed or started
+training     one training by imitation, found, resumed or started
+tuning       one training with reward after it, likewise
 evaluation   all missing rows of one training, and of the teacher
 networks     a policy on a chip or in few bits, for a batch of robots, with what it did
 costs        energies of a row, term by term

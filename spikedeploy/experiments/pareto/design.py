@@ -1,7 +1,8 @@
 """The design of the pareto experiment: which policies are trained, where they are evaluated.
 
 Within a seed the spiking network is trained first; its rivals take over its walks and are trained
-with as many updates. A rival is pruned by the same ranking to the same numbers of operations.
+with as many updates. A rival is pruned by the same ranking to the same numbers of operations. Then
+each of them goes on with reward from its best policy, with as many episodes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.pareto.training import Training
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.runtime.errors import ConfigError
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
@@ -32,8 +34,12 @@ QUICK = (
     "env.count=2", "budget=60", "levels=[200]", "teacher_walks=2", "noisy_walks=1", "walks=1",
     "dense_updates=20", "dense_rounds=1", "level_updates=20", "polish=1", "polish_updates=10",
     "prune_every=5", "batch=8", "log_every=5", "checkpoint_every=20", "validation.every=10",
-    "validation.episodes=1", "validation.limit=40",
+    "validation.episodes=1", "validation.limit=40", "tuned.iterations=2", "tuned.warm_up=1",
+    "tuned.episodes=2", "tuned.window=16", "tuned.burn_in=4", "tuned.batch=4", "tuned.epochs=1",
+    "tuned.critic_hidden=[16]", "tuned.critic_epochs=1", "tuned.checkpoint_every=1",
+    "tuned.validation.every=1", "tuned.validation.episodes=1", "tuned.validation.limit=40",
 )  # fmt: skip
+_TUNED, _BOTH = "tuned.", "env."  # settings of trainings with reward, and of all
 
 
 @dataclass(frozen=True)
@@ -43,11 +49,13 @@ class ParetoDesign:
     env            short name
     seeds          trainings of each student, from seed 0 up
     runs           folder of the run folders, of exported policies and of evaluations
-    settings       of every training, as `--set` takes them
+    settings       of every training by imitation, as `--set` takes them; those that begin with
+                   `tuned.` are of every training with reward, those with `env.` of both
     episodes       of the evaluations of every level
     chip_episodes  of the evaluations of the last level, on other chips and in fewer bits
     chip           on which spiking policies of every level are evaluated
     limit          control steps that an episode of an evaluation may take; None for all
+    levels         how many of the last levels are evaluated with all episodes; None for all
     quick          whether trainings take seconds, for a first look and for tests
     """
 
@@ -60,6 +68,7 @@ class ParetoDesign:
     chip: str = "loihi1"
     limit: int | None = None
     quick: bool = False
+    levels: int | None = None
 
     def __post_init__(self) -> None:
         if self.env not in ENVS:
@@ -68,13 +77,35 @@ class ParetoDesign:
             )
 
     @property
-    def overrides(self) -> tuple[str, ...]:
-        """Settings of every training, those of small sizes included."""
+    def _all_settings(self) -> tuple[str, ...]:
+        """Settings of both kinds of trainings, those of small sizes included."""
         return (*(QUICK if self.quick else ()), *self.settings)
 
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """Settings of every training by imitation."""
+        return tuple(each for each in self._all_settings if not each.startswith(_TUNED))
+
+    @property
+    def tuned_overrides(self) -> tuple[str, ...]:
+        """Settings of every training with reward."""
+        kinds = (_TUNED, _BOTH)
+        found = (each for each in self._all_settings if each.startswith(kinds))
+        return tuple(each.removeprefix(_TUNED) for each in found)
+
     def trainings(self) -> list[Training]:
-        """All trainings, seed by seed, the spiking network of a seed first."""
+        """All trainings by imitation, seed by seed, the spiking network of a seed first."""
         return [self._training(s, seed) for seed in range(self.seeds) for s in STUDENTS]
+
+    def tunings(self) -> list[RewardTraining]:
+        """All trainings with reward, in the order of those by imitation."""
+        recipe, settings = f"{self.env}-sparse-tuned", self.tuned_overrides
+        return [RewardTraining(recipe, training, settings) for training in self.trainings()]
+
+    def everything(self) -> list[Training | RewardTraining]:
+        """Trainings of both kinds: within a seed first those by imitation."""
+        both: list[Training | RewardTraining] = [*self.trainings(), *self.tunings()]
+        return sorted(both, key=lambda training: training.seed)
 
     def _training(self, student: str, seed: int) -> Training:
         walks = "" if student == STUDENTS[0] else f"{self.env}-{STUDENTS[0]}"
@@ -105,6 +136,7 @@ _OPTIONS = {
     "episodes": "episodes",
     "chip-episodes": "chip_episodes",
     "chip": "chip",
+    "levels": "levels",
     "quick": "quick",
 }
 _SMALL = {"seeds": 1, "episodes": 2, "chip_episodes": 2, "limit": 40}

@@ -14,14 +14,13 @@ from typing import Any
 
 from spikedeploy.experiments.pareto.design import LAST, LEVELS, ParetoDesign, student_of
 from spikedeploy.experiments.pareto.networks import greedy, network, outcomes
-from spikedeploy.experiments.pareto.training import Training, operations_of
+from spikedeploy.experiments.pareto.training import Training
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.collect import BatchController, Episodes
-from spikedeploy.trainers.sparse.config import SparseConfig
 
 Record = dict[str, Any]
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
@@ -51,18 +50,22 @@ class StoredRow:
         write_text(self.file, as_text({"of": self.of, "row": row}))
 
 
-def rows(design: ParetoDesign, training: Training, last: bool) -> list[StoredRow]:
-    """The rows of a training: of all levels, or of the last one with few episodes."""
-    levels = training.levels[-1:] if last else training.levels
-    student = student_of(training.recipe, design.env)
-    return [
-        _row(design, training, level, place, last)
-        for level in levels
-        for place in design.places(student, last)
-    ]
+def rows(
+    design: ParetoDesign, training: Training | RewardTraining, last: bool, levels: int | None = None
+) -> list[StoredRow]:
+    """The rows of a training: of its last levels, or of the last one with few episodes.
+
+    levels  how many; None for all
+    """
+    count = 1 if last else levels
+    found = training.levels[-count:] if count else training.levels
+    places = design.places(student_of(training.student, design.env), last)
+    return [_row(design, training, level, place, last) for level in found for place in places]
 
 
-def _row(design: ParetoDesign, training: Training, level: str, place: str, last: bool) -> StoredRow:
+def _row(
+    design: ParetoDesign, training: Training | RewardTraining, level: str, place: str, last: bool
+) -> StoredRow:
     if training.run is None:
         raise ConfigError(f"{training.name} has no run folder")
     checkpoint = (training.run / "checkpoints" / f"{level}.safetensors").read_bytes()
@@ -94,37 +97,39 @@ def _sizes(design: ParetoDesign, last: bool) -> Record:
     }
 
 
-def perform(design: Record, recipe: str, seed: int, last: bool) -> bool:
+def perform(design: Record, name: str, last: bool) -> bool:
     """Make the missing rows of a training (a job of `workers`)."""
     asked = ParetoDesign(**design)
-    training = next(t for t in asked.trainings() if (t.recipe, t.seed) == (recipe, seed))
+    training = next(each for each in asked.everything() if each.name == name)
     if not training.trained or training.run is None:
         raise ConfigError(f"{training.name} is not trained yet, so there is nothing to evaluate")
-    for row in rows(asked, training, last):
+    for row in rows(asked, training, last, asked.levels):
         if row.found is None:
             row.write(_evaluated(asked, training, row))
     return True
 
 
-def _evaluated(design: ParetoDesign, training: Training, row: StoredRow) -> Record:
+def _evaluated(design: ParetoDesign, training: Training | RewardTraining, row: StoredRow) -> Record:
     level, place = row.of["level"], row.of["place"]
     if training.run is None:
         raise ConfigError(f"{training.name} has no run folder")
     facts = {
         "env": design.env,
-        "student": student_of(training.recipe, design.env),
+        "student": student_of(training.student, design.env),
         "seed": training.seed,
-        "level": operations_of(level),
+        "level": training.operations_of(level),
         "place": place,
         "part": row.of["part"],
         "episodes": row.of["episodes"],
     }
     try:
-        made = network(training.run, level, place, Path(design.runs) / "policies")
+        file = Path(design.runs) / "policies" / f"{training.name}-{level}"
+        made = network(training.run, level, place, file)
     except RuleError as error:
         return facts | {"refusal": str(error)}
-    config = RunFolder(training.run).config(SparseConfig).env
-    walks, found = _played(config, design, row.of["episodes"], made.controller)
+    walks, found = _played(
+        training.config(training.run).env, design, row.of["episodes"], made.controller
+    )
     done = made.done(walks)
     if done.get("on_host") and row.of["part"] == LEVELS:
         raise ConfigError(
@@ -178,9 +183,10 @@ def all_rows(design: ParetoDesign) -> Iterator[Record]:
     teacher = teacher_row(design).found
     if teacher is not None:
         yield teacher
-    for training in design.trainings():
+    trainings: list[Training | RewardTraining] = [*design.trainings(), *design.tunings()]
+    for training in trainings:
         for last in (False, True):
             for row in rows(design, training, last) if training.trained else ():
                 found = row.found
                 if found is not None:
-                    yield found
+                    yield found | {"trained_by": training.trained_by}

@@ -10,13 +10,15 @@ from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import page
 from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import rows, teacher_row
-from spikedeploy.experiments.pareto.training import Training, check, progress
+from spikedeploy.experiments.pareto.training import Training, check
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.experiments.workers import Job, JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines on what runs
 _EVALUATION = "spikedeploy.experiments.pareto.evaluation"
 _TRAINING = "spikedeploy.experiments.pareto.training"
+_TUNING = "spikedeploy.experiments.pareto.tuning"
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class _Part:
     """
 
     job: Job
-    training: Training | None
+    training: Training | RewardTraining | None
     evaluates: bool
     last: bool
     design: ParetoDesign
@@ -57,7 +59,8 @@ class _Part:
             return teacher_row(self.design).found is not None
         if not self.training.trained or not self.evaluates:
             return self.training.trained
-        return all(r.found is not None for r in rows(self.design, self.training, self.last))
+        asked = rows(self.design, self.training, self.last, self.design.levels)
+        return all(row.found is not None for row in asked)
 
 
 def experiment(
@@ -74,7 +77,7 @@ def experiment(
     results  folder of pareto.md and pareto/
     train    False only writes the page
     """
-    for training in design.trainings():
+    for training in design.everything():
         check(training)
     parts = _parts(design)
     jobs = [part.job for part in _chosen(parts, only) if not part.done] if train else []
@@ -92,7 +95,7 @@ def experiment(
             failed[end.job.name] = end.last_line
         page.write(design, results)
 
-    trainings = {training.name: training for training in design.trainings()}
+    trainings = {training.name: training for training in design.everything()}
     last_line = time.monotonic()
 
     def look(running: Sequence[Job]) -> None:
@@ -108,12 +111,12 @@ def experiment(
     return Outcome(sum(done), len(done), failed, not whole, files)
 
 
-def _progress(job: Job, training: Training | None) -> str:
+def _progress(job: Job, training: Training | RewardTraining | None) -> str:
     """A running job, and how far its training is."""
     if training is None or training.run is None:
         return job.name
-    made, total = progress(training.run)
-    return f"{job.name}: {max(made, 0):,} of {total:,} updates"
+    made, total = training.progress
+    return f"{job.name}: {max(made, 0):,} of {total:,} {training.unit}"
 
 
 def _chosen(parts: Sequence[_Part], only: Sequence[str]) -> list[_Part]:
@@ -135,9 +138,9 @@ def _parts(design: ParetoDesign) -> list[_Part]:
 def _every_level(design: ParetoDesign) -> Iterator[_Part]:
     teacher = _job(design, "teacher", f"{_EVALUATION}:perform_teacher", {"design": _of(design)})
     yield _Part(teacher, None, True, False, design)
-    for training in design.trainings():
+    for training in design.everything():
         after = (training.donor.name,) if training.donor else ()
-        call = f"{_TRAINING}:perform"
+        call = f"{_TUNING if isinstance(training, RewardTraining) else _TRAINING}:perform"
         job = _job(design, training.name, call, training.arguments(), after)
         yield _Part(job, training, False, False, design)
         yield _evaluation(design, training, last=False)
@@ -148,10 +151,8 @@ def _last_levels(design: ParetoDesign) -> Iterator[_Part]:
         yield _evaluation(design, training, last=True)
 
 
-def _evaluation(design: ParetoDesign, training: Training, last: bool) -> _Part:
-    arguments = {
-        "design": _of(design), "recipe": training.recipe, "seed": training.seed, "last": last,
-    }  # fmt: skip
+def _evaluation(design: ParetoDesign, training: Training | RewardTraining, last: bool) -> _Part:
+    arguments = {"design": _of(design), "name": training.name, "last": last}
     name = f"{training.name}: {'last level on chips' if last else 'levels'}"
     job = _job(design, name, f"{_EVALUATION}:perform", arguments, (training.name,))
     return _Part(job, training, True, last, design)

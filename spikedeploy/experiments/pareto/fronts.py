@@ -10,7 +10,8 @@ import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.experiments.pareto.costs import INT8, TERMS, spikes, terms, total
-from spikedeploy.experiments.pareto.design import FLOAT, LEVELS, SPIKING, STUDENTS
+from spikedeploy.experiments.pareto.design import FLOAT, LABELS, LEVELS, SPIKING, STUDENTS
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 
 Record = dict[str, Any]
 
@@ -57,9 +58,23 @@ class Point:
         return {name: float(np.mean([one[name] for one in each])) for name in TERMS}
 
     @property
+    def rewarded(self) -> bool:
+        """Whether it was trained on with reward; rows of older tables do not say it."""
+        return _rewarded(self.rows[0])
+
+    @property
+    def label(self) -> str:
+        """`LIF`, or `LIF, with reward`."""
+        return f"{LABELS[self.student]}{', with reward' if self.rewarded else ''}"
+
+    @property
     def spiking(self) -> bool:
         """Whether it spikes, or is delta-coded."""
         return spikes(self.rows[0])
+
+
+def _rewarded(row: Record) -> bool:
+    return row.get("trained_by") == RewardTraining.trained_by
 
 
 def teacher_of(rows: Iterable[Record]) -> Record | None:
@@ -68,18 +83,19 @@ def teacher_of(rows: Iterable[Record]) -> Record | None:
 
 
 def points(rows: Sequence[Record], part: str = LEVELS) -> list[Point]:
-    """All points of a part, student by student, most operations first."""
+    """All points of a part, student by student: imitation by falling operations, then reward."""
     teacher = teacher_of(rows)
     if teacher is None:
         return []
-    groups: dict[tuple[str, float, str], list[Record]] = {}
+    groups: dict[tuple[str, float, str, bool], list[Record]] = {}
     for row in rows:
         if row.get("part") == part and row.get("operations") is not None:
-            groups.setdefault((row["student"], row["level"], row["place"]), []).append(row)
+            key = row["student"], row["level"], row["place"], _rewarded(row)
+            groups.setdefault(key, []).append(row)
     found = [
-        Point(*key, of, teacher["scores"][: len(of[0]["scores"])]) for key, of in groups.items()
+        Point(*key[:3], of, teacher["scores"][: len(of[0]["scores"])]) for key, of in groups.items()
     ]
-    return sorted(found, key=lambda p: (STUDENTS.index(p.student), -p.level))
+    return sorted(found, key=lambda p: (STUDENTS.index(p.student), p.rewarded, -p.level))
 
 
 def refusals(rows: Sequence[Record]) -> dict[tuple[str, str], str]:

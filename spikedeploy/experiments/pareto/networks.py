@@ -20,6 +20,7 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.pruned import PrunedWeight
@@ -43,18 +44,21 @@ class LevelNetwork:
     done: Callable[[Sequence[Walk]], Done]
 
 
-def network(run: Path, level: str, place: str, folder: Path) -> LevelNetwork:
-    """The policy of a level of a run at a place (ParetoDesign.places), exported to the folder.
+def network(run: Path, level: str, place: str, stem: Path) -> LevelNetwork:
+    """The policy of a level of a run at a place (ParetoDesign.places), exported.
+
+    stem  of the exported file, without a suffix
 
     Raises RuleError where the chip refuses it.
     """
     policy = RunFolder(run).policy(level)
-    stem = folder / f"{run.name.rpartition('-s')[0]}-s{run_record.settings(run)['seed']}-{level}"
     if isinstance(policy, DeltaSnnPolicy):
-        return _spiking(policy, run, place, stem.with_name(f"{stem.name}.nir"))
+        path = stem.with_name(f"{stem.name}.nir")
+        return _spiking(policy, run_record.origin(run, level), path, place)
     if isinstance(policy, PrunedMlpPolicy):
         rounded = in_bits(policy, int(place.removeprefix("int"))) if place != "float32" else policy
-        return _float(rounded, run, stem.with_name(f"{stem.name}-{place}.onnx"))
+        path = stem.with_name(f"{stem.name}-{place}.onnx")
+        return _float(rounded, run_record.origin(run, level), path)
     raise TypeError(f"{type(policy).__name__} is no policy that is pruned")
 
 
@@ -71,9 +75,9 @@ class _OnChip:
         self.spiking.reset(0)
 
 
-def _spiking(policy: DeltaSnnPolicy, run: Path, place: str, path: Path) -> LevelNetwork:
+def _spiking(policy: DeltaSnnPolicy, origin: Provenance, path: Path, place: str) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
-    running = _OnChip(to_nir(policy, run_record.origin(run), path), place)
+    running = _OnChip(to_nir(policy, origin, path), place)
     return LevelNetwork(running, lambda walks: _counted(running, walks))
 
 
@@ -119,10 +123,10 @@ def _constants(program: Program) -> int:
     return sum(outlet.bias.size for outlet in program.outlets)
 
 
-def _float(policy: PrunedMlpPolicy, run: Path, path: Path) -> LevelNetwork:
+def _float(policy: PrunedMlpPolicy, origin: Provenance, path: Path) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy)
-    running = OnnxController(to_onnx(policy, run_record.origin(run), path, kind))
+    running = OnnxController(to_onnx(policy, origin, path, kind))
 
     def done(walks: Sequence[Walk]) -> Done:
         seen = np.concatenate([walk.observation for walk in walks]).astype(np.float64)

@@ -25,7 +25,9 @@ _INTRODUCTION = f"""\
 Sparse policies and their float rivals: all imitate the same teacher on the same walks with as many
 updates, and are pruned by the same ranking to the same numbers of operations in a control step.
 `LIF` is a delta encoder, a layer of spiking neurons and integrating readouts; `delta-linear` sends
-the encoder's events straight into the readouts; `float MLP` and `float linear` multiply.
+the encoder's events straight into the readouts; `float MLP` and `float linear` multiply. The best
+policy of each is then trained on with reward, by PPO with as many episodes of each student: "with
+reward". Masks and budget stay.
 
 Operations are synaptic operations of spiking policies, and multiply-accumulates with an input that
 is not 0 of float ones. All weights have 8 bits: spiking policies run in the integers of the
@@ -131,11 +133,12 @@ def _command(design: ParetoDesign) -> str:
     words += ["--seeds", f"{design.seeds}", "--episodes", f"{design.episodes}"]
     words += ["--chip-episodes", f"{design.chip_episodes}"]
     words += ["--chip", design.chip] if design.chip != "loihi1" else []
+    words += ["--levels", f"{design.levels}"] if design.levels else []
     return shlex.join([*words, *(w for each in design.settings for w in ("--set", each))])
 
 
 def _missing(design: ParetoDesign) -> str:
-    trainings = design.trainings()
+    trainings = design.everything()
     done = sum(training.trained for training in trainings)
     return f"**{done} of {len(trainings)} trainings are done.**" if done < len(trainings) else ""
 
@@ -143,11 +146,11 @@ def _missing(design: ParetoDesign) -> str:
 def _facts(design: ParetoDesign) -> list[str]:
     """What is needed to reproduce the table."""
     packages = ", ".join(f"{name} {installed(name)}" for name in _PACKAGES)
-    trained = [training for training in design.trainings() if training.trained]
+    trained = [training for training in design.everything() if training.trained]
     return [
         f"- spikedeploy {own()}, {packages}",
-        f"- training seeds 0 to {design.seeds - 1}; {design.episodes} episodes of every level from "
-        f"seed 10,000 on, {design.chip_episodes} elsewhere"
+        f"- training seeds 0 to {design.seeds - 1}; {design.episodes} episodes of "
+        f"{_levels(design)} from seed 10,000 on, {design.chip_episodes} elsewhere"
         + (f", of at most {design.limit} control steps" if design.limit else ""),
         *(
             f"- ✗ {training.name} was trained with other settings than its recipe has now: "
@@ -156,3 +159,9 @@ def _facts(design: ParetoDesign) -> list[str]:
             if (changed := training.changed_settings)
         ),
     ]
+
+
+def _levels(design: ParetoDesign) -> str:
+    if design.levels is None:
+        return "every level"
+    return "the last level" if design.levels == 1 else f"the last {design.levels} levels"

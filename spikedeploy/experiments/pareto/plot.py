@@ -1,8 +1,11 @@
-"""The front: return in % of the teacher against operations, and against energy."""
+"""The front: return in % of the teacher against operations, and against energy.
+
+Levels of imitation are joined by a line; a policy that was trained on with reward has a ring.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from spikedeploy.experiments.pareto.costs import INT8, total
 from spikedeploy.experiments.pareto.design import LABELS, STUDENTS
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
 _COLOURS = dict(zip(STUDENTS, (VERMILION, "#E69F00", BLUE, "#009E73"), strict=True))
 _MARKERS = dict(zip(STUDENTS, "osD^", strict=True))
 _LOWEST = 60.0  # [%]; what is below is not drawn
+
+_RING: dict[str, Any] = {"markersize": 9, "markeredgecolor": "#222222", "markeredgewidth": 1.4}
 
 _Cost = Callable[[Record], float]
 
@@ -41,8 +46,12 @@ def _panel(axes: "Axes", found: Sequence[Point], cost: _Cost) -> None:
 
     for student in STUDENTS:
         of = [point for point in found if point.student == student]
-        if of:
-            _front(axes, of, cost, student)
+        if imitated := [point for point in of if not point.rewarded]:
+            _front(axes, imitated, cost, student)
+        if rewarded := [point for point in of if point.rewarded]:
+            _ringed(axes, rewarded, cost, student)
+    if any(point.rewarded for point in found):
+        axes.plot([], [], "o", label="with reward", **_RING, markerfacecolor="none")
     axes.axhline(100, color="#8A939E", linewidth=0.8, zorder=1)
     spent = [cost(row) for point in found for row in point.rows]
     axes.set_xscale("log")
@@ -68,13 +77,31 @@ def _ticks(span: float) -> tuple[float, ...]:
 
 def _front(axes: "Axes", of: Sequence[Point], cost: _Cost, student: str) -> None:
     """A line through the means, and a thin marker for each training."""
-    paint, marker = _COLOURS[student], _MARKERS[student]
+    means, score = _means(of, cost)
+    axes.plot(
+        means, score, color=_COLOURS[student], marker=_MARKERS[student], linewidth=1.8,
+        label=LABELS[student],
+    )  # fmt: skip
+    _each_training(axes, of, cost, student)
+
+
+def _ringed(axes: "Axes", of: Sequence[Point], cost: _Cost, student: str) -> None:
+    """The means with a ring, not joined, and a thin marker for each training."""
+    means, score = _means(of, cost)
+    axes.plot(means, score, _MARKERS[student], color=_COLOURS[student], zorder=3, **_RING)
+    _each_training(axes, of, cost, student)
+
+
+def _means(of: Sequence[Point], cost: _Cost) -> tuple[list[float], list[float]]:
     means = [sum(map(cost, point.rows)) / len(point.rows) for point in of]
-    score = [100 * point.of_teacher.mean for point in of]
-    axes.plot(means, score, color=paint, marker=marker, linewidth=1.8, label=LABELS[student])
+    return means, [100 * point.of_teacher.mean for point in of]
+
+
+def _each_training(axes: "Axes", of: Sequence[Point], cost: _Cost, student: str) -> None:
     for point in of:
         each = list(map(cost, point.rows))
         axes.plot(
-            each, [100 * value for value in point.single], marker,
-            color=paint, markerfacecolor="none", markersize=4, markeredgewidth=0.7, alpha=0.8,
+            each, [100 * value for value in point.single], _MARKERS[student],
+            color=_COLOURS[student], markerfacecolor="none", markersize=4, markeredgewidth=0.7,
+            alpha=0.8,
         )  # fmt: skip

@@ -11,13 +11,13 @@ from spikedeploy.files import replacing
 
 Record = dict[str, Any]
 _FIRST = (
-    "env", "student", "seed", "level", "place", "part", "episodes", "return_mean", "falls",
-    "lap_time", "crashes", "operations", "bias_operations", "neurons", "neuron_updates",
-    "readout_updates", "neuron_idle", "messages", "events", "spikes_out", "sparsity", "saturations",
-    "observations", "constants", "on_host", "refusal",
+    "env", "student", "trained_by", "seed", "level", "place", "part", "episodes", "return_mean",
+    "falls", "lap_time", "crashes", "operations", "bias_operations", "neurons",
+    "neuron_updates", "readout_updates", "neuron_idle", "messages", "events", "spikes_out",
+    "sparsity", "saturations", "observations", "constants", "on_host", "refusal",
 )  # fmt: skip
 _LAST = "scores"  # of the episodes, in the order of their seeds
-_TEXT = ("env", "student", "place", "part", "refusal")
+_TEXT = ("env", "student", "trained_by", "place", "part", "refusal")
 
 
 def write(found: Iterable[Record], path: Path) -> Path:

@@ -91,7 +91,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
         "saturations": lambda p: _number(p.mean("saturations")),
     }
     lines = [["policy", *cells]]
-    lines += [[LABELS[p.student], *(cell(p) for cell in cells.values())] for p in found]
+    lines += [[p.label, *(cell(p) for cell in cells.values())] for p in found]
     mean, scores = teacher.get("return_mean"), teacher.get("scores") or [0.0]
     if drives:
         about = [_number(sum(scores) / len(scores), ".1%"), _number(teacher.get("lap_time"), ".3f")]
@@ -115,7 +115,7 @@ def energy_table(found: Sequence[Point]) -> str:
     lean = ["+ lean updates", "+ the rest"]
     lines = [[*heads, *lean, "davies2018", "sanafe"]]
     for p in found:
-        cells = [LABELS[p.student], f"{p.level:g}", _mean(p)]
+        cells = [p.label, f"{p.level:g}", _mean(p)]
         cells += [_pico(p.energy(of)) for of in TOTALS]
         cells += [_pico(p.energy(of, lean=True)) for of in ("updates", "all")]
         if p.spiking:
@@ -127,18 +127,18 @@ def energy_table(found: Sequence[Point]) -> str:
 
 
 def term_table(found: Sequence[Point]) -> str:
-    """Energy of each term of the last level of each student."""
+    """Energy of each term of the last level of each student, by imitation and with reward."""
     lines = [["policy", "aim", *TERMS, "lean updates"]]
     for p in _last(found):
         cells = [_pico(joules) for joules in p.terms().values()]
         lean = _pico(p.terms(lean=True)["updates"])
-        lines.append([LABELS[p.student], f"{p.level:g}", *cells, lean])
+        lines.append([p.label, f"{p.level:g}", *cells, lean])
     return markdown(lines)
 
 
 def _last(found: Sequence[Point]) -> list[Point]:
-    """The last level of each student."""
-    return list({p.student: p for p in found}.values())
+    """The last level of each student, by imitation and with reward."""
+    return list({(p.student, p.rewarded): p for p in found}.values())
 
 
 def rival_table(found: Sequence[Point]) -> str:
@@ -148,7 +148,7 @@ def rival_table(found: Sequence[Point]) -> str:
         if point.spiking and point.of_teacher.mean >= NEAR:
             pairs = [pairing(found, point, of) for of in TOTALS]
             pairs.append(pairing(found, point, "all", lean=True))
-            cells = [LABELS[point.student], f"{point.level:g}", _mean(point)]
+            cells = [point.label, f"{point.level:g}", _mean(point)]
             lines.append([*cells, *map(_against, pairs)])
     return markdown(lines) if len(lines) > 1 else ""
 
@@ -158,7 +158,7 @@ def _against(pair: Pairing) -> str:
         return "no float student is as good"
     mine = pair.point.energy(pair.of, lean=pair.lean)
     theirs = pair.rival.energy(pair.of)
-    label = f"{LABELS[pair.rival.student]} {pair.rival.level:g}"
+    label = f"{pair.rival.label} {pair.rival.level:g}"
     return f"{_pico(mine)} : {_pico(theirs)} = {pair.ratio:.2f} ({label})"
 
 
@@ -213,7 +213,7 @@ def _lever(pair: Pairing, most: str) -> str:
 
 def _named(point: Point) -> str:
     aim = f"{point.level:g}"
-    return f"{LABELS[point.student]} at {aim} ({point.of_teacher.mean:.1%} of the teacher)"
+    return f"{point.label} at {aim} ({point.of_teacher.mean:.1%} of the teacher)"
 
 
 def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
@@ -223,8 +223,9 @@ def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     last = _last(found)
     levels = [_first_episodes(p, here) for p in last]
     lines = [["policy", "aim", "where", "% of teacher", "operations", "saturations"]]
-    for p in sorted([*levels, *here], key=lambda p: [q.student for q in last].index(p.student)):
-        cells = [LABELS[p.student], f"{p.level:g}", p.place, of_teacher(p)]
+    order = [p.student for p in last]
+    for p in sorted([*levels, *here], key=lambda p: order.index(p.student)):
+        cells = [p.label, f"{p.level:g}", p.place, of_teacher(p)]
         more = " + readouts on the host" if p.mean("on_host") else ""
         counts = [_number(p.mean("operations"), ",.1f") + more, _number(p.mean("saturations"))]
         lines.append([*cells, *counts])

@@ -2,15 +2,15 @@
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from spikedeploy.experiments.trial import exclusive
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import differences, resolve
+from spikedeploy.trainers.config import RunConfig, differences, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.phases import phases
@@ -36,6 +36,14 @@ class Training:
     overrides: Sequence[str]
     walks_of: str
 
+    trained_by = "imitation"
+    unit = "updates"
+
+    @property
+    def student(self) -> str:
+        """Recipe of the student."""
+        return self.recipe
+
     @property
     def name(self) -> str:
         """`hexapod-sparse-s0`."""
@@ -51,8 +59,7 @@ class Training:
     @property
     def run(self) -> Path | None:
         """Its run folder: the first finished one, else the last; None before the training."""
-        found = sorted(self._runs())
-        return next(filter(finished, found), found[-1] if found else None)
+        return preferred(self._runs(), finished)
 
     def _runs(self) -> Iterator[Path]:
         for file in Path(self.folder).glob("*/config.json"):
@@ -66,10 +73,23 @@ class Training:
         return self.run is not None and finished(self.run)
 
     @property
+    def progress(self) -> tuple[int, int]:
+        """Updates at the last checkpoint, and of the whole training."""
+        return progress(self.run) if self.run else (-1, 0)
+
+    @property
     def levels(self) -> list[str]:
         """Names of the checkpoints of all levels of pruning, most operations first."""
         found = self.run.glob(f"checkpoints/{_LEVEL}*.safetensors") if self.run else ()
         return sorted((path.stem for path in found), key=operations_of, reverse=True)
+
+    def operations_of(self, level: str) -> float:
+        """Operations that a level aims at."""
+        return operations_of(level)
+
+    def config(self, run: Path) -> SparseConfig:
+        """The configuration of a run."""
+        return RunFolder(run).config(SparseConfig)
 
     @property
     def changed_settings(self) -> list[str]:
@@ -77,7 +97,7 @@ class Training:
         if self.run is None:
             return []
         expected = set(differences(self.planned([])))
-        found = differences(RunFolder(self.run).config(SparseConfig))
+        found = differences(self.config(self.run))
         own = tuple(f"{name}=" for name in _OWN) if self.walks_of else ()
         return [each for each in found if each not in expected and not each.startswith(own)]
 
@@ -85,6 +105,18 @@ class Training:
         """The configuration of a new run, with more settings."""
         settings = [*self.overrides, *more]
         return resolve(SparseConfig, self.recipe, overrides=settings, seed=self.seed)
+
+    def beginning(self) -> list[str]:
+        """Settings of a new run beside the overrides: a rival takes over walks."""
+        donor = self.donor
+        if donor is None:
+            return []
+        if donor.run is None or not donor.trained:
+            raise ConfigError(
+                f"{self.name} learns from the walks of {donor.name}, which is not trained yet. "
+                f"Run the experiment without --only, or with --only {donor.name} first."
+            )
+        return [f"pool={json.dumps(str(donor.run))}", "teacher_walks=0", "noisy_walks=0"]
 
     def arguments(self) -> dict[str, Any]:
         """The fields as arguments of `perform`."""
@@ -109,16 +141,64 @@ def progress(run: Path) -> tuple[int, int]:
     return int(made), phases(RunFolder(run).config(SparseConfig))[-1].end
 
 
+def preferred(found: Iterable[Path], done: Callable[[Path], bool]) -> Path | None:
+    """The first run folder that is done, else the last."""
+    runs = sorted(found)
+    return next(filter(done, runs), runs[-1] if runs else None)
+
+
+class Trainable(Protocol):
+    """A training by imitation or with reward, to be completed."""
+
+    @property
+    def name(self) -> str:
+        """Of the part of the experiment."""
+
+    @property
+    def recipe(self) -> str:
+        """Of trainers.recipes."""
+
+    @property
+    def seed(self) -> int:
+        """Of the training."""
+
+    @property
+    def folder(self) -> str:
+        """In which its run folder is looked for, or made."""
+
+    @property
+    def overrides(self) -> Sequence[str]:
+        """Settings as `--set` takes them."""
+
+    @property
+    def run(self) -> Path | None:
+        """Its run folder."""
+
+    @property
+    def trained(self) -> bool:
+        """Whether it is complete."""
+
+    def beginning(self) -> list[str]:
+        """Settings of a new run beside the overrides."""
+
+    def planned(self, more: Sequence[str]) -> RunConfig:
+        """The configuration of a new run, with more settings."""
+
+
 def perform(**arguments: Any) -> bool:  # noqa: ANN401
     """Complete the training with these fields; False if it was interrupted."""
-    training = Training(**arguments)
+    return complete(Training(**arguments))
+
+
+def complete(training: Trainable) -> bool:
+    """Complete a training; False if it was interrupted."""
     with exclusive(Path(training.folder) / f".{training.name}.lock"):
         if not training.trained:
             _train(training)
         return training.trained
 
 
-def _train(training: Training) -> None:
+def _train(training: Trainable) -> None:
     from spikedeploy.trainers.train import train
 
     start = partial(train, training.recipe, runs=training.folder, quiet=True)
@@ -129,24 +209,10 @@ def _train(training: Training) -> None:
     if run:
         start(resume=run)
     else:
-        overrides = [*training.overrides, *_walks(training)]
-        start(overrides=overrides, seed=training.seed)
+        start(overrides=[*training.overrides, *training.beginning()], seed=training.seed)
 
 
-def _walks(training: Training) -> list[str]:
-    """Settings with which a rival takes over the walks of the spiking network."""
-    donor = training.donor
-    if donor is None:
-        return []
-    if donor.run is None or not donor.trained:
-        raise ConfigError(
-            f"{training.name} learns from the walks of {donor.name}, which is not trained yet. "
-            f"Run the experiment without --only, or with --only {donor.name} first."
-        )
-    return [f"pool={json.dumps(str(donor.run))}", "teacher_walks=0", "noisy_walks=0"]
-
-
-def check(training: Training) -> None:
+def check(training: Trainable) -> None:
     """Refuse unknown settings before the first training starts."""
     try:
         training.planned([])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from spikedeploy.experiments.pareto import networks, tables
+from spikedeploy.experiments.pareto import networks, records, tables
 from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE, energies, terms, total
-from spikedeploy.experiments.pareto.fronts import Point, best_pairing, pairing
+from spikedeploy.experiments.pareto.fronts import Point, best_pairing, pairing, points
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
@@ -147,3 +147,27 @@ def test_a_teacher_that_scores_nothing_leaves_no_share():
     nothing = Point("sparse", 100.0, "here", beside.rows, [0.0, 0.0])
     assert math.isnan(nothing.of_teacher.mean)
     assert tables.of_teacher(nothing) == "–"
+
+
+def test_a_rival_with_reward_counts_and_is_named(tmp_path):
+    def row(student, score, operations, **more):
+        costs = SPIKING if student.startswith("sparse") else FLOAT
+        return {
+            **costs, "student": student, "operations": operations, "scores": [score, score],
+            "level": 60.0, "place": "here", "part": "levels", **more,
+        }  # fmt: skip
+
+    rows = [
+        {"student": "teacher", "scores": [10.0, 10.0]},
+        row("sparse", 9.7, 90.0),
+        row("sparse", 9.9, 80.0, trained_by="reward"),
+        row("small-mlp", 9.6, 100.0, trained_by="imitation"),
+        row("small-mlp", 9.9, 110.0, trained_by="reward"),
+    ]
+    found = points(records.read(records.write(rows, tmp_path / "rows.csv")))
+    assert [each.label for each in found] == [
+        "LIF", "LIF, with reward", "float MLP", "float MLP, with reward",
+    ]  # fmt: skip
+    best = best_pairing(found, "operations")
+    assert (best.point, best.rival) == (found[1], found[3])
+    assert "LIF, with reward at 60 (99.0% of the teacher) costs" in tables.sentences(found)[0]

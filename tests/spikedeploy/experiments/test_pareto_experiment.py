@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import pytest
 
 from spikedeploy import cli
 from spikedeploy.experiments import workers
+from spikedeploy.experiments.pareto import evaluation, page, records
 from spikedeploy.experiments.pareto import experiment as pareto_experiment
-from spikedeploy.experiments.pareto import page, records
 from spikedeploy.experiments.pareto.design import LAST, STUDENTS, ParetoDesign, asked
 from spikedeploy.experiments.pareto.experiment import experiment
 from spikedeploy.experiments.workers import JobEnd
@@ -21,7 +22,7 @@ from spikedeploy.runtime.errors import ConfigError
 ENV = "kart-grid"
 SMALLER = (
     "dense_updates=8", "level_updates=8", "polish_updates=4", "validation.every=4",
-    "validation.limit=10", "checkpoint_every=4", "log_every=4",
+    "validation.limit=10", "checkpoint_every=4", "log_every=4", "tuned.validation.limit=20",
 )  # fmt: skip
 
 
@@ -56,7 +57,7 @@ def results(design, ran):
     """The folder of the page of the whole experiment."""
     folder = Path(design.runs).parent / "results"
     outcome = experiment(design, (), 1, folder)
-    assert (outcome.done, outcome.of, outcome.failed) == (13, 13, {})
+    assert (outcome.done, outcome.of, outcome.failed) == (21, 21, {})
     return folder
 
 
@@ -68,12 +69,18 @@ def rows(results):
     return records.read(results / "pareto" / f"{ENV}.csv")
 
 
+def by_imitation(results):
+    return [row for row in rows(results) if row["trained_by"] == "imitation"]
+
+
 def test_the_spiking_network_comes_first_and_last_levels_elsewhere_come_last(results, ran):
     assert ran[:4] == [
         "teacher", "kart-grid-sparse-s0", "kart-grid-sparse-s0: levels",
         "kart-grid-sparse-linear-s0",
     ]  # fmt: skip
-    assert all(name.endswith("last level on chips") for name in ran[9:13])
+    assert ran[9:11] == ["kart-grid-tuned-sparse-s0", "kart-grid-tuned-sparse-s0: levels"]
+    assert all("-tuned-" in name for name in ran[9:17])
+    assert all(name.endswith("last level on chips") for name in ran[17:21])
 
 
 def test_rivals_learn_from_the_walks_of_the_spiking_network(design, results):
@@ -86,12 +93,57 @@ def test_rivals_learn_from_the_walks_of_the_spiking_network(design, results):
 
 
 def test_every_level_of_every_student_has_a_row_on_all_episodes(results):
-    levels = [row for row in rows(results) if row["part"] == "levels"]
+    levels = [row for row in by_imitation(results) if row["part"] == "levels"]
     assert {(row["student"], row["level"]) for row in levels} == {
         (student, level) for student in STUDENTS for level in (200, 60)
     }
     assert {len(row["scores"]) for row in levels} == {3}
     assert all(row["operations"] > 0 for row in levels)
+
+
+def test_every_student_goes_on_with_reward_and_is_one_more_row(design, results):
+    rewarded = [row for row in rows(results) if row["trained_by"] == "reward"]
+    assert [row["student"] for row in rewarded] == list(STUDENTS)
+    assert {(row["level"], row["part"], len(row["scores"])) for row in rewarded} == {
+        (60, "levels", 3)
+    }
+    for tuning in design.tunings():
+        settings = json.loads((tuning.run / "config.json").read_text())
+        assert settings["start"] == tuning.start.run.name
+        assert settings["validation"]["limit"] == 20
+        assert tuning.changed_settings == []
+    assert len({tuning.run for tuning in design.tunings()}) == 4
+    text = (results / "pareto.md").read_text()
+    assert "| LIF, with reward | 60 |" in text
+    assert "| float linear, with reward | 60 |" in text
+
+
+def test_fewer_levels_have_less_to_do_and_keep_the_rows_of_the_others(design, results, tmp_path):
+    fewer = replace(design, levels=1)
+    (training, *_) = design.trainings()
+    assert {row.of["level"] for row in evaluation.rows(fewer, training, False, 1)} == {"ops-60"}
+    lost = Path(design.runs) / "evaluations" / f"{training.name}" / "ops-200@loihi1.json"
+    kept = lost.read_bytes()
+    lost.unlink()
+    outcome = experiment(fewer, (), 1, tmp_path)
+    assert (outcome.done, outcome.of) == (21, 21)
+    assert not lost.exists()
+    lost.write_bytes(kept)
+    page.write(fewer, tmp_path)
+    table = Path("pareto") / f"{ENV}.csv"
+    assert (tmp_path / table).read_bytes() == (results / table).read_bytes()
+    text = (tmp_path / "pareto.md").read_text()
+    assert "--levels 1" in text
+    assert "3 episodes of the last level from seed" in text
+
+
+def test_runs_that_were_moved_are_found_again(design, results, tmp_path):
+    moved = tmp_path / "moved"
+    shutil.copytree(design.runs, moved)
+    there = replace(design, runs=str(moved))
+    assert [tuning.run.parent for tuning in there.tunings()] == [moved] * 4
+    shutil.rmtree(there.trainings()[0].run)
+    assert [tuning.run is None for tuning in there.tunings()] == [True, False, False, False]
 
 
 def test_a_chip_that_refuses_a_network_is_named_with_its_rule(results):
@@ -103,7 +155,7 @@ def test_a_chip_that_refuses_a_network_is_named_with_its_rule(results):
 
 def test_a_second_run_has_nothing_to_do_and_changes_nothing(design, results, ran):
     before, count = contents(results), len(ran)
-    assert experiment(design, (), 1, results).done == 13
+    assert experiment(design, (), 1, results).done == 21
     assert len(ran) == count
     assert contents(results) == before
 

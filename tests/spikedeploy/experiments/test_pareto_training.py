@@ -4,8 +4,10 @@ import json
 
 import pytest
 
-from spikedeploy.experiments.pareto import training
+from spikedeploy.experiments.pareto import training, tuning
+from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.training import Training, perform
+from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import train
 from spikedeploy.trainers.run_folder import RunFolder
@@ -94,3 +96,59 @@ def test_levels_begin_with_the_most_operations(asked):
         (run / f"checkpoints/{name}.safetensors").touch()
     assert asked.levels == ["ops-1e+03", "ops-105", "ops-70"]
     assert training.operations_of("ops-1e+03") == 1000
+
+
+# with reward
+
+
+def tuned(start):
+    return RewardTraining("kart-grid-sparse-tuned", start, ("iterations=5",))
+
+
+def leave_tuned(asked, start, iterations):
+    """A run folder that began at the named run, with so many iterations made."""
+    config = asked.planned([f"start={start}"])
+    run = RunFolder.create(asked.folder, config).path
+    if iterations is not None:
+        (run / "checkpoints/last.json").write_text(json.dumps({"iterations": iterations}))
+    return run
+
+
+def test_a_training_with_reward_waits_for_its_start_and_begins_there(asked, calls):
+    with pytest.raises(ConfigError, match="kart-grid-tuned-sparse-s1 goes on from kart-grid-spars"):
+        tuning.perform(**tuned(asked).arguments())
+    run = leave(asked, whole(asked))
+    arguments = json.loads(json.dumps(tuned(asked).arguments()))  # as a job passes them
+    assert tuning.perform(**arguments) is False
+    ((words, options),) = calls
+    assert words == ("kart-grid-sparse-tuned",)
+    assert (options["seed"], options["overrides"]) == (1, ["iterations=5", f'start="{run}"'])
+
+
+def test_runs_with_reward_are_told_apart_by_the_runs_that_they_began_at(asked, rival, calls):
+    starts = {each: leave(each, whole(each)).name for each in (asked, rival)}
+    leave_tuned(tuned(asked), "", None)  # refused, and left without a start
+    leave_tuned(tuned(asked), "gone-s1", 5)
+    mine = leave_tuned(tuned(asked), starts[asked], 5)
+    theirs = leave_tuned(tuned(rival), starts[rival], 4)
+    assert (tuned(asked).run, tuned(rival).run) == (mine, theirs)
+    assert (tuned(asked).trained, tuned(rival).trained) == (True, False)
+    assert tuned(rival).progress == (4, 5)
+    assert tuning.perform(**tuned(asked).arguments()) is True
+    assert calls == []
+    tuning.perform(**tuned(rival).arguments())
+    assert calls[0][1]["resume"] == theirs
+
+
+def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
+    settings = ("walks=7", "tuned.iterations=9", "env.options.laps=2")
+    design = ParetoDesign("kart-grid", 1, str(tmp_path), settings)
+    assert design.overrides == ("walks=7", "env.options.laps=2")
+    assert design.tuned_overrides == ("iterations=9", "env.options.laps=2")
+    assert design.tunings()[0].planned([]).iterations == 9
+    names = [each.name for each in ParetoDesign("kart-grid", 2, str(tmp_path)).everything()]
+    assert names[3:6] == [
+        "kart-grid-small-linear-s0", "kart-grid-tuned-sparse-s0",
+        "kart-grid-tuned-sparse-linear-s0",
+    ]  # fmt: skip
+    assert names[8] == "kart-grid-sparse-s1"

@@ -8,14 +8,17 @@ import pytest
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import find
-from spikedeploy.runtime.errors import SpikedeployError
-from spikedeploy.shipping.export_run import kind_of, recorded
+from spikedeploy.runtime import load
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.shipping.export_run import export_run, kind_of, recorded
 from spikedeploy.shipping.publish_run import publish_run
-from spikedeploy.trainers.config import MlpConfig, PopsanConfig
-from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
+from spikedeploy.trainers.config import DeltaSnnConfig, MlpConfig, PopsanConfig, PrunedMlpConfig
+from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
 from spikedeploy.trainers.policies.features import Features
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from tests import toy_stroll_env
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)
@@ -112,3 +115,87 @@ def test_a_run_tells_its_origin(tmp_path):
         5,
     )
     assert origin.created.endswith("+00:00")
+
+
+def sparse_run(runs, recipe, policy, **settings):
+    """A run folder as a training by imitation would leave it."""
+    config = SparseConfig(
+        algorithm="sparse", recipe=recipe, env={"name": "stroll"}, policy=policy, **settings
+    )
+    run = RunFolder.create(runs, config)
+    for name, updates in (("ops-9", 100), ("ops-6", 300), ("best", 300), ("last", 400)):
+        network = from_config(policy, observations=3, actions=2)
+        run.save(name, network, {"updates": updates, "eval_return": 1.0})
+    run.metrics.write_text("updates,episode_return,eval_return\n200,1.0,\n400,2.0,3.0\n")
+    return run.path
+
+
+def tuned_run(runs, start, policy):
+    """A run folder as a training with reward would leave it."""
+    config = SparsePpoConfig(
+        algorithm="sparse-ppo", recipe="smoke-sparse-tuned", env={"name": "stroll"}, policy=policy,
+        start=start.name,
+    )  # fmt: skip
+    run = RunFolder.create(runs, config)
+    network = from_config(policy, observations=3, actions=2)
+    run.save("best", network, {"iterations": 2, "env_steps": 40})
+    run.metrics.write_text("iterations,env_steps,eval_return\n0,0,1.0\n3,60,2.0\n")
+    return run.path
+
+
+def test_a_level_of_pruning_is_published_with_its_own_weights_and_steps(tmp_path):
+    run = sparse_run(tmp_path / "runs", "smoke-sparse", DeltaSnnConfig(hidden=4))
+    options = {"episodes": 1, "folder": tmp_path / "zoo", "processes": 1}
+    file = publish_run(str(run), "level", checkpoint="ops-9", **options)[0]
+    best = publish_run(str(run), "best", **options)[0]
+    found = load(file).provenance
+    assert (found.checkpoint, found.steps) == ("ops-9", 100)
+    assert (load(best).provenance.checkpoint, load(best).provenance.steps) == ("", 300)
+    assert found.sha256 != load(best).provenance.sha256
+    card = json.loads(file.with_suffix(".json").read_text())
+    assert (card["checkpoint"], card["steps"], card["steps_unit"]) == ("ops-9", 100, "updates")
+    page = file.with_suffix(".md").read_text()
+    assert "- updates: 100\n" in page
+    assert "environment steps" not in page
+    assert "- checkpoint: ops-9, the best of those pruned to 9 operations a control step" in page
+    assert "- checkpoint: best\n" in best.with_suffix(".md").read_text()
+
+
+def test_a_file_of_another_checkpoint_lies_beside_that_of_the_best(tmp_path):
+    run = sparse_run(tmp_path, "smoke-sparse-mlp", PrunedMlpConfig(hidden=(4,)))
+    paths = [
+        export_run(str(run), "onnx", observations=30, checkpoint=each) for each in (None, "ops-6")
+    ]
+    assert [each.path.name for each in paths] == ["policy.onnx", "policy-ops-6.onnx"]
+    assert all(each.passed for each in paths)
+
+
+def test_an_unknown_checkpoint_is_named_with_those_that_there_are(tmp_path, command):
+    run = sparse_run(tmp_path, "smoke-sparse", DeltaSnnConfig(hidden=4))
+    with pytest.raises(ConfigError, match="no checkpoint 'ops-7'; it has: best, last, ops-6, ops"):
+        publish_run(str(run), "level", 1, tmp_path / "zoo", 1, checkpoint="ops-7")
+    code, _, err = command("export", run, "--to", "nir", "--checkpoint", "ops-7")
+    assert code != 0
+    assert "it has: best, last, ops-6, ops-9" in err
+
+
+def test_a_page_names_the_runs_that_walks_and_the_start_came_from(tmp_path):
+    runs, policy = tmp_path / "runs", PrunedMlpConfig(hidden=(4,))
+    spiking = sparse_run(runs, "smoke-sparse", DeltaSnnConfig(hidden=4))
+    rival = sparse_run(runs, "smoke-sparse-mlp", policy, pool=spiking.name, teacher_walks=0)
+    run = tuned_run(runs, rival, policy)
+    file = publish_run(str(run), "tuned", 1, tmp_path / "zoo", processes=1)[0]
+    page = file.with_suffix(".md").read_text()
+    (made,) = [line for line in page.splitlines() if line.startswith("- made by: ")]
+    first, second, third = made.removeprefix("- made by: ").split(", then ")
+    assert first.startswith("`spikedeploy train smoke-sparse --seed 0")
+    assert second.startswith("`spikedeploy train smoke-sparse-mlp --seed 0")
+    assert f"--set 'pool=\"{spiking.name}\"'" in second
+    assert third.startswith("`spikedeploy train smoke-sparse-tuned --seed 0")
+    assert f"--set 'start=\"{rival.name}\"'" in third
+    assert "policy." not in third  # it is that of the start
+    assert "- environment steps: 40, after 300 updates by imitation\n" in page
+    card = json.loads(file.with_suffix(".json").read_text())
+    assert [(each["run"], each["gives"]) for each in card["before"]] == [
+        (spiking.name, "pool"), (rival.name, "start"),
+    ]  # fmt: skip

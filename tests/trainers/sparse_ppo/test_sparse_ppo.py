@@ -17,6 +17,7 @@ from spikedeploy.trainers.sparse.pool import WalkPool
 from spikedeploy.trainers.sparse.rounding import rounding_offsets
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.sparse_ppo.learner import SparsePpoLearner
+from spikedeploy.trainers.sparse_ppo.start import find_start, stored_start
 from spikedeploy.trainers.sparse_ppo.trials import tiles
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
@@ -123,6 +124,31 @@ def test_a_resumed_run_ends_as_one_that_was_not_interrupted(start, tmp_path, mon
     assert one.keys() == other.keys()
     assert all(torch.equal(one[name], other[name]) for name in one)
     assert len(read(part / "metrics.csv")) == 4
+
+
+def test_a_run_is_resumed_where_it_was_moved_with_its_start(start, tmp_path, monkeypatch):
+    from spikedeploy.trainers.sparse_ppo.sparse_ppo import SparsePpo
+
+    inside = shutil.copytree(start, tmp_path / "runs" / start.name)
+    with monkeypatch.context() as patch:
+        patch.setattr(SparsePpo, "_iterate", lambda *_: False)
+        part = train(
+            "smoke-sparse-tuned", overrides=[f"start={inside}"], runs=inside.parent, quiet=True
+        )
+    assert RunFolder(part).settings()["start"] == start.name
+    inside.parent.rename(tmp_path / "elsewhere")
+    moved = tmp_path / "elsewhere" / part.name
+    assert train("smoke-sparse-tuned", resume=moved, quiet=True) == moved
+    assert RunFolder(moved).load("last")[0]["iterations"] == 3
+
+
+def test_a_start_in_another_folder_is_stored_as_a_path_that_holds_anywhere(start, tmp_path):
+    runs = tmp_path / "runs"
+    assert stored_start(RunFolder(start), runs) == str(start.resolve())
+    assert stored_start(RunFolder(runs / "kart" / "a"), runs) == "kart/a"
+    copy = shutil.copytree(start, runs / start.name)
+    assert find_start(str(tmp_path / "gone" / start.name), runs).path == copy
+    assert find_start(str(start), runs).path == start
 
 
 def test_the_ratio_is_one_before_the_first_update(played):

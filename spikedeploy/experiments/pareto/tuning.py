@@ -1,0 +1,154 @@
+"""One training with reward after a training by imitation: found, resumed, or started."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from spikedeploy.experiments.pareto.training import Training, complete, preferred
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import differences, resolve
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
+from spikedeploy.trainers.sparse_ppo.start import find_start
+
+_OWN = ("start=", "policy.")  # settings that follow from the training before
+
+
+@dataclass(frozen=True)
+class RewardTraining:
+    """A training with reward.
+
+    recipe     of trainers.recipes, trained by the sparse-ppo algorithm
+    start      the training whose best policy goes on
+    overrides  settings as `--set` takes them
+    """
+
+    recipe: str
+    start: Training
+    overrides: Sequence[str]
+
+    trained_by = "reward"
+    unit = "iterations"
+
+    @property
+    def seed(self) -> int:
+        """Of both trainings."""
+        return self.start.seed
+
+    @property
+    def folder(self) -> str:
+        """In which its run folder is looked for, or made."""
+        return self.start.folder
+
+    @property
+    def student(self) -> str:
+        """Recipe of the student."""
+        return self.start.recipe
+
+    @property
+    def name(self) -> str:
+        """`hexapod-tuned-small-mlp-s0`."""
+        env = self.recipe.removesuffix("-sparse-tuned")
+        return f"{env}-tuned-{self.start.name.removeprefix(f'{env}-')}"
+
+    @property
+    def donor(self) -> Training:
+        """The training that must have ended before."""
+        return self.start
+
+    @property
+    def run(self) -> Path | None:
+        """Its run folder: the first finished one, else the last; None before the training."""
+        return preferred(self._runs(), lambda run: _made(run) >= _planned(run))
+
+    def _runs(self) -> Iterator[Path]:
+        """Those of other students have the same recipe and seed: their starts tell them apart."""
+        for file in Path(self.folder).glob("*/config.json"):
+            settings = json.loads(file.read_text(encoding="utf-8"))
+            if (settings.get("recipe"), settings.get("seed")) != (self.recipe, self.seed):
+                continue
+            if _origin(settings["start"], Path(self.folder)) == (self.student, self.seed):
+                yield file.parent
+
+    @property
+    def trained(self) -> bool:
+        """Whether all iterations were made."""
+        return self.run is not None and _made(self.run) >= _planned(self.run)
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Iterations at the last checkpoint, and of the whole training."""
+        return (_made(self.run), _planned(self.run)) if self.run else (-1, 0)
+
+    @property
+    def levels(self) -> list[str]:
+        """Name of the checkpoint that is evaluated."""
+        return ["best"]
+
+    def operations_of(self, level: str) -> float:
+        """Operations that a checkpoint aims at: the budget of the training before."""
+        if self.run is None:
+            raise ConfigError(f"{self.name} has no run folder")
+        start = find_start(self.config(self.run).start, Path(self.folder))
+        return start.config(SparseConfig).budget
+
+    def config(self, run: Path) -> SparsePpoConfig:
+        """The configuration of a run."""
+        return RunFolder(run).config(SparsePpoConfig)
+
+    @property
+    def changed_settings(self) -> list[str]:
+        """Settings of the training that differ from what the recipe and the overrides say now."""
+        if self.run is None:
+            return []
+        expected = set(differences(self.planned([])))
+        found = differences(self.config(self.run))
+        return [each for each in found if each not in expected and not each.startswith(_OWN)]
+
+    def planned(self, more: Sequence[str]) -> SparsePpoConfig:
+        """The configuration of a new run, with more settings."""
+        settings = [*self.overrides, *more]
+        return resolve(SparsePpoConfig, self.recipe, overrides=settings, seed=self.seed)
+
+    def beginning(self) -> list[str]:
+        """Settings of a new run beside the overrides: the run that it goes on from."""
+        run = self.start.run
+        if run is None or not self.start.trained:
+            raise ConfigError(
+                f"{self.name} goes on from {self.start.name}, which is not trained yet. "
+                f"Run the experiment without --only, or with --only {self.start.name} first."
+            )
+        return [f"start={json.dumps(str(run))}"]
+
+    def arguments(self) -> dict[str, Any]:
+        """The fields as arguments of `perform`."""
+        return {**asdict(self), "start": self.start.arguments(), "overrides": list(self.overrides)}
+
+
+def _made(run: Path) -> int:
+    """Iterations at the last checkpoint of a run."""
+    last = run / "checkpoints" / "last.json"
+    return int(json.loads(last.read_text(encoding="utf-8"))["iterations"]) if last.is_file() else -1
+
+
+def _planned(run: Path) -> int:
+    return RunFolder(run).config(SparsePpoConfig).iterations
+
+
+def _origin(start: str, runs: Path) -> tuple[str, int] | None:
+    """Recipe and seed of the run that `start` names; None where there is no such run."""
+    if not start:
+        return None
+    try:
+        settings = find_start(start, runs).settings()
+    except ConfigError:
+        return None
+    return settings["recipe"], settings["seed"]
+
+
+def perform(recipe: str, start: dict[str, Any], overrides: Sequence[str]) -> bool:
+    """Complete the training with these fields; False if it was interrupted."""
+    return complete(RewardTraining(recipe, Training(**start), overrides))

@@ -1,0 +1,57 @@
+"""The run that PPO goes on from: found by the setting `start`, checked, stored so that it moves.
+
+A run folder stores its start relative to the folder that holds both, so that they can be moved
+together; a start elsewhere is stored as an absolute path.
+"""
+
+from pathlib import Path
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
+
+
+def find_start(start: str, runs: Path) -> RunFolder:
+    """Return the run that `start` of a run in the folder `runs` names.
+
+    Where an absolute path has gone, a folder of that name beside the run is taken.
+    """
+    for path in (runs / start, Path(start), Path("runs") / start, runs / Path(start).name):
+        if (path / "config.json").is_file():
+            return RunFolder(path)
+    return RunFolder.find(start)
+
+
+def stored_start(start: RunFolder, runs: Path) -> str:
+    """Return `start` as the run folder stores it."""
+    # the last part stays as it is, which may be a link into another folder
+    path, folder = start.path.parent.resolve() / start.path.name, runs.resolve()
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+
+
+def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, SparseConfig, Policy]:
+    """Return the run to start from, its configuration and its best policy."""
+    if not config.start:
+        raise ConfigError(
+            f"{config.recipe} needs a finished run: --set start=RUN, where RUN is the run folder "
+            "of a sparse recipe for the same task"
+        )
+    run = find_start(config.start, runs)
+    if (found := run.settings()["algorithm"]) != "sparse":
+        raise ConfigError(
+            f"start: {config.start} is a run of {found}. Give one of a sparse recipe."
+        )
+    source = run.config(SparseConfig)
+    if source.env.name != config.env.name:
+        raise ConfigError(
+            f"start: {config.start} was trained in {source.env.name}, not in {config.env.name}. "
+            "Take the recipe of its task."
+        )
+    if not run.checkpoint("best").is_file():
+        raise ConfigError(
+            f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
+            "continue it with --resume."
+        )
+    return run, source, run.policy("best")
