@@ -16,6 +16,7 @@ from torch import Tensor
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.trainers.distill.teachers import teacher
+from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.collect import Episodes
