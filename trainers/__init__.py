@@ -11,8 +11,11 @@ sparse_ppo/      reward after imitation, for what sparse/ left
 policies/        torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones
 train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
+recipe.py        what a recipe is
 recipes.py       table of recipes
-config.py        configuration: models, recipe, TOML file and overrides
+sparse_recipes.py  those of sparse policies, their rivals, and PPO after imitation
+config.py        models of the configuration
+resolve.py       recipe, TOML file and overrides combined into a configuration
 run_folder.py    files of a run: configuration, versions, checkpoints
 journal.py       metrics to CSV file, TensorBoard and progress bar
 metrics.py       the CSV file, and the learning curve
@@ -26,7 +29,8 @@ atomic.py        atomic writes
 An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in RECIPES.
 """
 
-from spikedeploy.trainers.recipes import RECIPES, Recipe
+from spikedeploy.trainers.recipe import Recipe
+from spikedeploy.trainers.recipes import RECIPES
 
 ALGORITHMS: dict[str, str] = {
     "sac": "spikedeploy.trainers.sac.sac:Sac",

@@ -1,36 +1,7 @@
-"""Recipes: what to train, as differences from the defaults of the algorithms' configurations."""
+"""The table of recipes: those of SAC, distillation and PPO, and what other folders add."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
-Settings = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What to train, and how.
-
-    algorithm: key of `trainers.ALGORITHMS`
-    summary: one line
-    settings: nested settings that differ from the algorithm's defaults
-    """
-
-    algorithm: str
-    summary: str
-    settings: Mapping[str, Any]
-
-
-def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings:
-    """Return `settings` with nested changes applied in order."""
-    result = dict(settings)
-    for change in changes:
-        for key, value in change.items():
-            old = result.get(key)
-            nested = isinstance(old, Mapping) and isinstance(value, Mapping)
-            result[key] = merged(old, value) if nested else value  # type: ignore[arg-type]
-    return result
-
+from spikedeploy.trainers.recipe import KART_ENVS, Recipe, Settings, merged
+from spikedeploy.trainers.sparse_recipes import SPARSE_RECIPES
 
 # -- soft actor-critic: the hexapod; the defaults of SacConfig are tuned for walking straight
 
@@ -138,8 +109,6 @@ DISTILL: dict[str, tuple[str, Settings]] = {
 
 # -- proximal policy optimisation: the karts
 
-_KART_ENVS = ("kart-grid", "kart-gazebo", "kart-steer")
-
 # kart-simulator's networks, and two controls for its spiking one: a float network of the same
 # size, and a linear policy
 _POLICIES: dict[str, tuple[str, Settings]] = {
@@ -163,7 +132,7 @@ _SMOKE_PPO: Settings = {
 _KARTS: dict[str, tuple[str, Settings]] = {
     **{
         f"{env}-{name}": (f"{summary}, to race {env}", {"env": {"name": env}, "policy": policy})
-        for env in _KART_ENVS
+        for env in KART_ENVS
         for name, (summary, policy) in _POLICIES.items()
     },
     "smoke-kart": (
@@ -171,176 +140,6 @@ _KARTS: dict[str, tuple[str, Settings]] = {
         {**_SMOKE_PPO, "policy": {"kind": "spiking-mlp", "hidden": [8, 8], "timesteps": 4}},
     ),
 }
-
-# -- sparse: a thousandth of the operations; and the small float networks that are their rivals. The
-# teachers are the shipped ones; another is given with --set teacher=PATH
-
-_SPARSE_STUDENTS: dict[str, tuple[str, Settings]] = {
-    "sparse": ("events into LIF neurons", {"kind": "delta-snn"}),
-    "sparse-linear": (
-        "control: events straight into the readout",
-        {"kind": "delta-snn", "hidden": 0},
-    ),
-    "small-mlp": ("control: float MLP, pruned", {"kind": "pruned-mlp"}),
-    "small-linear": ("control: float linear policy, pruned", {"kind": "pruned-mlp", "hidden": []}),
-    "delta-mlp": ("control: events into sigma-delta ReLU neurons", {"kind": "delta-mlp"}),
-}
-
-_SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
-    "hexapod": (
-        "walks",
-        {"env": {"name": "hexapod"}, "teacher": "hexapod/sac", "step": 0.8},
-    ),
-    "hexapod-command": (
-        "follows commands",
-        {"env": {"name": "hexapod-command"}, "teacher": "hexapod-command/smooth", "step": 0.8},
-    ),
-    # episodes are short, and whether a kart crashes changes between rounds: more of everything
-    **{
-        env: (
-            f"races {env}",
-            {
-                "env": {"name": env},
-                "teacher": f"{env}/ann",
-                "crash_windows": 0.3,
-                # hidden spikes are dear, so that they stay rare beside the skip connection
-                "penalty": 0.5,
-                "penalty_floor": 50,
-                "step": 0.3,
-                "dense_updates": 2_000,
-                "dense_rounds": 4,
-                "level_updates": 1_000,
-                "polish": 8,
-                "polish_updates": 600,
-                "polish_rate": 3e-4,
-                "retune": "before-polish",
-                "walks": 60,
-                "validation": {"every": 600, "episodes": 200},
-            },
-        )
-        for env in _KART_ENVS
-    },
-}
-
-# operations of each student at the end, and on the way there; and sizes
-_SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
-    ("hexapod", "sparse"): {"budget": 50, "levels": [210, 140, 105, 84, 66], "polish": 3},
-    ("hexapod", "sparse-linear"): {"budget": 70, "levels": [160, 100], "walks": 25},
-    ("hexapod", "small-mlp"): {"budget": 130, "levels": [400, 250, 180], "walks": 25},
-    ("hexapod", "small-linear"): {"budget": 200, "levels": [600, 300], "walks": 25},
-    ("hexapod-command", "sparse"): {
-        "budget": 300,
-        "levels": [1_600, 1_000, 700, 480, 360],
-        "rate_cost": 4_000,
-        "policy": {"hidden": 128},
-    },
-    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [600], "walks": 25},
-    ("hexapod-command", "small-mlp"): {
-        "budget": 400,
-        "levels": [1_500, 800, 550],
-        "walks": 25,
-        "policy": {"hidden": [48, 32]},
-    },
-    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [700], "walks": 25},
-    **{
-        (env, student): settings
-        for env in _KART_ENVS
-        for student, settings in {
-            "sparse": {"budget": 28, "levels": [45, 35], "policy": {"integrated": True}},
-            "sparse-linear": {"budget": 10, "levels": [20, 14]},
-            "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
-            "small-linear": {"budget": 30, "levels": [60, 40]},
-            "delta-mlp": {
-                "budget": 25,
-                "levels": [60, 40, 32],
-                "policy": {"hidden": 8},
-                "chip": "loihi2",
-            },
-        }.items()
-    },
-    # graded spikes run on no other chip
-    ("hexapod", "delta-mlp"): {
-        "budget": 70,
-        "levels": [250, 160, 110, 85],
-        "policy": {"hidden": 8},
-        "chip": "loihi2",
-    },
-    ("hexapod-command", "delta-mlp"): {
-        "budget": 480,
-        "levels": [1_600, 1_000, 700, 560],
-        "rate_cost": 4_000,
-        "policy": {"hidden": 64},
-        "chip": "loihi2",
-    },
-}
-
-_SMOKE_SPARSE: Settings = {
-    "env": {"name": "hexapod", "count": 2},
-    "teacher": "hexapod/sac",
-    "budget": 60,
-    "teacher_walks": 2,
-    "noisy_walks": 1,
-    "walks": 1,
-    "dense_updates": 20,
-    "dense_rounds": 1,
-    "level_updates": 20,
-    "levels": [200],
-    "polish": 1,
-    "polish_updates": 10,
-    "prune_every": 5,
-    "batch": 8,
-    "log_every": 5,
-    "validation": {"every": 10, "episodes": 1, "limit": 40},
-}
-
-
-def _sparse() -> dict[str, Recipe]:
-    """Return the sparse recipes of every task and student."""
-    found = {}
-    for task, (verb, settings) in _SPARSE_TASKS.items():
-        for student, (network, policy) in _SPARSE_STUDENTS.items():
-            changes = merged(settings, {"policy": policy}, _SPARSE_BUDGETS[task, student])
-            found[f"{task}-{student}"] = Recipe("sparse", f"{network}, that {verb}", changes)
-    return found
-
-
-# -- reward after imitation: the best policy of a sparse run, given with --set start=RUN
-
-_SMOKE_TUNED: Settings = {
-    "env": {"name": "hexapod"},
-    "policy": {"kind": "delta-snn"},
-    "iterations": 3,
-    "warm_up": 1,
-    "episodes": 2,
-    "window": 16,
-    "burn_in": 4,
-    "batch": 4,
-    "epochs": 2,
-    "critic_hidden": [16],
-    "checkpoint_every": 1,
-    "validation": {"every": 1, "episodes": 1, "limit": 40},
-}
-
-
-# episodes of the karts are short, and each says little more than whether it finished
-_TUNED_KART: Settings = {
-    "episodes": 48,
-    "validation": {"every": 5, "episodes": 200},
-}
-
-
-def _tuned() -> dict[str, Recipe]:
-    """Return the recipes that go on where the spiking ones of `_sparse` end."""
-    found = {}
-    for task, (verb, settings) in _SPARSE_TASKS.items():
-        network, policy = _SPARSE_STUDENTS["sparse"]
-        size = _SPARSE_BUDGETS[task, "sparse"].get("policy", {})
-        length = _TUNED_KART if task in _KART_ENVS else {}
-        changes = {"env": settings["env"], "policy": {**policy, **size}, **length}
-        summary = f"{network}, that {verb}: reward after a sparse run, start=RUN"
-        found[f"{task}-sparse-tuned"] = Recipe("sparse-ppo", summary, changes)
-    return found
-
 
 RECIPES: dict[str, Recipe] = {
     "hexapod-sac": Recipe(
@@ -372,22 +171,5 @@ RECIPES: dict[str, Recipe] = {
     ),
     **{name: Recipe("distill", summary, settings) for name, (summary, settings) in DISTILL.items()},
     **{name: Recipe("ppo", summary, settings) for name, (summary, settings) in _KARTS.items()},
-    **_sparse(),
-    "smoke-sparse": Recipe(
-        "sparse",
-        "a tiny sparse policy, seconds",
-        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-snn"}}),
-    ),
-    "smoke-sparse-mlp": Recipe(
-        "sparse",
-        "a tiny pruned float policy, seconds",
-        merged(_SMOKE_SPARSE, {"policy": {"kind": "pruned-mlp", "hidden": [8]}}),
-    ),
-    **_tuned(),
-    "smoke-sparse-tuned": Recipe("sparse-ppo", "PPO after smoke-sparse, seconds", _SMOKE_TUNED),
-    "smoke-sparse-delta-mlp": Recipe(
-        "sparse",
-        "a tiny delta network, seconds",
-        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-mlp", "hidden": 8}, "chip": "loihi2"}),
-    ),
+    **SPARSE_RECIPES,
 }

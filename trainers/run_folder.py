@@ -21,8 +21,9 @@ from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
-from spikedeploy.trainers.config import C, RunConfig, validated
+from spikedeploy.trainers.config import C, RunConfig
 from spikedeploy.trainers.policies import Policy, build
+from spikedeploy.trainers.resolve import validated
 from spikedeploy.trainers.versions import versions
 
 _POLICY = "policy."  # prefix of the policy's tensors

@@ -15,10 +15,11 @@ import torch
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS
-from spikedeploy.trainers.config import RunConfig, amended, known, resolve
+from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.journal import Journal, ProgressBar
 from spikedeploy.trainers.metrics import draw_curve
 from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.resolve import amended, known, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.budget import with_budget

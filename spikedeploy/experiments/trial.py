@@ -19,8 +19,8 @@ from spikedeploy.experiments.evaluation import evaluate
 from spikedeploy.experiments.finishes import Steps, finishes
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import SpikedeployError
-from spikedeploy.trainers.config import amended, differences, resolve
 from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.resolve import amended, differences, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 
 try:

@@ -20,7 +20,7 @@ from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
-from spikedeploy.trainers.config import differences
+from spikedeploy.trainers.resolve import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse_ppo.start import find_start
 from spikedeploy.trainers.train import algorithm

@@ -2,7 +2,8 @@ import pytest
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, RECIPES
-from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve, validated
+from spikedeploy.trainers.config import Ramp
+from spikedeploy.trainers.resolve import differences, parse_override, resolve, validated
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.train import algorithm
 

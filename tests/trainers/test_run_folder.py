@@ -7,10 +7,10 @@ from safetensors.torch import load_file
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.journal import Journal, ProgressBar
 from spikedeploy.trainers.metrics import Metrics, read
 from spikedeploy.trainers.policies import MlpPolicy
+from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.train import train

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import PolicyConfig, known
+from spikedeploy.trainers.config import PolicyConfig
 from spikedeploy.trainers.policies.delta_mlp import DeltaMlpPolicy
 from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
 from spikedeploy.trainers.policies.features import Features, features
@@ -31,6 +31,7 @@ from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.popsan import PopsanPolicy
 from spikedeploy.trainers.policies.pruned_mlp import PrunedMlpPolicy
 from spikedeploy.trainers.policies.spiking_mlp import SpikingMlpPolicy
+from spikedeploy.trainers.resolve import known
 
 __all__ = [
     "DeltaMlpPolicy",

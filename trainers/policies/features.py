@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import known
+from spikedeploy.trainers.resolve import known
 
 _FEATURES = ("all", "phase", "bilinear")
 

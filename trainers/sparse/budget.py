@@ -1,8 +1,9 @@
 """Budgets as the command line takes them: sops=480 of a spiking policy, macs=500 of a float one."""
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import C, amended
+from spikedeploy.trainers.config import C
 from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.resolve import amended
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 # what the operations of each kind of policy are called

@@ -10,7 +10,8 @@ from typing import Any, Protocol
 
 from spikedeploy.experiments.trial import exclusive
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import RunConfig, differences, resolve
+from spikedeploy.trainers.config import RunConfig
+from spikedeploy.trainers.resolve import differences, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.phases import phases

@@ -8,7 +8,7 @@ from typing import Any
 
 from spikedeploy.experiments.pareto.training import Training, complete, preferred
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import differences, resolve
+from spikedeploy.trainers.resolve import differences, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig

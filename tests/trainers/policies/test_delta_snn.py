@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig, validated
+from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy, build, from_config
 from spikedeploy.trainers.policies.delta_graph import (
     channel_weights,
@@ -14,6 +14,7 @@ from spikedeploy.trainers.policies.delta_graph import (
     event_channels,
     live_neurons,
 )
+from spikedeploy.trainers.resolve import validated
 from tests.delta_policies import delta_policy, followed, thinned, walk
 
 SHAPES = [

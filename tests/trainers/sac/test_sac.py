@@ -3,10 +3,11 @@ import pytest
 import torch
 
 from spikedeploy import envs
-from spikedeploy.trainers.config import EnvConfig, resolve
+from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import MlpPolicy
+from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.replay import ReplayBatch

@@ -1,7 +1,7 @@
 import pytest
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sparse.budget import with_budget
 from spikedeploy.trainers.sparse.config import SparseConfig

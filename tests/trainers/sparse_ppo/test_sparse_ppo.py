@@ -7,9 +7,9 @@ import torch
 from spikedeploy import envs
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.teachers import Teacher
 from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.collect import Episodes
 from spikedeploy.trainers.sparse.config import SparseConfig
