@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -15,7 +14,7 @@ from spikedeploy.experiments.finishes import progress_of
 from spikedeploy.experiments.kart_design import ExperimentDesign
 from spikedeploy.experiments.kart_page import write
 from spikedeploy.experiments.trial import Trial
-from spikedeploy.experiments.workers import Job, JobEnd
+from spikedeploy.experiments.workers import Job, JobEnd, Outcome
 from spikedeploy.parallel import cores
 from spikedeploy.runtime.errors import ConfigError
 
@@ -91,30 +90,13 @@ class _ExperimentProgress:
         self._console.print(line, markup=False)
 
 
-@dataclass(frozen=True)
-class _TrialOutcome:
-    """The result of running an experiment.
-
-    done, of     number of complete parts, and of all
-    failed       part -> last line of its log
-    interrupted  whether it was stopped from outside
-    files        page, tables and pictures
-    """
-
-    done: int
-    of: int
-    failed: dict[str, str]
-    interrupted: bool
-    files: list[Path]
-
-
 def experiment(
     design: ExperimentDesign,
     only: Sequence[str],
     count: int | None,
     results: Path,
     train: bool = True,
-) -> _TrialOutcome:
+) -> Outcome:
     """Run the missing parts of the experiment.
 
     only     prefixes of the names of parts; empty for all
@@ -137,7 +119,7 @@ def experiment(
         whole = workers.run(jobs, count or cores(), ended, progress.update)
     files = write(design, results)
     done = [part.done for part in design.parts]
-    return _TrialOutcome(sum(done), len(done), failed, not whole, files)
+    return Outcome(sum(done), len(done), failed, not whole, files)
 
 
 def _check(trial: Trial) -> None:

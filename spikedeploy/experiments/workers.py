@@ -61,6 +61,23 @@ class JobEnd:
         return next((line for line in reversed(lines) if line.strip()), "no output")
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """The result of running an experiment.
+
+    done, of     number of complete parts, and of all
+    failed       part -> last line of its log
+    interrupted  whether it was stopped from outside
+    files        page, tables and pictures
+    """
+
+    done: int
+    of: int
+    failed: dict[str, str]
+    interrupted: bool
+    files: list[Path]
+
+
 def run(
     jobs: Sequence[Job],
     count: int,

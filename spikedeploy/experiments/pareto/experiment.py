@@ -12,30 +12,13 @@ from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import rows, teacher_row
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.experiments.workers import Job, JobEnd
+from spikedeploy.experiments.workers import Job, JobEnd, Outcome
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines on what runs
 _EVALUATION = "spikedeploy.experiments.pareto.evaluation"
 _TRAINING = "spikedeploy.experiments.pareto.training"
 _TUNING = "spikedeploy.experiments.pareto.tuning"
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of running an experiment.
-
-    done, of     number of complete parts, and of all
-    failed       part -> last line of its log
-    interrupted  whether it was stopped from outside
-    files        page, tables and pictures
-    """
-
-    done: int
-    of: int
-    failed: dict[str, str]
-    interrupted: bool
-    files: list[Path]
 
 
 @dataclass(frozen=True)

@@ -95,12 +95,8 @@ class Training:
     @property
     def changed_settings(self) -> list[str]:
         """Settings of the training that differ from what the recipe and the overrides say now."""
-        if self.run is None:
-            return []
-        expected = set(differences(self.planned([])))
-        found = differences(self.config(self.run))
         own = tuple(f"{name}=" for name in _OWN) if self.walks_of else ()
-        return [each for each in found if each not in expected and not each.startswith(own)]
+        return changed(self.config(self.run), self.planned([]), own) if self.run else []
 
     def planned(self, more: Sequence[str]) -> SparseConfig:
         """The configuration of a new run, with more settings."""
@@ -122,6 +118,13 @@ class Training:
     def arguments(self) -> dict[str, Any]:
         """The fields as arguments of `perform`."""
         return {**asdict(self), "overrides": list(self.overrides)}
+
+
+def changed(made: RunConfig, planned: RunConfig, own: tuple[str, ...]) -> list[str]:
+    """Settings of a run that differ from the planned ones; `own` begin those that always do."""
+    expected = set(differences(planned))
+    found = differences(made)
+    return [each for each in found if each not in expected and not each.startswith(own)]
 
 
 def operations_of(level: str) -> float:

@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.experiments.pareto.training import Training, complete, preferred
+from spikedeploy.experiments.pareto.training import Training, changed, complete, preferred
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.resolve import differences, resolve
+from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
@@ -102,11 +102,7 @@ class RewardTraining:
     @property
     def changed_settings(self) -> list[str]:
         """Settings of the training that differ from what the recipe and the overrides say now."""
-        if self.run is None:
-            return []
-        expected = set(differences(self.planned([])))
-        found = differences(self.config(self.run))
-        return [each for each in found if each not in expected and not each.startswith(_OWN)]
+        return changed(self.config(self.run), self.planned([]), _OWN) if self.run else []
 
     def planned(self, more: Sequence[str]) -> SparsePpoConfig:
         """The configuration of a new run, with more settings."""

@@ -6,30 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.quantise import (
     axon_types,
     check_axons,
     quantise,
 )
+from tests.float_layers import float_layer
 
 
-def floats(weight, bias=0.0, threshold=1.0, voltage_bias=0.0, alpha=0.0, beta=1.0, name="if1"):
-    """A float layer with one row of weights per axon."""
-    weight = np.atleast_2d(np.asarray(weight, float))
-    ones = np.ones(weight.shape[1])
-    return Layer(
-        name=name,
-        synapses=(Synapses("input", weight, 1),),
-        bias=bias * ones,
-        voltage_bias=voltage_bias * ones,
-        threshold=threshold * ones,
-        current_decay=alpha * ones,
-        membrane_decay=beta * ones,
-        scale=1.0,
-        start=0,
-    )
+def floats(weight, name="if1", **more):
+    return float_layer(weight, name, **more)
 
 
 def quantised(layer, name, rounding=None, limits=True, **options):

@@ -8,31 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.cuba.quantise import quantise, stored
+from tests.float_layers import float_layer
 
 FIXED = chip("loihi1").arithmetic
 TRUNCATE = Quantisation(rounding="truncate")
 CHANNEL = Quantisation(granularity="channel")
 
 
-def floats(weight, bias=0.0, threshold=0.5, voltage_bias=0.0, alpha=0.5, beta=0.75):
-    """A float layer with one row of weights per axon."""
-    weight = np.atleast_2d(np.asarray(weight, float))
-    ones = np.ones(weight.shape[1])
-    return Layer(
-        name="lif1",
-        synapses=(Synapses("input", weight, 1),),
-        bias=bias * ones,
-        voltage_bias=voltage_bias * ones,
-        threshold=threshold * ones,
-        current_decay=alpha * ones,
-        membrane_decay=beta * ones,
-        scale=1.0,
-        start=0,
-    )
+def floats(weight, threshold=0.5, alpha=0.5, beta=0.75, **more):
+    return float_layer(weight, "lif1", threshold=threshold, alpha=alpha, beta=beta, **more)
 
 
 def test_the_largest_weight_becomes_the_chips_largest_and_the_threshold_follows():

@@ -14,21 +14,13 @@ from spikedeploy.trainers.sac.replay import ReplayBatch
 from spikedeploy.trainers.sac.sac import GaussianActor, SacLearner
 from spikedeploy.trainers.train import train
 from spikedeploy.trainers.validation import Validator
-from tests.toy_pointing_env import PointingEnv
+from tests.toy_pointing_env import QUICK, PointingEnv
 
 
 @pytest.fixture
 def pointing(monkeypatch):
     PointingEnv.seeds = ()
     monkeypatch.setattr(envs, "make", lambda name, **options: PointingEnv())
-
-
-QUICK = [
-    "steps=400", "warm_up=100", "update_every=1", "batch=32", "policy.hidden=[32]", "tau=0.05",
-    "critic_hidden=[32]", "learning_rate=1e-2", "validation.every=200", "validation.limit=10",
-    "temperature.start=0.02", "temperature.end=0.02", "mean_penalty=0", "gamma=0.0",
-    "log_every=200", "precision=float32", "env.count=4",
-]  # fmt: skip
 
 
 @pytest.mark.parametrize("recipe", ["smoke", "smoke-popsan"])

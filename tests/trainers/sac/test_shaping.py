@@ -10,14 +10,7 @@ from spikedeploy.trainers.resolve import differences, resolve
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.shaping import check_shaping, shaped
 from spikedeploy.trainers.train import train
-from tests.toy_pointing_env import PointingEnv
-
-QUICK = [
-    "steps=400", "warm_up=100", "update_every=1", "batch=32", "policy.hidden=[32]", "tau=0.05",
-    "critic_hidden=[32]", "learning_rate=1e-2", "validation.every=200", "validation.limit=10",
-    "temperature.start=0.02", "temperature.end=0.02", "mean_penalty=0", "gamma=0.0",
-    "log_every=200", "precision=float32", "env.count=4",
-]  # fmt: skip
+from tests.toy_pointing_env import QUICK, PointingEnv
 
 
 class _NamedPointingEnv(PointingEnv):
