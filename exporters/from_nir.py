@@ -63,25 +63,7 @@ def _policy(artifact: Artifact) -> SpikingPolicy | DeltaSnnPolicy:
 
 def _event_driven(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
     nodes = artifact.graph.nodes
-    graded = isinstance(nodes["readout"], nir.I)
-    neurons = nodes.get("sd1" if graded else "lif1")
-    decays = discretise("readout", nodes["readout"], artifact.convention).membrane_decay
-    settings: dict[str, Any] = {
-        "hidden": 0 if neurons is None else neurons.r.size,
-        "skip": "skip" in nodes,
-        "most": encoder.most,
-        "code": encoder.code,
-        "events_above": encoder.threshold,
-        "clip": codec.normaliser.clip,
-        "head": "discrete" if codec.chooses else "continuous",
-    }
-    policy: DeltaSnnPolicy
-    if graded:
-        policy = DeltaMlpPolicy(encoder.observed, nodes["action"].bias.size, **settings)
-    else:
-        settings["integrated"] = "integral" in nodes
-        settings["current_decay"] = round(float(_current_decays(artifact, decays)[0]), _DIGITS)
-        policy = DeltaSnnPolicy(encoder.observed, nodes["action"].bias.size, **settings)
+    policy = _untrained(artifact, codec, encoder)
     arrays: Arrays = {
         "normalizer.mean": codec.normaliser.mean,
         "normalizer.std": codec.normaliser.std,
@@ -91,22 +73,48 @@ def _event_driven(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> De
     }
     if "skip" in nodes:
         arrays["past.weight"] = _of_observations(nodes["skip"].weight, encoder)
-    if neurons is not None:
+    if policy.hidden:
+        graded = isinstance(policy, DeltaMlpPolicy)
         arrays |= (_sigma_delta if graded else _hidden)(artifact, encoder)
-    if not graded:
-        arrays["_gamma"] = _logits(decays)
+    if not isinstance(policy, DeltaMlpPolicy):
+        arrays["_gamma"] = _logits(_readout_decays(artifact))
     state = policy.state_dict() | {n: torch.from_numpy(a).float() for n, a in arrays.items()}
     masks = {f"{n}.mask": (state[f"{n}.weight"] != 0).float() for n in ("into", "out", "past")}
     policy.load_state_dict(state | masks)
     return policy
 
 
-def _current_decays(
-    artifact: Artifact, readout: NDArray[np.floating[Any]]
-) -> NDArray[np.floating[Any]]:
+def _untrained(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
+    """Return a policy of the artifact's kind and sizes."""
+    nodes = artifact.graph.nodes
+    graded = isinstance(nodes["readout"], nir.I)
+    neurons = nodes.get("sd1" if graded else "lif1")
+    settings: dict[str, Any] = {
+        "hidden": 0 if neurons is None else neurons.r.size,
+        "skip": "skip" in nodes,
+        "most": encoder.most,
+        "code": encoder.code,
+        "events_above": encoder.threshold,
+        "clip": codec.normaliser.clip,
+        "head": "discrete" if codec.chooses else "continuous",
+    }
+    actions = nodes["action"].bias.size
+    if graded:
+        return DeltaMlpPolicy(encoder.observed, actions, **settings)
+    settings["integrated"] = "integral" in nodes
+    settings["current_decay"] = round(float(_current_decays(artifact)[0]), _DIGITS)
+    return DeltaSnnPolicy(encoder.observed, actions, **settings)
+
+
+def _readout_decays(artifact: Artifact) -> NDArray[np.floating[Any]]:
+    node = artifact.graph.nodes["readout"]
+    return discretise("readout", node, artifact.convention).membrane_decay
+
+
+def _current_decays(artifact: Artifact) -> NDArray[np.floating[Any]]:
     """Return the currents' decay factors: of the neurons, or of a readout that stands for them."""
     if "lif1" not in artifact.graph.nodes:
-        return readout
+        return _readout_decays(artifact)
     neuron = discretise("lif1", artifact.graph.nodes["lif1"], artifact.convention)
     if neuron.current_decay is None:
         raise AttributeError("lif1 has no current")
@@ -140,7 +148,7 @@ def _of_observations(weight: NDArray[np.float64], encoder: DeltaEncoder) -> NDAr
     return np.asarray(np.where(np.isfinite(encoder.step), first / encoder.step, 0.0))
 
 
-def _logits(share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _logits(share: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     return np.asarray(np.log(share) - np.log1p(-share))
 
 

@@ -33,7 +33,7 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
                 "env": {"name": env},
                 "teacher": f"{env}/ann",
                 "crash_windows": 0.3,
-                # hidden spikes are dear, so that they stay rare beside the skip connection
+                # a high price keeps hidden spikes rare beside the skip connection
                 "penalty": 0.5,
                 "penalty_floor": 50,
                 "step": 0.3,

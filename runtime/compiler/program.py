@@ -47,10 +47,10 @@ class HostOutput:
 
 def leaving(outlets: Sequence[HostOutput], spikes: Mapping[str, NDArray[Any]]) -> Floats:
     """Output (B, T, act) of all outlets side by side, from the spikes (B, T, N) of each layer."""
-    return np.concatenate([_heard(outlet, spikes) for outlet in outlets], axis=2)
+    return np.concatenate([_received(outlet, spikes) for outlet in outlets], axis=2)
 
 
-def _heard(outlet: HostOutput, spikes: Mapping[str, NDArray[Any]]) -> Floats:
+def _received(outlet: HostOutput, spikes: Mapping[str, NDArray[Any]]) -> Floats:
     batch, timesteps, _ = spikes[outlet.taps[0].layer].shape
     output = np.zeros((batch, timesteps, outlet.port.size)) + outlet.bias
     for tap in outlet.taps:
@@ -157,8 +157,8 @@ class Program:
         if not self.outlets:
             return frozenset({self.output})
         taps = {tap.layer for outlet in self.outlets for tap in outlet.taps}
-        heard = {synapses.source for layer in self.host for synapses in layer.synapses}
-        return frozenset((taps | heard) & self._by_name.keys())
+        onto_host = {synapses.source for layer in self.host for synapses in layer.synapses}
+        return frozenset((taps | onto_host) & self._by_name.keys())
 
     @cached_property
     def reads_membranes(self) -> bool:

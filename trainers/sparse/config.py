@@ -78,7 +78,6 @@ class SparseConfig(RunConfig):
     chip: str = "loihi1"
     rounding: bool = True
     sharpness: Rate = 2.0
-    precision: Literal["float32"] = "float32"
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000
     validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)

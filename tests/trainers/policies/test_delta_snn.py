@@ -139,9 +139,9 @@ def test_a_latent_is_the_first_step_of_an_episode():
 def test_dead_neurons_are_left_out_and_change_no_action():
     policy = delta_policy(hidden=8, left=1.0).double()
     policy.bias.fill_(-0.1)
-    policy.into.mask[1] = 0.0  # hears nothing and cannot spike
-    policy.out.mask[:, 2] = 0.0  # is not heard
-    policy.into.mask[3] = 0.0  # hears nothing, but spikes by its bias
+    policy.into.mask[1] = 0.0  # without input it cannot spike
+    policy.out.mask[:, 2] = 0.0  # no outgoing synapses
+    policy.into.mask[3] = 0.0  # without input, but it spikes by its bias
     policy.bias[3] = 0.7
     assert live_neurons(policy).tolist() == [k not in (1, 2) for k in range(8)]
     nodes = delta_artifact(policy).graph.nodes

@@ -73,7 +73,7 @@ def test_what_was_taken_out_never_comes_back():
 
 
 def test_a_neuron_goes_when_its_update_costs_more_than_it_brings():
-    # neuron 1 hardly matters, neuron 2 is not heard
+    # neuron 1 hardly matters, neuron 2 has no outgoing synapses
     weights = [[1.0, 1.0], [0.2, 0.1], [1.0, 1.0]], [[1.0, 0.1, 0.0]]
     into, out = group(weights[0], [1.0, 1.0]), group(weights[1], [0.5, 0.5, 0.5])
     out.matrix.mask[0, 2] = 0.0
