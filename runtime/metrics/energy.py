@@ -84,7 +84,7 @@ def static_energy(seconds: float, power: StaticPower) -> float:
 
 def _cost(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None) -> float:
     # E = sum over events of count * price
-    prices = {"graded_sop": _multiplying(prices), **prices}
+    prices = {"graded_sop": multiplying(prices), **prices}
     counts = {event: ledger.per_inference(event) for event in EVENTS}
     if traffic is not None:
         inferences = max(ledger.inferences, 1)
@@ -92,8 +92,8 @@ def _cost(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None) 
     return sum(count * prices.get(event, 0.0) for event, count in counts.items())
 
 
-def _multiplying(prices: Mapping[str, float]) -> float:
-    """What a synaptic operation costs more where it multiplies: then it is a MAC, if priced."""
+def multiplying(prices: Mapping[str, float]) -> float:
+    """What a synaptic operation costs more where it multiplies [J]: then it is a MAC, if priced."""
     return prices["mac"] - prices.get("sop", 0.0) if "mac" in prices else 0.0
 
 

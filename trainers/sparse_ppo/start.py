@@ -7,7 +7,7 @@ together; a start elsewhere is stored as an absolute path.
 from pathlib import Path
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.policies import DeltaMlpPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
@@ -54,4 +54,10 @@ def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, Spar
             f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
             "continue it with --resume."
         )
-    return run, source, run.policy("best")
+    policy = run.policy("best")
+    if isinstance(policy, DeltaMlpPolicy):
+        raise ConfigError(
+            f"start: {config.start} has sigma-delta neurons, with which PPO cannot go on. "
+            "Give a run with LIF neurons or of a float network."
+        )
+    return run, source, policy

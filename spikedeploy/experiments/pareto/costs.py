@@ -1,6 +1,7 @@
 """Energies of a row of the pareto experiment per control step, term by term.
 
-operations  synaptic operations, or multiply-accumulates with an input that is not 0
+operations  synaptic operations, which multiply where a spike is graded, or multiply-accumulates
+            with an input that is not 0
 updates     neurons that were updated, and looked at
 traffic     messages and spikes, where a table prices them
 encoder     the delta encoder, or of a float network the reading of its observations
@@ -19,6 +20,7 @@ argmax is the same for all: neither is counted.
 from collections.abc import Mapping
 from typing import Any
 
+from spikedeploy.runtime.metrics.energy import multiplying
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 _PICO = 1e-12
@@ -73,7 +75,9 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
     update = LEAN_UPDATE if lean else price("neuron_update")
     observed = row["observations"] * (2 * _ADDITION + _ACCESS)
     return _named(
-        row["operations"] * price("sop") + row["bias_operations"] * price("bias_sop"),
+        row["operations"] * price("sop")
+        + (row.get("graded_operations") or 0.0) * multiplying(prices)
+        + row["bias_operations"] * price("bias_sop"),
         row["neuron_updates"] * update + row["neuron_idle"] * price("neuron_idle"),
         row["messages"] * price("message") + row["spikes_out"] * price("spike_out"),
         reads + observed + row["events"] * (_ADDITION + _ACCESS),

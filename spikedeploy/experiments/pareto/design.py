@@ -16,15 +16,20 @@ from spikedeploy.runtime.errors import ConfigError
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
 SPIKING = ("sparse", "sparse-linear")
+GRADED = ("delta-mlp",)
 FLOAT = ("small-mlp", "small-linear")
-STUDENTS = (*SPIKING, *FLOAT)
+STUDENTS = (*SPIKING, *GRADED, *FLOAT)
 LABELS = {
     "sparse": "LIF",
     "sparse-linear": "delta-linear",
+    "delta-mlp": "delta network",
     "small-mlp": "float MLP",
     "small-linear": "float linear",
 }
+# shipped policies beside the teacher, where that is another one
+REFERENCES = {"hexapod-command": "hexapod-command/sac"}
 _CHIPS = ("ideal", "loihi2", "xylo-a3")  # beside loihi1, on which all levels are evaluated
+_GRADED_CHIP = "loihi2"  # graded spikes run on it and on ideal
 _BITS = (6, 5, 4, 3, 2)
 LEVELS, LAST = "levels", "last level"  # parts: every level, and where else the last one runs
 _FULL = 8  # [bits] of the weights of every level
@@ -98,14 +103,27 @@ class ParetoDesign:
         return [self._training(s, seed) for seed in range(self.seeds) for s in STUDENTS]
 
     def tunings(self) -> list[RewardTraining]:
-        """All trainings with reward, in the order of those by imitation."""
+        """All trainings with reward, in the order of those by imitation.
+
+        PPO goes on with LIF neurons and with float networks, so delta networks have none.
+        """
         recipe, settings = f"{self.env}-sparse-tuned", self.tuned_overrides
-        return [RewardTraining(recipe, training, settings) for training in self.trainings()]
+        students = [f"{self.env}-{student}" for student in (*SPIKING, *FLOAT)]
+        trainings = [each for each in self.trainings() if each.recipe in students]
+        return [RewardTraining(recipe, training, settings) for training in trainings]
 
     def everything(self) -> list[Training | RewardTraining]:
         """Trainings of both kinds: within a seed first those by imitation."""
         both: list[Training | RewardTraining] = [*self.trainings(), *self.tunings()]
         return sorted(both, key=lambda training: training.seed)
+
+    @property
+    def baselines(self) -> dict[str, str]:
+        """Policies beside which students stand: the teacher, and the reference if there is one."""
+        found = {"teacher": self.trainings()[0].planned([]).teacher}
+        if self.env in REFERENCES and REFERENCES[self.env] != found["teacher"]:
+            found["reference"] = REFERENCES[self.env]
+        return found
 
     def _training(self, student: str, seed: int) -> Training:
         walks = "" if student == STUDENTS[0] else f"{self.env}-{STUDENTS[0]}"
@@ -120,6 +138,9 @@ class ParetoDesign:
         if student in SPIKING:
             fewer = [*_CHIPS, *(f"{self.chip}:weight_bits={bits}" for bits in _BITS)]
             return fewer if last else [self.chip]
+        if student in GRADED:
+            fewer = ["ideal", *(f"{_GRADED_CHIP}:weight_bits={bits}" for bits in _BITS)]
+            return fewer if last else [_GRADED_CHIP]
         fewer = ["float32", *(f"int{bits}" for bits in _BITS)]
         return fewer if last else [f"int{_FULL}"]
 

@@ -1,4 +1,4 @@
-"""Evaluations of one training, or of the teacher, on seeds that nothing was trained or chosen with.
+"""Evaluations of one training, or of the baselines, on seeds that no training or choice has seen.
 
 Each row is a file of its own, <runs>/evaluations/<training>/<level>@<place>.json, which says what
 it was made with: a stopped experiment goes on after the last row, and a row whose checkpoint or
@@ -28,7 +28,7 @@ _VERSION = 1  # of what a row holds; a higher one makes all rows again
 
 @dataclass(frozen=True)
 class StoredRow:
-    """One level of a training at one place, or the teacher.
+    """One level of a training at one place, or a baseline.
 
     file  where the result is
     of    what it must have been made with
@@ -81,11 +81,13 @@ def _row(
     return StoredRow(path.with_name(path.name.replace(":", "-")), made | _sizes(design, last))
 
 
-def teacher_row(design: ParetoDesign) -> StoredRow:
-    """The row of the teacher, on the seeds of every level."""
-    config = design.trainings()[0].planned([])
-    made = {"teacher": config.teacher} | _sizes(design, False)
-    return StoredRow(Path(design.runs) / "evaluations" / f"{design.env}-teacher.json", made)
+def baseline_rows(design: ParetoDesign) -> list[StoredRow]:
+    """The rows of teacher and reference, on the seeds of every level."""
+    folder, sizes = Path(design.runs) / "evaluations", _sizes(design, False)
+    return [
+        StoredRow(folder / f"{design.env}-{name}.json", {name: policy} | sizes)
+        for name, policy in design.baselines.items()
+    ]
 
 
 def _sizes(design: ParetoDesign, last: bool) -> Record:
@@ -139,21 +141,23 @@ def _evaluated(design: ParetoDesign, training: Training | RewardTraining, row: S
     return facts | done | found
 
 
-def perform_teacher(design: Record) -> bool:
-    """Make the row of the teacher (a job of `workers`)."""
+def perform_baselines(design: Record) -> bool:
+    """Make the missing rows of teacher and reference (a job of `workers`)."""
+    asked = ParetoDesign(**design)
+    for (name, policy), row in zip(asked.baselines.items(), baseline_rows(asked), strict=True):
+        if row.found is None:
+            facts = {"env": asked.env, "student": name, "episodes": asked.episodes}
+            row.write(facts | {"place": policy} | _walked(asked, policy))
+    return True
+
+
+def _walked(design: ParetoDesign, policy: str) -> Record:
+    """What a float policy earns on the seeds of every level."""
     from spikedeploy.trainers.distill.teachers import teacher
 
-    asked = ParetoDesign(**design)
-    row = teacher_row(asked)
-    if row.found is None:
-        config = asked.trainings()[0].planned([])
-        env = config.env.model_copy(update={"count": 1})
-        policy = teacher(config.teacher, env.name)
-        controller = greedy(policy.act_all, _discrete(env))
-        _, found = _played(env, asked, asked.episodes, controller)
-        facts = {"env": asked.env, "student": "teacher", "episodes": asked.episodes}
-        row.write(facts | {"place": config.teacher} | found)
-    return True
+    env = design.trainings()[0].planned([]).env.model_copy(update={"count": 1})
+    controller = greedy(teacher(policy, env.name).act_all, _discrete(env))
+    return _played(env, design, design.episodes, controller)[1]
 
 
 def _discrete(config: EnvConfig) -> bool:
@@ -179,10 +183,11 @@ def _played(
 
 
 def all_rows(design: ParetoDesign) -> Iterator[Record]:
-    """The results so far: the teacher's, then those of all trainings."""
-    teacher = teacher_row(design).found
-    if teacher is not None:
-        yield teacher
+    """The results so far: those of teacher and reference, then of all trainings."""
+    for baseline in baseline_rows(design):
+        found = baseline.found
+        if found is not None:
+            yield found
     trainings: list[Training | RewardTraining] = [*design.trainings(), *design.tunings()]
     for training in trainings:
         for last in (False, True):

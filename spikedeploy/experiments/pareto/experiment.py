@@ -9,7 +9,7 @@ from spikedeploy.console import console
 from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import page
 from spikedeploy.experiments.pareto.design import ParetoDesign
-from spikedeploy.experiments.pareto.evaluation import rows, teacher_row
+from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
@@ -39,7 +39,7 @@ class _Part:
     def done(self) -> bool:
         """Whether nothing is missing."""
         if self.training is None:
-            return teacher_row(self.design).found is not None
+            return all(row.found is not None for row in baseline_rows(self.design))
         if not self.training.trained or not self.evaluates:
             return self.training.trained
         asked = rows(self.design, self.training, self.last, self.design.levels)
@@ -119,8 +119,9 @@ def _parts(design: ParetoDesign) -> list[_Part]:
 
 
 def _every_level(design: ParetoDesign) -> Iterator[_Part]:
-    teacher = _job(design, "teacher", f"{_EVALUATION}:perform_teacher", {"design": _of(design)})
-    yield _Part(teacher, None, True, False, design)
+    call = f"{_EVALUATION}:perform_baselines"
+    baselines = _job(design, " and ".join(design.baselines), call, {"design": _of(design)})
+    yield _Part(baselines, None, True, False, design)
     for training in design.everything():
         after = (training.donor.name,) if training.donor else ()
         call = f"{_TUNING if isinstance(training, RewardTraining) else _TRAINING}:perform"

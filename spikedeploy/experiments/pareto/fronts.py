@@ -23,6 +23,7 @@ class Point:
     student, level, place  as in its rows
     rows                   of each training seed
     teacher                scores of the teacher on the same episodes
+    reference              those of the reference; empty where there is none
     """
 
     student: str
@@ -30,12 +31,21 @@ class Point:
     place: str
     rows: Sequence[Record]
     teacher: Sequence[float]
+    reference: Sequence[float] = ()
 
     @cached_property
     def of_teacher(self) -> Estimate:
         """Score in parts of the teacher's; the interval covers trainings and episodes."""
+        return self._of(self.teacher)
+
+    @cached_property
+    def of_reference(self) -> Estimate | None:
+        """Score in parts of the reference's, likewise."""
+        return self._of(self.reference) if self.reference else None
+
+    def _of(self, baseline: Sequence[float]) -> Estimate:
         scores = [row["scores"] for row in self.rows]
-        return nested_ratio(scores, self.teacher, np.random.default_rng(0))
+        return nested_ratio(scores, baseline, np.random.default_rng(0))
 
     @property
     def single(self) -> list[float]:
@@ -77,14 +87,14 @@ def _rewarded(row: Record) -> bool:
     return row.get("trained_by") == RewardTraining.trained_by
 
 
-def teacher_of(rows: Iterable[Record]) -> Record | None:
-    """The row of the teacher."""
-    return next((row for row in rows if row["student"] == "teacher"), None)
+def baseline(rows: Iterable[Record], name: str = "teacher") -> Record | None:
+    """The row of a baseline: `teacher` or `reference`."""
+    return next((row for row in rows if row["student"] == name), None)
 
 
 def points(rows: Sequence[Record], part: str = LEVELS) -> list[Point]:
     """All points of a part, student by student: imitation by falling operations, then reward."""
-    teacher = teacher_of(rows)
+    teacher, reference = baseline(rows), baseline(rows, "reference")
     if teacher is None:
         return []
     groups: dict[tuple[str, float, str, bool], list[Record]] = {}
@@ -92,8 +102,10 @@ def points(rows: Sequence[Record], part: str = LEVELS) -> list[Point]:
         if row.get("part") == part and row.get("operations") is not None:
             key = row["student"], row["level"], row["place"], _rewarded(row)
             groups.setdefault(key, []).append(row)
+    beside = [each["scores"] if each else [] for each in (teacher, reference)]
     found = [
-        Point(*key[:3], of, teacher["scores"][: len(of[0]["scores"])]) for key, of in groups.items()
+        Point(*key[:3], of, *(scores[: len(of[0]["scores"])] for scores in beside))
+        for key, of in groups.items()
     ]
     return sorted(found, key=lambda p: (STUDENTS.index(p.student), p.rewarded, -p.level))
 

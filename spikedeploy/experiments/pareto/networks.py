@@ -100,6 +100,7 @@ def _counted(running: _OnChip, walks: Sequence[Walk]) -> Done:
     several = ledger.several or not spiking
     return {
         "operations": per_step["sop"],
+        "graded_operations": per_step["graded_sop"],
         "bias_operations": per_step["bias_sop"],
         "neurons": float(sum(ledger.neurons)),
         "neuron_updates": per_step["neuron_update"],

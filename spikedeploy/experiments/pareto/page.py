@@ -12,7 +12,8 @@ from spikedeploy.experiments.pareto import records, tables
 from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE
 from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import all_rows
-from spikedeploy.experiments.pareto.fronts import Record, points, teacher_of
+from spikedeploy.experiments.pareto.fronts import Record, baseline, points
+from spikedeploy.experiments.pareto.levels import level_table
 from spikedeploy.experiments.pareto.plot import draw
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
@@ -25,12 +26,15 @@ _INTRODUCTION = f"""\
 Sparse policies and their float rivals: all imitate the same teacher on the same walks with as many
 updates, and are pruned by the same ranking to the same numbers of operations in a control step.
 `LIF` is a delta encoder, a layer of spiking neurons and integrating readouts; `delta-linear` sends
-the encoder's events straight into the readouts; `float MLP` and `float linear` multiply. The best
-policy of each is then trained on with reward, by PPO with as many episodes of each student: "with
-reward". Masks and budget stay.
+the encoder's events straight into the readouts; `delta network` has sigma-delta ReLU neurons in
+between, whose graded spikes only loihi2 and ideal have; `float MLP` and `float linear` multiply.
+The best policy of each, delta networks apart, is then trained on with reward, by PPO with as many
+episodes of each student: "with reward". Masks and budget stay. "Reference" is the policy shipped
+before, where the teacher is another one.
 
 Operations are synaptic operations of spiking policies, and multiply-accumulates with an input that
-is not 0 of float ones. All weights have 8 bits: spiking policies run in the integers of the
+is not 0 of float ones. An operation of a graded spike multiplies too, and costs as much as a
+multiply-accumulate. All weights have 8 bits: spiking policies run in the integers of the
 emulated chip, float ones with weights rounded symmetrically, one scale a matrix. Scores are returns
 of walks, and finishes of karts, on seeds from 10,000 on that no training and no choice of a
 checkpoint saw; teacher and students have the same. Intervals of 95 % are bootstrapped over training
@@ -92,7 +96,7 @@ def text(folder: Path) -> str:
 def _section(env: str, rows: list[Record], made: Record) -> list[str]:
     found = points(rows)
     head = [f"## {env}", f"    {made['command']}"]
-    if teacher_of(rows) is None or not found:
+    if baseline(rows) is None or not found:
         return [*head, "Nothing is evaluated yet."]
     return [
         *head,
@@ -100,7 +104,7 @@ def _section(env: str, rows: list[Record], made: Record) -> list[str]:
         "\n".join(tables.sentences(found)),
         f"![return against operations and energy](pareto/{env}.png)",
         "### Every level",
-        tables.level_table(rows, found),
+        level_table(rows, found),
         "### What it costs [pJ]",
         tables.energy_table(found),
         "Terms of the last level:",

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # distinguishable with colour blindness (Okabe and Ito 2008); markers differ too
-_COLOURS = dict(zip(STUDENTS, (VERMILION, "#E69F00", BLUE, "#009E73"), strict=True))
-_MARKERS = dict(zip(STUDENTS, "osD^", strict=True))
+_COLOURS = dict(zip(STUDENTS, (VERMILION, "#E69F00", "#CC79A7", BLUE, "#009E73"), strict=True))
+_MARKERS = dict(zip(STUDENTS, "osvD^", strict=True))
 _LOWEST = 60.0  # [%]; what is below is not drawn
 
 _RING: dict[str, Any] = {"markersize": 9, "markeredgecolor": "#222222", "markeredgewidth": 1.4}

@@ -12,7 +12,8 @@ from spikedeploy.files import replacing
 Record = dict[str, Any]
 _FIRST = (
     "env", "student", "trained_by", "seed", "level", "place", "part", "episodes", "return_mean",
-    "falls", "lap_time", "crashes", "operations", "bias_operations", "neurons",
+    "falls", "lap_time", "crashes", "operations", "graded_operations",
+    "bias_operations", "neurons",
     "neuron_updates", "readout_updates", "neuron_idle", "messages", "events", "spikes_out",
     "sparsity", "saturations", "observations", "constants", "on_host", "refusal",
 )  # fmt: skip

@@ -1,9 +1,9 @@
 """Tables and sentences of the pareto page."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from spikedeploy.comparison.statistics import share
+from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.experiments.pareto.costs import TERMS, TOTALS
 from spikedeploy.experiments.pareto.design import LABELS, LAST
 from spikedeploy.experiments.pareto.fronts import (
@@ -14,7 +14,6 @@ from spikedeploy.experiments.pareto.fronts import (
     pairing,
     points,
     refusals,
-    teacher_of,
 )
 from spikedeploy.reports.columns import ABSENT
 
@@ -40,7 +39,8 @@ def markdown(lines: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def _number(value: float | None, form: str = ",.0f") -> str:
+def number(value: float | None, form: str = ",.0f") -> str:
+    """A number, or a dash where there is none."""
     return ABSENT if value is None else format(value, form)
 
 
@@ -50,63 +50,21 @@ def _pico(joules: float) -> str:
 
 def of_teacher(point: Point) -> str:
     """`99.5% [99.2%, 99.8%]`."""
-    low, high = point.of_teacher.ci95
-    mean = _mean(point)
-    return mean if math.isnan(low) else f"{mean} [{low:.1%}, {high:.1%}]"
+    return share(point.of_teacher)
 
 
-def _mean(point: Point) -> str:
+def share(score: Estimate | None) -> str:
+    """With the interval; a dash where there is no baseline, or it scores nothing."""
+    if score is None or math.isnan(score.mean):
+        return ABSENT
+    low, high = score.ci95
+    return f"{score.mean:.1%}" + ("" if math.isnan(low) else f" [{low:.1%}, {high:.1%}]")
+
+
+def mean_of_teacher(point: Point) -> str:
     """Without the interval; a dash where the teacher scores nothing."""
     mean = point.of_teacher.mean
     return ABSENT if math.isnan(mean) else f"{mean:.1%}"
-
-
-def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
-    """Return and activity of every level."""
-    drives = any(row.get("crashes") is not None for row in rows)
-    teacher = teacher_of(rows) or {}
-    own: dict[str, Callable[[Point], str]] = (
-        {
-            "finished": _finished,
-            "lap [s]": lambda p: _number(p.mean("lap_time"), ".3f"),
-        }
-        if drives
-        else {
-            "return": lambda p: _number(p.mean("return_mean")),
-            "falls": lambda p: _number(p.mean("falls"), ".1%"),
-        }
-    )
-    cells: dict[str, Callable[[Point], str]] = {
-        "aim": lambda p: f"{p.level:g}",
-        "seeds": lambda p: f"{len(p.rows)}",
-        "% of teacher": of_teacher,
-        **own,
-        "operations": lambda p: _number(p.mean("operations"), ",.1f"),
-        "neurons": lambda p: _number(p.mean("neurons")),
-        "updates": lambda p: _number(p.mean("neuron_updates"), ",.1f"),
-        "of readouts": lambda p: _number(p.mean("readout_updates"), ",.1f"),
-        "events": lambda p: _number(p.mean("events"), ",.1f"),
-        "spikes": lambda p: _number(p.mean("spikes_out"), ",.1f") if p.spiking else ABSENT,
-        "sparsity": lambda p: _number(p.mean("sparsity"), ".1%"),
-        "saturations": lambda p: _number(p.mean("saturations")),
-    }
-    lines = [["policy", *cells]]
-    lines += [[p.label, *(cell(p) for cell in cells.values())] for p in found]
-    mean, scores = teacher.get("return_mean"), teacher.get("scores") or [0.0]
-    if drives:
-        about = [_number(sum(scores) / len(scores), ".1%"), _number(teacher.get("lap_time"), ".3f")]
-    else:
-        about = [_number(mean), _number(teacher.get("falls"), ".1%")]
-    name = f"teacher, {teacher.get('place')}"
-    lines.append([name, ABSENT, ABSENT, "100.0%", *about, *[ABSENT] * (len(cells) - 5)])
-    return markdown(lines)
-
-
-def _finished(point: Point) -> str:
-    """Share of all episodes, with Wilson's interval: a bootstrap of successes alone has none."""
-    found = share([score for row in point.rows for score in row["scores"]])
-    low, high = found.ci95
-    return f"{found.mean:.1%} [{low:.1%}, {high:.1%}]"
 
 
 def energy_table(found: Sequence[Point]) -> str:
@@ -115,7 +73,7 @@ def energy_table(found: Sequence[Point]) -> str:
     lean = ["+ lean updates", "+ the rest"]
     lines = [[*heads, *lean, "davies2018", "sanafe"]]
     for p in found:
-        cells = [p.label, f"{p.level:g}", _mean(p)]
+        cells = [p.label, f"{p.level:g}", mean_of_teacher(p)]
         cells += [_pico(p.energy(of)) for of in TOTALS]
         cells += [_pico(p.energy(of, lean=True)) for of in ("updates", "all")]
         if p.spiking:
@@ -129,14 +87,14 @@ def energy_table(found: Sequence[Point]) -> str:
 def term_table(found: Sequence[Point]) -> str:
     """Energy of each term of the last level of each student, by imitation and with reward."""
     lines = [["policy", "aim", *TERMS, "lean updates"]]
-    for p in _last(found):
+    for p in last_levels(found):
         cells = [_pico(joules) for joules in p.terms().values()]
         lean = _pico(p.terms(lean=True)["updates"])
         lines.append([p.label, f"{p.level:g}", *cells, lean])
     return markdown(lines)
 
 
-def _last(found: Sequence[Point]) -> list[Point]:
+def last_levels(found: Sequence[Point]) -> list[Point]:
     """The last level of each student, by imitation and with reward."""
     return list({(p.student, p.rewarded): p for p in found}.values())
 
@@ -148,7 +106,7 @@ def rival_table(found: Sequence[Point]) -> str:
         if point.spiking and point.of_teacher.mean >= NEAR:
             pairs = [pairing(found, point, of) for of in TOTALS]
             pairs.append(pairing(found, point, "all", lean=True))
-            cells = [point.label, f"{point.level:g}", _mean(point)]
+            cells = [point.label, f"{point.level:g}", mean_of_teacher(point)]
             lines.append([*cells, *map(_against, pairs)])
     return markdown(lines) if len(lines) > 1 else ""
 
@@ -220,14 +178,14 @@ def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     """The last level of each student on other chips and in fewer bits."""
     here = points(rows, LAST)
     refused = refusals(rows)
-    last = _last(found)
+    last = last_levels(found)
     levels = [_first_episodes(p, here) for p in last]
     lines = [["policy", "aim", "where", "% of teacher", "operations", "saturations"]]
     order = [p.student for p in last]
     for p in sorted([*levels, *here], key=lambda p: order.index(p.student)):
         cells = [p.label, f"{p.level:g}", p.place, of_teacher(p)]
         more = " + readouts on the host" if p.mean("on_host") else ""
-        counts = [_number(p.mean("operations"), ",.1f") + more, _number(p.mean("saturations"))]
+        counts = [number(p.mean("operations"), ",.1f") + more, number(p.mean("saturations"))]
         lines.append([*cells, *counts])
     for (student, place), why in refused.items():
         lines.append([LABELS[student], ABSENT, place, f"refused: {why}", ABSENT, ABSENT])

@@ -41,6 +41,15 @@ def test_every_term_of_a_spiking_policy_is_what_the_page_says():
     assert pytest.approx(10.5e-12) == LEAN_UPDATE
 
 
+def test_an_operation_of_a_graded_spike_costs_a_multiply_accumulate():
+    graded = terms({**SPIKING, "graded_operations": 40.0}, INT8)
+    assert pico(graded)["operations"] == pytest.approx(60 * 1.35 + 40 * 1.55)
+    # tables without a price for it charge an operation
+    assert terms({**SPIKING, "graded_operations": 40.0}, "davies2018") == terms(
+        SPIKING, "davies2018"
+    )
+
+
 def test_chips_price_idle_neurons_and_messages_too():
     found = pico(terms(SPIKING, "davies2018"))
     assert found["operations"] == pytest.approx(100 * 23.6)

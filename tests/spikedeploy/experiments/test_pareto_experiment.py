@@ -14,7 +14,14 @@ from spikedeploy import cli
 from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import evaluation, page, records
 from spikedeploy.experiments.pareto import experiment as pareto_experiment
-from spikedeploy.experiments.pareto.design import LAST, STUDENTS, ParetoDesign, asked
+from spikedeploy.experiments.pareto.design import (
+    FLOAT,
+    LAST,
+    SPIKING,
+    STUDENTS,
+    ParetoDesign,
+    asked,
+)
 from spikedeploy.experiments.pareto.experiment import experiment
 from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.runtime.errors import ConfigError
@@ -57,7 +64,7 @@ def results(design, ran):
     """The folder of the page of the whole experiment."""
     folder = Path(design.runs).parent / "results"
     outcome = experiment(design, (), 1, folder)
-    assert (outcome.done, outcome.of, outcome.failed) == (21, 21, {})
+    assert (outcome.done, outcome.of, outcome.failed) == (24, 24, {})
     return folder
 
 
@@ -78,9 +85,9 @@ def test_the_spiking_network_comes_first_and_last_levels_elsewhere_come_last(res
         "teacher", "kart-grid-sparse-s0", "kart-grid-sparse-s0: levels",
         "kart-grid-sparse-linear-s0",
     ]  # fmt: skip
-    assert ran[9:11] == ["kart-grid-tuned-sparse-s0", "kart-grid-tuned-sparse-s0: levels"]
-    assert all("-tuned-" in name for name in ran[9:17])
-    assert all(name.endswith("last level on chips") for name in ran[17:21])
+    assert ran[11:13] == ["kart-grid-tuned-sparse-s0", "kart-grid-tuned-sparse-s0: levels"]
+    assert all("-tuned-" in name for name in ran[11:19])
+    assert all(name.endswith("last level on chips") for name in ran[19:24])
 
 
 def test_rivals_learn_from_the_walks_of_the_spiking_network(design, results):
@@ -103,7 +110,7 @@ def test_every_level_of_every_student_has_a_row_on_all_episodes(results):
 
 def test_every_student_goes_on_with_reward_and_is_one_more_row(design, results):
     rewarded = [row for row in rows(results) if row["trained_by"] == "reward"]
-    assert [row["student"] for row in rewarded] == list(STUDENTS)
+    assert [row["student"] for row in rewarded] == [*SPIKING, *FLOAT]
     assert {(row["level"], row["part"], len(row["scores"])) for row in rewarded} == {
         (60, "levels", 3)
     }
@@ -126,7 +133,7 @@ def test_fewer_levels_have_less_to_do_and_keep_the_rows_of_the_others(design, re
     kept = lost.read_bytes()
     lost.unlink()
     outcome = experiment(fewer, (), 1, tmp_path)
-    assert (outcome.done, outcome.of) == (21, 21)
+    assert (outcome.done, outcome.of) == (24, 24)
     assert not lost.exists()
     lost.write_bytes(kept)
     page.write(fewer, tmp_path)
@@ -146,6 +153,13 @@ def test_runs_that_were_moved_are_found_again(design, results, tmp_path):
     assert [tuning.run is None for tuning in there.tunings()] == [True, False, False, False]
 
 
+def test_delta_networks_run_where_graded_spikes_do(results):
+    graded = [row for row in rows(results) if row["student"] == "delta-mlp"]
+    assert {row["place"].split(":")[0] for row in graded} == {"loihi2", "ideal"}
+    assert all(0 <= row["graded_operations"] < row["operations"] for row in graded)
+    assert "| delta network | 60 |" in (results / "pareto.md").read_text()
+
+
 def test_a_chip_that_refuses_a_network_is_named_with_its_rule(results):
     refused = [row for row in rows(results) if row["refusal"]]
     assert {(row["student"], row["place"]) for row in refused} >= {("sparse", "xylo-a3")}
@@ -155,7 +169,7 @@ def test_a_chip_that_refuses_a_network_is_named_with_its_rule(results):
 
 def test_a_second_run_has_nothing_to_do_and_changes_nothing(design, results, ran):
     before, count = contents(results), len(ran)
-    assert experiment(design, (), 1, results).done == 21
+    assert experiment(design, (), 1, results).done == 24
     assert len(ran) == count
     assert contents(results) == before
 

@@ -147,8 +147,8 @@ def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
     assert design.tuned_overrides == ("iterations=9", "env.options.laps=2")
     assert design.tunings()[0].planned([]).iterations == 9
     names = [each.name for each in ParetoDesign("kart-grid", 2, str(tmp_path)).everything()]
-    assert names[3:6] == [
+    assert names[4:7] == [
         "kart-grid-small-linear-s0", "kart-grid-tuned-sparse-s0",
         "kart-grid-tuned-sparse-linear-s0",
     ]  # fmt: skip
-    assert names[8] == "kart-grid-sparse-s1"
+    assert names[9] == "kart-grid-sparse-s1"

@@ -1,0 +1,84 @@
+"""The table of every level: score and activity, the baselines below."""
+
+from collections.abc import Callable, Sequence
+
+from spikedeploy.comparison import statistics
+from spikedeploy.experiments.pareto.fronts import Point, Record, baseline
+from spikedeploy.experiments.pareto.tables import markdown, number, of_teacher, share
+from spikedeploy.reports.columns import ABSENT
+
+_Cells = dict[str, Callable[[Point], str]]
+
+_ACTIVITY: _Cells = {
+    "operations": lambda p: number(p.mean("operations"), ",.1f"),
+    "neurons": lambda p: number(p.mean("neurons")),
+    "updates": lambda p: number(p.mean("neuron_updates"), ",.1f"),
+    "of readouts": lambda p: number(p.mean("readout_updates"), ",.1f"),
+    "events": lambda p: number(p.mean("events"), ",.1f"),
+    "spikes": lambda p: number(p.mean("spikes_out"), ",.1f") if p.spiking else ABSENT,
+    "sparsity": lambda p: number(p.mean("sparsity"), ".1%"),
+    "saturations": lambda p: number(p.mean("saturations")),
+}
+
+
+def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
+    """Score and activity of every level."""
+    cells = _cells(rows)
+    lines = [["policy", *cells]]
+    lines += [[p.label, *(cell(p) for cell in cells.values())] for p in found]
+    for name in ("teacher", "reference"):
+        if (row := baseline(rows, name)) is not None:
+            about = {f"% of {name}": "100.0%"} | _own_scores(row)
+            own = [about.get(head, ABSENT) for head in cells]
+            lines.append([f"{name}, {row.get('place')}", *own])
+    return markdown(lines)
+
+
+def _cells(rows: Sequence[Record]) -> _Cells:
+    """Heads and cells: the score in the words of the task."""
+    drives = any(row.get("crashes") is not None for row in rows)
+    of_reference: _Cells = {"% of reference": lambda p: share(p.of_reference)}
+    return {
+        "aim": lambda p: f"{p.level:g}",
+        "seeds": lambda p: f"{len(p.rows)}",
+        "% of teacher": of_teacher,
+        **(of_reference if baseline(rows, "reference") else {}),
+        **(_driving(rows) if drives else _walking()),
+        **_ACTIVITY,
+    }
+
+
+def _walking() -> _Cells:
+    return {
+        "return": lambda p: number(p.mean("return_mean")),
+        "falls": lambda p: number(p.mean("falls"), ".1%"),
+    }
+
+
+def _driving(rows: Sequence[Record]) -> _Cells:
+    teacher = (baseline(rows) or {}).get("lap_time")
+
+    def beside(point: Point) -> str:
+        mine = point.mean("lap_time")
+        return ABSENT if mine is None or teacher is None else f"{mine / teacher - 1:+.1%}"
+
+    return {
+        "finished": _finished,
+        "lap [s]": lambda p: number(p.mean("lap_time"), ".3f"),
+        "lap": beside,
+    }
+
+
+def _own_scores(row: Record) -> dict[str, str]:
+    """Scores of a baseline by the head of their column."""
+    if row.get("crashes") is None:
+        return {"return": number(row["return_mean"]), "falls": number(row["falls"], ".1%")}
+    finished = statistics.share(row["scores"]).mean
+    return {"finished": f"{finished:.1%}", "lap [s]": number(row.get("lap_time"), ".3f")}
+
+
+def _finished(point: Point) -> str:
+    """Share of all episodes, with Wilson's interval: a bootstrap of successes alone has none."""
+    found = statistics.share([score for row in point.rows for score in row["scores"]])
+    low, high = found.ci95
+    return f"{found.mean:.1%} [{low:.1%}, {high:.1%}]"
