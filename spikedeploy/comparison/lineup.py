@@ -71,7 +71,7 @@ def line_up(
     """
     spec = envs.spec(env)
     short = spec.short
-    shipped = [find(str(path)) for path in zoo.compared(short)]
+    shipped = [find(str(path)) for path in zoo.policies(short)]
     chosen = _distinct([find(file) for file in files]) or shipped
     if not chosen:
         raise ConfigError(

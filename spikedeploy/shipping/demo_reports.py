@@ -67,17 +67,18 @@ def write_demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any
 
 
 def _film(env: str, entries: Sequence[Entry], path: Path, seconds: float) -> Path | None:
-    """A video of the float ANN beside the SNN on the chip; None where nothing can render."""
-    ann = next((e for e in entries if e.candidate.kind == "ann"), None)
-    snn = next((e for e in entries if e.chip == DEFAULT_CHIP), None)
-    if ann is None or snn is None:
+    """A video of the float ANN beside the SNNs on the chip; None where nothing can render."""
+    ann = [e for e in entries if e.candidate.kind == "ann"][:1]
+    snns = [e for e in entries if e.chip == DEFAULT_CHIP]
+    if not ann or not snns:
         return None
     pace = _pace(env)
     count = round(seconds * pace.fps)
     try:
         with mp4(path, pace.fps) as write, progress("film", count) as drawn:
-            for pair in islice(_together(_frames(env, ann), _frames(env, snn)), count):
-                write(side_by_side(*pair))
+            filmed = (_frames(env, entry) for entry in [*ann, *snns])
+            for frames in islice(_together(*filmed), count):
+                write(side_by_side(*frames))
                 drawn()
     except EnvError as error:
         say(f"no film: {error}")
@@ -97,13 +98,14 @@ def _pace(env: str) -> Pace:
     return pace
 
 
-def _together(left: Iterator[Frame], right: Iterator[Frame]) -> Iterator[tuple[Frame, Frame]]:
-    """Pairs of frames until both have ended; the shorter episode keeps its last frame."""
-    kept: tuple[Frame | None, Frame | None] = (None, None)
-    for new in zip_longest(left, right):
-        kept = (kept[0] if new[0] is None else new[0], kept[1] if new[1] is None else new[1])
-        if kept[0] is not None and kept[1] is not None:
-            yield kept[0], kept[1]
+def _together(*films: Iterator[Frame]) -> Iterator[tuple[Frame, ...]]:
+    """A frame of each film until all have ended; a shorter one keeps its last frame."""
+    kept: tuple[Frame | None, ...] = (None,) * len(films)
+    for new in zip_longest(*films):
+        kept = tuple(old if now is None else now for old, now in zip(kept, new, strict=True))
+        shown = tuple(frame for frame in kept if frame is not None)
+        if len(shown) == len(films):
+            yield shown
 
 
 def _frames(env: str, entry: Entry) -> Iterator[Frame]:

@@ -7,17 +7,11 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
-_ASIDE = ("hexapod-command/smooth",)  # a second float teacher; the published tables have one
 
 
 def policies(env: str | None = None) -> list[Path]:
     """The shipped policy files, of one environment (short name) or of all, ordered by name."""
     return sorted(p for p in FOLDER.glob(f"{env or '*'}/*") if p.suffix in SUFFIXES)
-
-
-def compared(env: str) -> list[Path]:
-    """The shipped policies that a comparison shows where no files are named."""
-    return [file for file in policies(env) if _name(file) not in _ASIDE]
 
 
 def names() -> list[str]:
