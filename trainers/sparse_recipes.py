@@ -66,8 +66,8 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
     },
     ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [600], "walks": 25},
     ("hexapod-command", "small-mlp"): {
-        "budget": 400,
-        "levels": [1_500, 800, 550],
+        "budget": 240,
+        "levels": [1_500, 800, 550, 400, 300],
         "walks": 25,
         "policy": {"hidden": [48, 32]},
     },
