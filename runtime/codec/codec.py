@@ -82,6 +82,9 @@ ENCODERS: dict[str, type[Encoder]] = {
 }
 
 
+_MOST_TIMESTEPS = 2**16  # of an inference: a spike train is held whole
+
+
 @dataclass(frozen=True, eq=False)
 class Normaliser:
     """Observation to zero mean and unit standard deviation, clipped.
@@ -158,9 +161,9 @@ class Codec:
                 f"codec: the normaliser takes {self.normaliser.mean.size} numbers and the encoder "
                 f"{self.encoder.observed}; they must agree. Export the policy again."
             )
-        if self.timesteps < 1:
+        if not 1 <= self.timesteps <= _MOST_TIMESTEPS:
             raise ArtifactError(
-                f"codec: timesteps must be at least 1, found {self.timesteps}. "
+                f"codec: timesteps must be 1 to {_MOST_TIMESTEPS:,}, found {self.timesteps}. "
                 "Export the policy again."
             )
         if self.squash not in get_args(Squash):

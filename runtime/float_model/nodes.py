@@ -17,7 +17,7 @@ from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import DENSE
-from spikedeploy.runtime.graph.sigma_delta import SigmaDelta
+from spikedeploy.runtime.graph.sigma_delta import GRADED_MOST, SigmaDelta
 from spikedeploy.runtime.graph.windows import (
     CONVOLUTIONS,
     POOLS,
@@ -165,6 +165,7 @@ class SigmaDeltaNeurons(FloatNeurons):
         apart = np.maximum(membrane + self.bias, 0) / self.step - sent
         far = np.abs(apart)
         graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0)
+        graded = np.clip(graded, -GRADED_MOST, GRADED_MOST)
         self.sent = sent + graded
         return graded, membrane
 

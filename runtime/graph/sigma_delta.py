@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record, Tree
 
+GRADED_MOST = 2**53  # of a graded spike in floats: whole numbers up to it are exact in float64
+
 Floats = NDArray[np.float64]
 
 _REMARK = (
@@ -64,8 +66,7 @@ class SigmaDelta:
         """The neurons stored in a file."""
         record.only("threshold", "bias", "remark")
         threshold = record.array("threshold")
-        bias = record.array("bias") if "bias" in record else np.zeros_like(threshold)
-        return cls(threshold, bias)
+        return cls(threshold, record.array("bias"))
 
 
 def check_sigma_delta(graph: nir.NIRGraph, neurons: Mapping[str, SigmaDelta]) -> None:

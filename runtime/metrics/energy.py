@@ -5,6 +5,7 @@ them to compare networks, not to size batteries.
 """
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 
@@ -74,7 +75,7 @@ def energy_estimate(
     """Energy of an inference [J], with its interval; arguments as for `energy`."""
     joules = energy(ledger, table, traffic)
     upper = _cost(ledger, {**table.joules, **table.upper_joules}, traffic)
-    return EnergyEstimate(joules, joules * table.uncertainty.low, upper * table.uncertainty.high)
+    return EnergyEstimate(joules, joules * table.uncertainty.low, _most(upper, table))
 
 
 def static_energy(seconds: float, power: StaticPower) -> float:
@@ -112,8 +113,14 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
 
 def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
     """The same [J], with its interval."""
-    joules, factor = mac_energy(macs, table), table.uncertainty
-    return EnergyEstimate(joules, joules * factor.low, joules * factor.high)
+    joules = mac_energy(macs, table)
+    return EnergyEstimate(joules, joules * table.uncertainty.low, _most(joules, table))
+
+
+def _most(joules: float, table: EnergyTable) -> float:
+    """Upper end of an estimate [J]: infinity where nothing bounds it, of nothing too."""
+    factor = table.uncertainty.high
+    return factor if math.isinf(factor) else joules * factor
 
 
 def latency(ledger: Ledger, table: EnergyTable) -> float:

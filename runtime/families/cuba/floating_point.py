@@ -48,7 +48,7 @@ class CubaFloat64(ArithmeticDefaults):
     weight_bits: ClassVar[int] = 32
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)
     # whole numbers that float64 holds
-    graded_bits: ClassVar[int | None] = 53
+    graded_bits: ClassVar[int] = 53
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
         """Take any choice, since nothing is rounded."""
@@ -70,7 +70,7 @@ class CubaFloat64(ArithmeticDefaults):
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
         weights = arriving(layer, presynaptic)
         if layer.graded:
-            return float_sigma_delta(layer, weights, state)
+            return float_sigma_delta(self.graded_bits, layer, weights, state)
         return float_update(network.convention, layer, weights, state)
 
     def before_reset(

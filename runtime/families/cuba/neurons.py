@@ -174,21 +174,24 @@ def _fire(
     return StepResult(spikes, active, overflows)
 
 
-def float_sigma_delta(layer: Layer, weights: Numbers, state: LayerState) -> StepResult:
+def float_sigma_delta(bits: int, layer: Layer, weights: Numbers, state: LayerState) -> StepResult:
     """Advance sigma-delta neurons by one timestep in floats; weights (B, N) arrive in it.
 
         sigma = sigma + W g ;  a = max(sigma + b, 0) ;  d = a - q theta
         k = sign(d) floor(|d| / theta + 1/2) where |d| >= theta, else 0 ;  q = q + k
 
     k, a signed whole number, is sent; the weights behind the layer count it in thresholds theta.
+    What is beyond 2**bits, the whole numbers that a float64 holds, is clipped, and counted.
     """
     before = state.membrane
     state.current, state.membrane = weights, before + weights
     # e = max(sigma + b, 0) / theta - q
     apart = np.maximum(state.membrane + layer.voltage_bias, 0) / layer.threshold - state.sent
     far = np.abs(apart)
-    graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0).astype(np.int64)
-    return _sent(layer, before, state, graded, np.zeros(before.shape, np.int64))
+    graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0)
+    held = np.clip(graded, -(2.0**bits), 2.0**bits)
+    overflows = (held != graded).astype(np.int64)
+    return _sent(layer, before, state, held.astype(np.int64), overflows)
 
 
 def sigma_delta(

@@ -141,7 +141,8 @@ def test_an_unknown_encoder_is_refused_with_the_known_ones():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"timesteps": 0}, "at least 1"),
+        ({"timesteps": 0}, "must be 1 to"),
+        ({"timesteps": 10**9}, "must be 1 to 65,536"),
         ({"squash": "sigmoid"}, "known are tanh, none, argmax"),
         ({"encoder": codec(4).encoder}, "takes 3 numbers and the encoder 4"),
     ],

@@ -37,6 +37,19 @@ def test_a_neuron_on_ideal_by_hand():
     assert seen.membrane[0, :, 0].tolist() == SIGMA
 
 
+@pytest.mark.parametrize("threshold", [1e-20, 1e-300])
+def test_graded_spikes_beyond_whole_numbers_are_clipped_and_counted(threshold):
+    artifact = one_neuron()
+    neuron = replace(artifact.sigma_delta["sd1"], threshold=np.array([threshold]))
+    artifact = replace(artifact, sigma_delta={"sd1": neuron})
+    machine = on(artifact, "ideal", trace=True)
+    machine.infer(INPUT)
+    sent = machine.recordings["sd1"].spikes
+    np.testing.assert_array_equal(sent, FloatGraph(artifact).run(INPUT)["sd1"])
+    assert np.abs(sent).max() == 2**53
+    assert machine.ledger.total("saturation") > 0
+
+
 @pytest.mark.parametrize("hidden", [(10,), (10, 6)])
 @pytest.mark.parametrize("state", ["kept", "reset"])
 def test_ideal_equals_the_float_graph(hidden, state):

@@ -1,6 +1,7 @@
 """Energy and time are one dot product over the ledger, and one example is SANA-FE's."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from spikedeploy.runtime.metrics.energy import (
     latency,
     latency_estimate,
     mac_energy,
+    mac_energy_estimate,
     static_energy,
 )
 from spikedeploy.runtime.metrics.energy_tables import Uncertainty
@@ -134,6 +136,11 @@ def test_an_energy_states_its_interval():
     assert (fitted.low, fitted.high) == pytest.approx((31.3465e-9, 39.6535e-9))
     least = energy_estimate(ledger(sop=1000), TABLES["davies2018"])
     assert (least.low, least.high) == (least.value, float("inf"))
+
+
+def test_no_operations_have_no_upper_bound_where_nothing_bounds_a_table():
+    nothing = mac_energy_estimate(0, energy_table("horowitz45-int8"))
+    assert (nothing.value, nothing.low, nothing.high) == (0, 0, math.inf)
 
 
 def test_where_sources_disagree_an_energy_is_an_interval():
