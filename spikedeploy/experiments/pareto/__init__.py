@@ -11,6 +11,7 @@ records      rows as CSV, and back
 fronts       means over training seeds with intervals, and the cheapest rivals
 tables       Markdown tables and sentences of them
 levels       the table of every level
+overview     the table over all tasks
 plot         the front drawn
 page         results/pareto.md
 """

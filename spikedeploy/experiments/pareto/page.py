@@ -14,6 +14,7 @@ from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import all_rows
 from spikedeploy.experiments.pareto.fronts import Record, baseline, points
 from spikedeploy.experiments.pareto.levels import level_table
+from spikedeploy.experiments.pareto.overview import NEARLY, overview
 from spikedeploy.experiments.pareto.plot import draw
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
@@ -56,6 +57,10 @@ here have other decays and would have to be trained with such, and whether their
 bits is not checked. davies2018 and sanafe are prices of Loihi 1 and have none for
 multiply-accumulates. They charge neurons without an update too, also in the timesteps that only
 fill the pipeline; encoder and constants, which are the host's, cost the same as above."""
+_OVERVIEW = f"""\
+Of each student the level with the fewest operations of those with {NEARLY:.0%} of the teacher's
+score or more; where none has it, the one with the highest score. It is chosen on the episodes that
+it is reported on, among the few levels below, for spiking and float students alike."""
 _RIVALS = f"""\
 Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
 student whose mean score is not below its own: pJ against pJ. The sentences at the top take, for
@@ -86,10 +91,12 @@ def _tables(folder: Path) -> list[tuple[str, Path]]:
 
 def text(folder: Path) -> str:
     """The page, of the tables in the folder."""
+    found = {env: records.read(path) for env, path in _tables(folder)}
     parts = ["# Return against operations and energy", _INTRODUCTION]
+    parts += ["## All tasks", _OVERVIEW, overview(found)]
     for env, path in _tables(folder):
         made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-        parts += _section(env, records.read(path), made)
+        parts += _section(env, found[env], made)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 

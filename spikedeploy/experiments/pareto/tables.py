@@ -44,7 +44,8 @@ def number(value: float | None, form: str = ",.0f") -> str:
     return ABSENT if value is None else format(value, form)
 
 
-def _pico(joules: float) -> str:
+def pico(joules: float) -> str:
+    """An energy in pJ."""
     return format(joules * _PICO, ",.0f")
 
 
@@ -74,10 +75,10 @@ def energy_table(found: Sequence[Point]) -> str:
     lines = [[*heads, *lean, "davies2018", "sanafe"]]
     for p in found:
         cells = [p.label, f"{p.level:g}", mean_of_teacher(p)]
-        cells += [_pico(p.energy(of)) for of in TOTALS]
-        cells += [_pico(p.energy(of, lean=True)) for of in ("updates", "all")]
+        cells += [pico(p.energy(of)) for of in TOTALS]
+        cells += [pico(p.energy(of, lean=True)) for of in ("updates", "all")]
         if p.spiking:
-            cells += [_pico(p.energy("all", table)) for table in ("davies2018", "sanafe")]
+            cells += [pico(p.energy("all", table)) for table in ("davies2018", "sanafe")]
         else:
             cells += [ABSENT, ABSENT]
         lines.append(cells)
@@ -88,8 +89,8 @@ def term_table(found: Sequence[Point]) -> str:
     """Energy of each term of the last level of each student, by imitation and with reward."""
     lines = [["policy", "aim", *TERMS, "lean updates"]]
     for p in last_levels(found):
-        cells = [_pico(joules) for joules in p.terms().values()]
-        lean = _pico(p.terms(lean=True)["updates"])
+        cells = [pico(joules) for joules in p.terms().values()]
+        lean = pico(p.terms(lean=True)["updates"])
         lines.append([p.label, f"{p.level:g}", *cells, lean])
     return markdown(lines)
 
@@ -117,7 +118,7 @@ def _against(pair: Pairing) -> str:
     mine = pair.point.energy(pair.of, lean=pair.lean)
     theirs = pair.rival.energy(pair.of)
     label = f"{pair.rival.label} {pair.rival.level:g}"
-    return f"{_pico(mine)} : {_pico(theirs)} = {pair.ratio:.2f} ({label})"
+    return f"{pico(mine)} : {pico(theirs)} = {pair.ratio:.2f} ({label})"
 
 
 def sentences(found: Sequence[Point]) -> list[str]:
@@ -137,8 +138,8 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
     point, rival = best.point, best.rival
     text = (
         f"- {'✓' if best.ratio <= 1 else '✗'} {words}: {_named(point)} costs "
-        f"{_pico(point.energy(of, lean=lean))} pJ a control step, the cheapest float student that "
-        f"is not below it, {_named(rival)}, {_pico(rival.energy(of))} pJ: {best.ratio:.2f} times."
+        f"{pico(point.energy(of, lean=lean))} pJ a control step, the cheapest float student that "
+        f"is not below it, {_named(rival)}, {pico(rival.energy(of))} pJ: {best.ratio:.2f} times."
     )
     if of == "operations":
         return text

@@ -10,6 +10,7 @@ import torch
 from spikedeploy.experiments.pareto import networks, records, tables
 from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE, energies, terms, total
 from spikedeploy.experiments.pareto.fronts import Point, best_pairing, pairing, points
+from spikedeploy.experiments.pareto.overview import cheapest
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
@@ -94,6 +95,13 @@ def test_a_rival_is_the_cheapest_float_student_that_is_not_below():
     assert pair.rival is found[2]
     assert pair.ratio == pytest.approx(50 * 1.35 / (250 * 1.55))
     assert pairing(found, point("sparse", 10.1, 50.0), "operations").ratio is None
+
+
+def test_the_overview_has_the_cheapest_of_the_good_levels_or_the_best_of_the_bad():
+    levels = [point("sparse", 9.9, 80.0, 84), point("sparse", 9.8, 60.0, 66)]
+    levels += [point("sparse", 9.0, 40.0, 50), point("small-mlp", 9.1, 90.0, 100)]
+    levels += [point("small-mlp", 9.5, 150.0, 180)]
+    assert [(p.student, p.level) for p in cheapest(levels)] == [("sparse", 66), ("small-mlp", 180)]
 
 
 def test_the_best_pair_is_near_the_teacher():
