@@ -21,7 +21,7 @@ def _steps(number: float) -> int:
     return int(number)
 
 
-class Delay(SeededWrapper):
+class LateSensors(SeededWrapper):
     """What sensors measured some control steps ago; the first observation until then."""
 
     STREAM = "delay"
@@ -42,7 +42,7 @@ class Delay(SeededWrapper):
         return seen
 
 
-class CommandDelay(SeededWrapper):
+class LateCommands(SeededWrapper):
     """Commands that take effect some control steps later; until then there is none."""
 
     STREAM = "command-delay"
@@ -61,7 +61,7 @@ class CommandDelay(SeededWrapper):
         return self._line.popleft()
 
 
-class CommandLoss(SeededWrapper):
+class LostCommands(SeededWrapper):
     """Commands that are lost: the last one that arrived is held."""
 
     STREAM = "command-loss"
@@ -89,7 +89,7 @@ DELAY = Kind(
     bounds=(0, _LONGEST),
     source="20 to 60 ms of a walker, where Tan et al. 2018 measured 15 to 19 ms and trained with 0 "
     "to 40; 17 to 100 ms of a kart",
-    wrap=Delay,
+    wrap=LateSensors,
 )
 COMMAND_DELAY = Kind(
     meaning="commands that take effect late",
@@ -97,7 +97,7 @@ COMMAND_DELAY = Kind(
     levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6)},
     bounds=(0, _LONGEST),
     source="as the delay of measurements",
-    wrap=CommandDelay,
+    wrap=LateCommands,
 )
 COMMAND_LOSS = Kind(
     meaning="commands that are lost: the last one that arrived is held",
@@ -105,5 +105,5 @@ COMMAND_LOSS = Kind(
     levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.05, 0.2, 0.5)},
     bounds=(0.0, 1.0),
     source="chosen, as the dropout of measurements",
-    wrap=CommandLoss,
+    wrap=LostCommands,
 )
