@@ -1,7 +1,9 @@
 """The design of the robustness experiment: policies, conditions, episodes."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,11 @@ class Tested:
 
     candidate: Candidate
     chip: str | None
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of its file."""
+        return hashlib.sha256(Path(self.candidate.path).read_bytes()).hexdigest()
 
     @property
     def label(self) -> str:
@@ -86,7 +93,7 @@ class RobustnessDesign:
                 f"{', '.join(ENVS)}"
             )
 
-    @property
+    @cached_property
     def policies(self) -> list[Tested]:
         """The shipped float ANNs, small float networks, and spiking policies on the chip."""
         shipped = [find(str(path)) for path in zoo.policies(self.env)]

@@ -5,7 +5,6 @@ stopped experiment goes on after the last row, and a row whose policy, level or 
 is made again. All policies of a part share the copies of the environment.
 """
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,7 @@ def stored(design: RobustnessDesign, condition: Condition, tested: Tested) -> St
     """The row of a policy in a condition."""
     made = {
         "env": design.env,
-        "policy": hashlib.sha256(Path(tested.candidate.path).read_bytes()).hexdigest(),
+        "policy": tested.digest,
         "chip": tested.chip,
         "condition": condition.text,
         "number": condition.number,

@@ -26,7 +26,7 @@ def draw(rows: Sequence[Record], path: Path) -> Path:
     figure = Figure(figsize=(12, 2.3 * lines + 0.6), layout="constrained")
     panels = figure.subplots(lines, _COLUMNS, sharex=True, sharey=True, squeeze=False).flat
     looks = _looks(rows)
-    for axes, name in zip(panels, names, strict=False):
+    for name, axes in zip(names, panels, strict=False):
         _panel(axes, name, [row for row in rows if row["name"] == name], looks)
     for axes in list(panels):
         axes.axis("off")
