@@ -27,15 +27,16 @@ def _slipping(options: Options, number: float, default: Defaults, world: str) ->
 LIDAR_NOISE = Kind(
     meaning="white noise on every distance of the LIDAR",
     unit="px, standard deviation",
-    levels={KART: (5.0, 15.0, 40.0)},
+    levels={KART: (20.0, 50.0, 100.0)},
     bounds=(0.0, 1000.0),
-    source="1, 4 and 11 % of 350 px, at 100 px to a metre: from a good LIDAR to an ultrasonic one",
+    source="6, 14 and 29 % of a range of 350 px: 0.2 to 1 m at 100 px to a metre, far "
+    "above the centimetres of a good LIDAR",
     change=_lidar("noise"),
 )
 LIDAR_DROPOUT = Kind(
     meaning="rays of the LIDAR that see no wall",
     unit="probability of each ray, a control step",
-    levels={KART: (0.05, 0.2, 0.5)},
+    levels={KART: (0.05, 0.1, 0.2)},
     bounds=(0.0, 1.0),
     source="chosen: dark and shining walls return few pulses",
     change=_lidar("dropout"),
@@ -43,8 +44,8 @@ LIDAR_DROPOUT = Kind(
 GRIP = Kind(
     meaning="tyres that slip: a change of velocity comes slower",
     unit="share of each change that is lost, a control step",
-    levels={KART: (0.5, 0.8, 0.9)},
+    levels={KART: (0.8, 0.9, 0.95)},
     bounds=(0.0, 0.99),
-    source="chosen: velocity follows the wheels with time constants of about 24, 75 and 158 ms",
+    source="chosen: velocity follows the wheels with time constants of about 75, 158 and 325 ms",
     change=_slipping,
 )

@@ -84,16 +84,17 @@ _SCALES = "standard deviations in units of the scale of each observation"
 NOISE = Kind(
     meaning="white noise on every measurement, LIDAR and contacts excepted",
     unit="scale of an observation",
-    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.02, 0.05, 0.1)},
+    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.05, 0.15, 0.4)},
     bounds=(0.0, 10.0),
     source="level 2 of a walker is about the noise that walkers are trained with for robots (Rudin "
-    f"et al. 2022: +-0.1 m/s, +-0.2 rad/s, +-0.05 of gravity, uniform); {_SCALES}",
+    "et al. 2022: +-0.1 m/s, +-0.2 rad/s, +-0.05 of gravity, uniform); karts, which steer by the "
+    f"LIDAR, are given more; {_SCALES}",
     wrap=Noise,
 )
 BIAS = Kind(
     meaning="a constant error of every measurement, LIDAR and contacts excepted",
     unit="scale of an observation",
-    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.02, 0.05, 0.1)},
+    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.05, 0.15, 0.4)},
     bounds=(0.0, 10.0),
     source=f"as the noise, of which a filter would leave it; {_SCALES}",
     wrap=Bias,
@@ -101,8 +102,8 @@ BIAS = Kind(
 DROPOUT = Kind(
     meaning="measurements that do not arrive: the last one is seen again; LIDAR excepted",
     unit="probability of each, a control step",
-    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.05, 0.2, 0.5)},
+    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8)},
     bounds=(0.0, 1.0),
-    source="chosen: from a bus with a bad contact to one that delivers every other value",
+    source="chosen: from a bus with a bad contact to one that delivers every other value, or fewer",
     wrap=Dropout,
 )

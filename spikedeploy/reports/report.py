@@ -123,9 +123,9 @@ def _stepped(document: Document) -> list[tuple[str, str]]:
 
 
 def disturbed(document: Document) -> str:
-    """`slope:2 (6 degrees), noise:1 (0.05 scale of an observation)`; empty without any."""
+    """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
     found = document.get("disturbances", ())
-    return ", ".join(f"{each['text']} ({each['number']:g} {each['unit']})" for each in found)
+    return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
 
 
 def _html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:

@@ -162,7 +162,7 @@ class _Player:
             self.controller: BatchController = Stateless(OnnxController(path).replay)
             return
         self._spiking = SpikingController(load(path), chip(tested.chip), "none", faults=broken)
-        self.controller = _OnChip(self._spiking, seeds)
+        self.controller = _BatchOnChip(self._spiking, seeds)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -170,7 +170,7 @@ class _Player:
         return self._spiking.damage if self._spiking is not None else ()
 
 
-class _OnChip:
+class _BatchOnChip:
     """A spiking policy as a BatchController whose robots have upsets of their own."""
 
     def __init__(self, spiking: SpikingController, seeds: Sequence[int]) -> None:

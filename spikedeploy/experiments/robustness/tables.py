@@ -40,7 +40,7 @@ def kept_table(rows: Sequence[Record], part: str) -> str:
         first = next(iter(each.values()))
         hit = [_hit(each)] if part == FAULT else []
         cells = [kept(each.get(policy)) for policy in names]
-        lines.append([f"{name}:{level}", f"{first['number']:g} {first['unit']}", *hit, *cells])
+        lines.append([f"{name}:{level}", f"{first['number']:g} [{first['unit']}]", *hit, *cells])
     return markdown(lines) if found else ""
 
 

@@ -36,7 +36,7 @@ def test_run_names_disturbances_and_counts_what_faults_hit(command):
     document = told(command, *words)
     assert document == told(command, *words) | {"created": document["created"]}
     assert [(d["text"], d["number"]) for d in document["disturbances"]] == [
-        ("lidar-noise:2", 15.0), ("delay=1", 1.0),
+        ("lidar-noise:2", 50.0), ("delay=1", 1.0),
     ]  # fmt: skip
     dead, lost = document["rows"][0]["faults"]
     assert (dead["hit"], dead["of"], dead["what"]) == (6, 128, "neurons")
@@ -78,7 +78,7 @@ def test_tables_say_in_words_what_was_wrong(command):
     )  # fmt: skip
     assert code == 0
     said = " ".join(out.split())
-    assert "Disturbed by grip:2 (0.8 share of each change that is lost" in said
+    assert "Disturbed by grip:2 (0.9 [share of each change that is lost" in said
     assert "fault stuck-zero:1 (0.01) hits 59 of 5,860 weights" in said
 
 
@@ -87,7 +87,7 @@ def test_a_report_says_so_too(command, tmp_path):
     told(command, *words, "--disturb", "noise:1", "--fault", "state-flips:3", "-o", tmp_path)
     for name in ("report.md", "report.html"):
         text = (tmp_path / name).read_text(encoding="utf-8")
-        assert "noise:1 (0.02 scale of an observation)" in text
+        assert "noise:1 (0.05 [scale of an observation])" in text
         assert "fault state-flips:3 (0.001) hits" in text
 
 
