@@ -5,6 +5,7 @@ environments; `make` builds one by its short name or gymnasium id.
 
 hexapod/           a walking robot on rough ground, with and without velocity commands
 kart/              three kinds of kart on tracks, with a LIDAR and a scripted driver
+disturbances/      noise, delays, weak motors and so on, of any environment
 rollout.py         one episode of a controller, recorded and saved
 ghosts.py          compact records of kart episodes, a whole training in small files
 ghost_recorder.py  collects ghosts from environments that are stepped side by side
@@ -20,6 +21,7 @@ import ctypes
 import difflib
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +64,11 @@ class EnvSpec:
     target: str
     summary: str
     controls: tuple[str, ...] = ()
+
+    @property
+    def world(self) -> str:
+        """Folder of the environment: "hexapod", "kart"."""
+        return self.target.partition(":")[0].split(".")[-2]
 
 
 ENVS: dict[str, EnvSpec] = {
@@ -117,9 +124,17 @@ def spec(name: str) -> EnvSpec:
     raise EnvError(f"unknown environment {name!r}; {hint}")
 
 
-def make(name: str, **options: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
-    """Build the environment of a short name or id, with options."""
-    return gymnasium.make(spec(name).id, **options)
+def make(name: str, *, disturb: Sequence[str] = (), **options: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
+    """Build the environment of a short name or id, with options.
+
+    disturb  disturbances such as "noise:2" or "payload=0.4", see envs.disturbances
+    """
+    entry = spec(name)
+    if not disturb:
+        return gymnasium.make(entry.id, **options)
+    from spikedeploy.envs.disturbances.disturbed import disturbed
+
+    return disturbed(entry.id, entry.target, entry.world, disturb, options)
 
 
 def register() -> None:

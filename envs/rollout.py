@@ -191,7 +191,7 @@ def rollout(
 
 def _options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     """Options of an environment as JSON holds them, without render_mode."""
-    given = env.spec.kwargs if env.spec else {}
+    given = getattr(env, "given", env.spec.kwargs if env.spec else {})  # of disturbed ones
     shown = {name: value for name, value in given.items() if name != "render_mode"}
     options: dict[str, Any] = json.loads(json.dumps(shown, default=_named))
     return options

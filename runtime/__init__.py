@@ -13,6 +13,7 @@ float_model/     the graph in floating point: the reference
 chips/           datasheets
 design_rules/    what a chip can hold, and where the network stands against it
 compiler/        graph and chip to an integer program
+faults/          chips with broken parts, and with upsets while they run
 emulator/        programs run on observations; the ledger of events
 families/        one folder for each arithmetic: datasheets, quantiser, neuron update
 metrics/         energy, time, memory, messages, NeuroBench

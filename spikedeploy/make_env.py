@@ -26,10 +26,12 @@ def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.En
         ) from error
 
 
-def parse_options(settings: Iterable[str]) -> dict[str, Any]:
+def parse_options(settings: Iterable[str], disturb: Iterable[str] = ()) -> dict[str, Any]:
     """Options from texts such as `track=small_S`; values are JSON, or else plain text.
 
     `lidar.noise=5` sets one of a group of options.
+
+    disturb  disturbances, as envs.make takes them
     """
     options: dict[str, Any] = {}
     for text in settings:
@@ -43,7 +45,13 @@ def parse_options(settings: Iterable[str]) -> dict[str, Any]:
             if not isinstance(place, dict):
                 raise ConfigError(f"--set {text}: {group!r} was given as a whole already")
         place[last] = _value(value)
-    return options
+    disturbances = list(disturb)
+    return {**options, "disturb": disturbances} if disturbances else options
+
+
+def disturbed_by(options: Mapping[str, Any]) -> tuple[str, ...]:
+    """The disturbances in the options of an environment."""
+    return tuple(options.get("disturb", ()))
 
 
 def _value(text: str) -> Any:  # noqa: ANN401

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -61,6 +62,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     payload      [kg] on the torso
     friction     [1] of the feet on the ground
     servo_gain   [1] factor on stiffness and damping of the servos
+    slope        [rad] of the ground, which rises along the x axis
     max_steps    [control steps]
     render_mode  "rgb_array", "human" or None
     Physical options are a number, or a pair (low, high) from which each episode draws.
@@ -91,6 +93,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         payload: Range = (-0.1, 0.3),
         friction: Range = (0.55, 1.0),
         servo_gain: Range = (0.85, 1.1),
+        slope: Range = 0.0,
         max_steps: int = 1000,
         render_mode: str | None = None,
     ) -> None:
@@ -106,6 +109,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             "payload": check("payload", payload, -0.5, 2.0),
             "friction": check("friction", friction, 0.01, 5.0),
             "servo_gain": check("servo_gain", servo_gain, 0.1, 5.0),
+            "slope": check("slope", slope, -0.5, 0.5),
         }
         scale = check("pushes", pushes, 0.0, 10.0)
         if isinstance(scale, tuple):
@@ -130,6 +134,10 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         if not 0.0 <= fraction <= 1.0:
             raise EnvError(f"support_force: {fraction} is outside [0, 1]")
         self._robot.support_force = float(fraction)
+
+    def weaken(self, servos: Sequence[int], factor: float) -> None:
+        """Scale stiffness and damping of some of the 18 servos, until the next reset."""
+        self._robot.weaken(servos, factor)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

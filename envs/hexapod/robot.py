@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,13 +28,15 @@ _ACTION_UNIT = 0.6  # [rad]
 _TOUCH = 0.5  # [N] load above which a foot is in contact
 
 FloatArray = NDArray[np.float64]
+_Row = tuple[float, float, float]
 
 
 class Motion(NamedTuple):
     """State of the robot at the end of a control step.
 
     position          (3,) [m] centre of the torso, world
-    gravity           (3,) [1] direction of gravity in the body's frame, (0, 0, -1) when upright
+    gravity           (3,) [1] direction of gravity in the body's frame, (0, 0, -1) when upright;
+                      on a slope upright is not across the ground
     heading           [rad] of the body's x axis in the world
     velocity          (3,) [m/s] of the torso, world
     body_velocity     (3,) [m/s] of the torso in the body's frame
@@ -82,9 +85,15 @@ class Robot:
         self._bias = self.model.actuator_biasprm[:, 1:3].copy()
         self.mass = float(self._mass.sum())
         self._powers = [0.0] * SUBSTEPS
+        self._down = 0.0, -1.0  # x and z of the direction of gravity in the world
 
-    def rebuild(self, mass: float, payload: float, friction: float, servo_gain: float) -> None:
-        """Set the episode's factor on all masses, payload [kg], foot friction and servo gain."""
+    def rebuild(
+        self, mass: float, payload: float, friction: float, servo_gain: float, slope: float = 0.0
+    ) -> None:
+        """Set the episode's factor on all masses, payload [kg], foot friction and servo gain.
+
+        slope  [rad] by which the ground rises along x: gravity is tilted, and the world stays level
+        """
         model = self.model
         model.body_mass[:] = mass * self._mass
         model.body_inertia[:] = mass * self._inertia
@@ -92,8 +101,15 @@ class Robot:
         model.geom_friction[self._feet, 0] = friction
         model.actuator_gainprm[:, 0] = servo_gain * self._gain
         model.actuator_biasprm[:, 1:3] = servo_gain * self._bias
+        self._down = (-math.sin(slope), -math.cos(slope)) if slope else (0.0, -1.0)
+        model.opt.gravity[:] = GRAVITY * self._down[0], 0.0, GRAVITY * self._down[1]
         mujoco.mj_setConst(model, self.data)
         self.mass = float(model.body_mass.sum())
+
+    def weaken(self, servos: Sequence[int], factor: float) -> None:
+        """Scale the gain of some servos (0 to 17, leg by leg) until the next `rebuild`."""
+        self.model.actuator_gainprm[servos, 0] *= factor
+        self.model.actuator_biasprm[servos, 1:3] *= factor
 
     def place(self, x: float, y: float, ground: float, heading: float) -> None:
         """Put the robot at rest in the nominal pose."""
@@ -139,7 +155,7 @@ class Robot:
         contact = load > _TOUCH
         return Motion(
             position=(px, py, pz),
-            gravity=(-r20, -r21, -r22),
+            gravity=_gravity(self._down, (r00, r01, r02), (r20, r21, r22)),
             heading=math.atan2(r10, r00),
             velocity=(vx, vy, vz),
             body_velocity=(
@@ -160,6 +176,14 @@ class Robot:
     def _power(self) -> float:
         # P = sum |torque x joint velocity|: braking servos recover no energy
         return float(np.abs(self.data.actuator_force * self.data.qvel[6:]).sum())
+
+
+def _gravity(down: tuple[float, float], x: _Row, z: _Row) -> _Row:
+    """Direction of gravity in the body's frame, from the first and last row of its rotation."""
+    along, across = down
+    if not along:
+        return -z[0], -z[1], -z[2]
+    return along * x[0] + across * z[0], along * x[1] + across * z[1], along * x[2] + across * z[2]
 
 
 def _slip(velocity: FloatArray, contact: NDArray[np.bool_]) -> float:

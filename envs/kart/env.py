@@ -20,11 +20,10 @@ from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.corridor import corridor, length_of
 from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
 from spikedeploy.envs.kart.observation import Observer
-from spikedeploy.envs.kart.options import lidar_options, one_of, reward_of
+from spikedeploy.envs.kart.options import lidar_options, one_of, part, reward_of, steps_of, track_of
 from spikedeploy.envs.kart.reward import ClassicReward, StepOutcome
 from spikedeploy.envs.kart.stall import ClassicLimits, ClassicStallRule, StallRule
 from spikedeploy.envs.kart.track import Track
-from spikedeploy.envs.kart.track_file import load
 from spikedeploy.envs.kart.world import KartState, KartWorld
 
 FloatArray = NDArray[np.float64]
@@ -42,6 +41,8 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     reward      "default", "classic", or weights by name that replace some of the default's
     max_steps   control steps after which an episode is truncated
     start       "random" within the track's spread and headings, or "fixed" at their centre
+    grip        [1] share of a change of velocity that the tyres pass on in a control step
+    power       [1] factor on what the motor does: push, speed or acceleration
     render_mode "rgb_array" or None
 
     An episode ends at the last gate (terminated, a success), at a wall (terminated), when the
@@ -71,20 +72,22 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         reward: Literal["default", "classic"] | Mapping[str, float] | None = None,
         max_steps: int = 2000,
         start: Literal["random", "fixed"] = "random",
+        grip: float = 1.0,
+        power: float = 1.0,
         render_mode: str | None = None,
     ) -> None:
         one_of("preset", preset, ("default", "classic"))
         one_of("start", start, ("random", "fixed"))
         one_of("render_mode", render_mode, (None, "rgb_array"))
-        if not isinstance(max_steps, int) or max_steps < 1:
-            raise EnvError(f"max_steps must be a whole number from 1, found {max_steps!r}")
+        steps_of(max_steps)
+        self._grip, self._power = part("grip", grip), part("power", power)
         classic = preset == "classic"
         self.max_steps, self.render_mode = max_steps, render_mode
         self._classic, self._start_fixed = classic, start == "fixed"
         self.lidar = Lidar(lidar_options(lidar, self.RANGE, classic))
         self._reward = reward_of(preset if reward is None else reward, self.CLASSIC)
         self._corridor = length_of(track) if isinstance(track, str) else None
-        self._base_track = self._load(track)
+        self._base_track = track_of(track)
         self._build(self._base_track)
         default = self.CLASSIC_OBSERVE if classic else self.OBSERVE
         self._observer = Observer(self, default if observe is None else observe, classic)
@@ -201,18 +204,11 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _steering(self) -> int:
         """Direction of steering: 1 clockwise, -1 counterclockwise, 0 none."""
 
-    def _load(self, track: str | Path | Track) -> Track:
-        if isinstance(track, Track):
-            return track
-        if self._corridor is not None:
-            return corridor(self._corridor, np.random.default_rng(0))
-        return load(track)
-
     def _build(self, track: Track) -> None:
         """Build the physics of a track, and give its walls to the LIDAR."""
         self.track = track
         self.lidar.set_walls(track.walls)
-        self._world = KartWorld(track)
+        self._world = KartWorld(track, self._grip)
         self._kart = self._world.kart
 
     def _begin(self) -> None:

@@ -40,7 +40,7 @@ class KartGazeboEnv(KartEnv):
 
     def _move(self) -> None:
         """Set the velocities of the next step."""
-        speed = SPEED if self._command == "forward" else 0.0
+        speed = self._power * SPEED if self._command == "forward" else 0.0
         heading = self._kart.angle
         self._kart.velocity = speed * math.cos(heading), speed * math.sin(heading)
         self._turn = _TURN * self._steering()

@@ -46,7 +46,8 @@ class KartGridEnv(KartEnv):
         vx, vy = self._kart.velocity
         if name != "none" and math.hypot(vx, vy) < _TOP:
             dx, dy = _DIRECTIONS[name]
-            self._kart.velocity = vx + _PUSH * dx, vy + _PUSH * dy
+            push = self._power * _PUSH
+            self._kart.velocity = vx + push * dx, vy + push * dy
 
     def _move(self) -> None:
         self._kart.velocity = self._kart.velocity / _FRICTION

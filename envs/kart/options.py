@@ -4,20 +4,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.kart.corridor import corridor, length_of
 from spikedeploy.envs.kart.lidar import LidarOptions
 from spikedeploy.envs.kart.observation import CLASSIC_RAYS
 from spikedeploy.envs.kart.reward import ClassicReward, PathReward, Reward
+from spikedeploy.envs.kart.track import Track
+from spikedeploy.envs.kart.track_file import load
 
 
 def one_of(name: str, found: object, allowed: Sequence[object]) -> None:
     """Raise EnvError unless the value of an option is one of those allowed."""
     if found not in allowed:
         raise EnvError(f"{name} {found!r} is unknown; known: {', '.join(map(repr, allowed))}")
+
+
+def steps_of(found: object) -> None:
+    """Raise EnvError unless the value of max_steps is a whole number from 1."""
+    if not isinstance(found, int) or found < 1:
+        raise EnvError(f"max_steps must be a whole number from 1, found {found!r}")
+
+
+def part(name: str, found: object) -> float:
+    """The value of an option above 0 and up to 1; EnvError if it is another."""
+    number = isinstance(found, (int, float)) and not isinstance(found, bool)
+    if not number or not 0.0 < found <= 1.0:  # type: ignore[operator]
+        raise EnvError(f"option {name}: {found!r} is not a number above 0 and up to 1")
+    return float(found)  # type: ignore[arg-type]
+
+
+def track_of(track: str | Path | Track) -> Track:
+    """The track of this name, file or kind; of corridors, which are drawn anew, any one."""
+    if isinstance(track, Track):
+        return track
+    cells = length_of(track) if isinstance(track, str) else None
+    return load(track) if cells is None else corridor(cells, np.random.default_rng(0))
 
 
 def lidar_options(

@@ -83,7 +83,7 @@ class KartSteerEnv(KartEnv):
     def _act(self, action: Any) -> None:  # noqa: ANN401
         throttle, self._steered = self._effect(action)
         if throttle > 0 and self._forward < _TOP:
-            self._forward += _GAIN * throttle
+            self._forward += self._power * _GAIN * throttle
         elif throttle < 0 and self._forward > 0:
             self._forward += _BRAKE * throttle
         self._wheel += _STEER * self._steered

@@ -36,9 +36,11 @@ class KartWorld:
     kart          the body: position [px], velocity [px/s], angle [rad]
     touched_wall  whether the kart touched a wall in the last step
     touching      indices of the gates that the kart touches
+    grip          [1] share of a change of velocity that the tyres pass on in a step; 1 is all
     """
 
-    def __init__(self, track: Track) -> None:
+    def __init__(self, track: Track, grip: float = 1.0) -> None:
+        self.grip = grip
         self.kart = pymunk.Body(_MASS, pymunk.moment_for_circle(_MASS, 0.0, RADIUS))
         self._space = pymunk.Space()
         self._space.on_collision(_KART, _WALL, begin=self._touch_wall)
@@ -59,6 +61,7 @@ class KartWorld:
         self.kart.velocity, self.kart.angular_velocity, self.kart.angle = (0.0, 0.0), 0.0, 0.0
         self.touching: set[int] = set()
         self.touched_wall = False
+        self._slid = self.kart.velocity  # of the last step
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Set position [px] and heading [rad]."""
@@ -68,6 +71,9 @@ class KartWorld:
     def step(self, dt: float) -> None:
         """Advance by dt [s] and record contacts."""
         self.touched_wall = False
+        if self.grip < 1.0:
+            self.kart.velocity = self._slid + self.grip * (self.kart.velocity - self._slid)
+            self._slid = self.kart.velocity
         self._space.step(dt)
 
     def _add_line(self, ends: NDArray[Any], kind: int) -> pymunk.Segment:

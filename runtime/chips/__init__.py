@@ -9,6 +9,7 @@ layer            synapses, layers and their states, and when layers start
 quantisation     the choices of how a float network becomes the numbers of a chip
 registers        registers, what they do when they overflow, decays, and rounding
 limits           what fits on a chip
+damage           what is broken on it, and what goes wrong by chance while it runs
 """
 
 CHIPS: dict[str, str] = {

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple, NoReturn, Protocol
 import numpy as np
 
 from spikedeploy.runtime.chips.layer import (
+    NEVER,
     Layer,
     LayerState,
     Network,
@@ -53,6 +54,21 @@ class ArithmeticDefaults(Protocol):
     def graded_bits(self) -> int | None:
         """Width of a graded spike between neurons [bits], with the sign; None where it has none."""
         return None
+
+    @property
+    def weights_have_signs(self) -> bool:
+        """Whether one of a weight's bits is its sign; else a list or an axon has it."""
+        return True
+
+    @property
+    def own_weights(self) -> bool:
+        """Whether every synapse has a weight of its own."""
+        return True
+
+    @property
+    def threshold_range(self) -> tuple[int, int]:
+        """Step and largest threshold [state units], of chips that compute in integers."""
+        return 1, NEVER - 1
 
     # what can be compiled
 

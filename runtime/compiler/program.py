@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.damage import Damage, Upsets
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
@@ -101,6 +102,8 @@ class Program:
         for output and readout.
     host: readout layers that the host integrates in float64, because the chip has no way out for
         membranes; their delays are lags of the graph. Outlets say what becomes of them.
+    damage: what faults of the chip have hit; the layers have them (runtime.faults).
+    upsets: what goes wrong while it runs; None where nothing does.
     """
 
     chip: Chip
@@ -115,6 +118,8 @@ class Program:
     outputs: tuple[Port, ...] = ()
     outlets: tuple[HostOutput, ...] = ()
     host: tuple[Layer, ...] = ()
+    damage: tuple[Damage, ...] = ()
+    upsets: Upsets | None = None
 
     def __post_init__(self) -> None:
         presynaptic = {self.input}

@@ -23,6 +23,7 @@ _PREFERENCES: Mapping[str, tuple[str, ...]] = {
     "auto": ("numba", "numpy", "interpreter"),
     "interpreter": ("interpreter",),
 }
+_UPSET = "spikedeploy.runtime.emulator.upset_backend:UpsetBackend"
 _INTERPRETER = "spikedeploy.runtime.emulator.interpreter_backend:InterpreterBackend"
 
 # "window": all timesteps of a layer at once; "row": one timestep of all layers after another, which
@@ -146,6 +147,8 @@ def backend_class(program: Program, name: str) -> type[Backend]:
     if name not in get_args(BackendName):
         choices = ", ".join(map(repr, get_args(BackendName)))
         raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
+    if program.upsets is not None:
+        return _upset(name)
     arithmetic = program.chip.arithmetic
     able = {**arithmetic.backends, "interpreter": _INTERPRETER}
     obstacle: str | None = (
@@ -158,6 +161,15 @@ def backend_class(program: Program, name: str) -> type[Backend]:
             if (obstacle := found.obstacle(program)) is None:
                 return found
     raise ConfigError(f"backend {name!r}: {obstacle} Or choose backend='numpy'.")
+
+
+def _upset(name: str) -> type[Backend]:
+    if name == "numba":
+        raise ConfigError(
+            "backend 'numba': lost and spurious spikes and flipped bits of states are drawn by the "
+            "interpreter alone. Choose backend='numpy', which then interprets."
+        )
+    return _imported(_UPSET)
 
 
 def _imported(place: str) -> type[Backend]:

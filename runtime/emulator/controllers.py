@@ -1,5 +1,6 @@
 """A policy file acting on a robot, on a chip or in float."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,12 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.machine import SerialCalls
-from spikedeploy.runtime.emulator.network import running
+from spikedeploy.runtime.emulator.network import MachinePool, running
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.runtime.faults.request import NONE, Faults
 
 _STREAM = 2  # keeps the draws apart from those of an environment with the same seed
 
@@ -54,6 +57,7 @@ class SpikingController:
     ledger: rows to keep, as in LedgerBuilder.
     sampled: draw one of several actions from the softmax of their scores; else the best is taken.
     backend: what computes on a chip, as in Machine; the float twin is always NumPy.
+    faults: of the chip; the float twin has none.
     options: for compile_program.
     """
 
@@ -64,6 +68,7 @@ class SpikingController:
         ledger: Rows = "each",
         sampled: bool = False,
         backend: BackendName = "numpy",
+        faults: Faults = NONE,
         **options: Any,  # noqa: ANN401
     ) -> None:
         if artifact.codec is None:
@@ -74,8 +79,10 @@ class SpikingController:
         self.codec = artifact.codec
         self._kept = artifact.convention.state == "kept"
         self._sampler = Sampler(self.codec.chooses) if sampled else None
-        on_chip = {"backend": backend, **options} if chip else {}
+        on_chip = {"backend": backend, "faults": faults, **options} if chip else {}
         self.network = running(artifact, chip, ledger, **on_chip)
+        pool = self.network if isinstance(self.network, MachinePool) else None
+        self._upset = pool is not None and pool.program.upsets is not None
         self._calls = SerialCalls()
         self.reset(0)
 
@@ -87,12 +94,23 @@ class SpikingController:
     @property
     def remembers(self) -> bool:
         """Whether an action depends on more than its observation."""
-        return self._kept or self.codec.encoder.remembers or self._sampler is not None
+        remembers = self._kept or self.codec.encoder.remembers or self._sampler is not None
+        return remembers or self._upset
 
-    def reset(self, seed: int) -> None:
-        """Start an episode: forget every state; what is random in it comes from the seed."""
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What faults of the chip have hit, those over time since the controller was made."""
+        return self.network.damage if isinstance(self.network, MachinePool) else ()
+
+    def reset(self, seed: int, each: Sequence[int] = ()) -> None:
+        """Start an episode: forget every state; what is random in it comes from the seed.
+
+        each: seeds of the B robots of a batch, of which each has upsets of its own.
+        """
         with self._calls.lock:
             self.network.reset()
+            if isinstance(self.network, MachinePool):
+                self.network.seed(each or (seed,))
             self._state = self.codec.encoder.start(seed)
             if self._sampler is not None:
                 self._sampler.reset(seed)

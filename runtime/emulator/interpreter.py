@@ -4,7 +4,7 @@ Short and slow on purpose. Integers are int64 (floats on `ideal` and `spinnaker2
 is tested to be equal to this in every current, membrane and spike.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,11 +75,17 @@ class Interpreter:
                     tick = _waiting(state)
                 else:
                     presynaptic = self._presynaptic(layer, step, output_spikes)
-                    tick = program.chip.arithmetic.update(program, layer, presynaptic, state)
+                    tick = self._advanced(layer, step, presynaptic, state)
                 output_spikes[layer.name][:, self._memory + step - layer.start] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self.tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
         return {name: _stacked(ticks, output_spikes[name].dtype) for name, ticks in history.items()}
+
+    def _advanced(
+        self, layer: Layer, step: int, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """A timestep of a layer, in which these spikes (B, M) of its synapses arrive."""
+        return self.program.chip.arithmetic.update(self.program, layer, presynaptic, state)
 
     def _presynaptic(
         self, layer: Layer, step: int, output_spikes: dict[str, NDArray[np.integer[Any]]]

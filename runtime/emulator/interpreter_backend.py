@@ -38,9 +38,12 @@ class InterpreterBackend:
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
-        self._interpreter = Interpreter(self._program, self._batch)
+        self._interpreter = self._fresh()
         size = self._program.layer(self._program.output).size
         self._tail = np.zeros((self._lag, self._batch, size), np.uint8)
+
+    def _fresh(self) -> Interpreter:
+        return Interpreter(self._program, self._batch)
 
     def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""

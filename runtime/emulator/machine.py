@@ -1,5 +1,6 @@
 """A chip with a program on it, running."""
 
+from collections.abc import Sequence
 from copy import deepcopy
 from threading import Lock
 from typing import Any, TypeVar
@@ -7,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.compiler.program import Program, leaving
 from spikedeploy.runtime.emulator.backend import (
     Backend,
@@ -21,6 +23,7 @@ from spikedeploy.runtime.emulator.backend import (
 from spikedeploy.runtime.emulator.host import Host
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
+from spikedeploy.runtime.emulator.upset_backend import UpsetBackend
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 Floats = NDArray[np.float64]
@@ -91,6 +94,7 @@ class Machine:
         self._backend: Backend | None = None
         self._running = False
         self._step = 0
+        self._seeds: tuple[int, ...] = ()
         self._calls = SerialCalls()
 
     def reset(self) -> None:
@@ -138,6 +142,18 @@ class Machine:
             if out is None:
                 return np.asarray(self._output(presynaptic)[:, 0])
             return self._write(presynaptic[0], out)
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Start the chance of upsets anew, for the episode of each robot (B,)."""
+        with self._calls.lock:
+            self._seeds = tuple(seeds)
+            if isinstance(self._backend, UpsetBackend):
+                self._backend.seed(self._seeds)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What has gone wrong by chance since the machine was made."""
+        return self._backend.damage if isinstance(self._backend, UpsetBackend) else ()
 
     @property
     def ledger(self) -> Ledger:
@@ -232,7 +248,10 @@ class Machine:
         # of a single timestep the membranes are those of now
         trace = self._trace or (self._host is not None and timesteps > 1)
         prepared = schedule(self.program, mode, timesteps, trace=trace, counting=counting)
-        return self._backend_class(self.program, prepared, self.batch)
+        built = self._backend_class(self.program, prepared, self.batch)
+        if isinstance(built, UpsetBackend) and self._seeds:
+            built.seed(self._seeds)
+        return built
 
     def _run(self, backend: Backend, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout; the ledger counts them."""

@@ -1,6 +1,6 @@
 """A network on a chip or in float: the one place that decides, and machines for any batch."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.chips.damage import Damage, summed
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName, Recording, joined
@@ -16,6 +17,8 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
 from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.faults.injection import injected
+from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.runtime.graph.ports import Port
 
 _FLOAT = "float"
@@ -116,7 +119,8 @@ class MachinePool:
         raster = spikes if isinstance(spikes, np.ndarray) else self._joined(spikes)
         batch = len(raster)
         with self._calls.lock:
-            if batch <= CHUNK or self.program.convention.state == "kept":
+            kept = self.program.convention.state == "kept"
+            if batch <= CHUNK or kept or self.program.upsets is not None:
                 machine = self._machine(batch)
                 output = machine.infer(raster)
                 self.recordings = machine.recordings
@@ -129,6 +133,19 @@ class MachinePool:
                 recorded.append(machine.recordings)
             self.recordings = joined(recorded, axis=0)
             return np.concatenate(outputs)
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Start the chance of upsets anew for the episodes of B robots, if the chip has any."""
+        with self._calls.lock:
+            if self.program.upsets is not None:
+                self._machine(len(seeds)).seed(seeds)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What faults of the chip have hit, those over time since the pool was made."""
+        with self._calls.lock:
+            each = [machine.damage for machine in self._machines.values()]
+        return (*self.program.damage, *summed([found for found in each if found]))
 
     @property
     def ledger(self) -> Ledger:
@@ -175,6 +192,7 @@ def running(
     ledger: Rows = "each",
     trace: bool = False,
     backend: BackendName | None = None,
+    faults: Faults = NONE,
     **options: Any,  # noqa: ANN401
 ) -> RunningNetwork:
     """The network of an artifact, ready to run.
@@ -183,10 +201,11 @@ def running(
     ledger: rows to keep, as in LedgerBuilder.
     trace: whether spikes and recordings are kept; the float twin keeps spikes always.
     backend: of a chip, as in Machine; None is Machine's own choice.
+    faults: of the chip; the float twin has none.
     options: for compile_program.
     """
     if chip is not None:
-        program = compile_program(artifact, chip, **options)
+        program = injected(compile_program(artifact, chip, **options), faults)
         return MachinePool(program, ledger, backend or "numpy", trace)
     if backend is not None:
         raise ConfigError(

@@ -7,8 +7,10 @@ import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
+    Disturb,
     Energy,
     EnvOptions,
+    FaultsOption,
     Headroom,
     Json,
     LimitsOption,
@@ -16,6 +18,7 @@ from spikedeploy.commands.options import (
     Quantise,
     Rounding,
     Seed,
+    Specimen,
     Thresholds,
     WeightShift,
     Workers,
@@ -38,6 +41,9 @@ def run(
         typer.Option("--sampled", help="Draw actions by their probability, not the likeliest."),
     ] = False,
     set_: EnvOptions = None,
+    disturb: Disturb = None,
+    fault: FaultsOption = None,
+    specimen: Specimen = 0,
     video: Annotated[
         Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
     ] = None,
@@ -58,6 +64,7 @@ def run(
     from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison
+    from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     tables = checked_table_names(energy or ())
@@ -70,9 +77,10 @@ def run(
         numbers,
         video,
         sampled,
-        parse_options(set_ or ()),
+        parse_options(set_ or (), disturb or ()),
         limits == "on",
         rounded,
+        faults(fault or (), specimen),
     )
     document = report.document(replace(comparison, tables=tables))
     if json:
@@ -98,6 +106,9 @@ def compare(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
+    disturb: Disturb = None,
+    fault: FaultsOption = None,
+    specimen: Specimen = 0,
     energy: Energy = None,
     workers: Workers = None,
     output: Annotated[
@@ -122,14 +133,15 @@ def compare(
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
+    from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     tables = checked_table_names(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    entries = line_up(env, files or (), listed(chips), limits == "on", rounded)
-    comparison = compare_policies(
-        env, entries, range(seed, seed + episodes), workers, parse_options(set_ or ())
-    )
+    broken = faults(fault or (), specimen)
+    entries = line_up(env, files or (), listed(chips), limits == "on", rounded, broken)
+    options = parse_options(set_ or (), disturb or ())
+    comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
     document = report.document(replace(comparison, tables=tables))
     if output:
         report.write(document, output)

@@ -39,6 +39,27 @@ EnvOptions = Annotated[
         "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
     ),
 ]
+Disturb = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--disturb",
+        metavar="NAME:LEVEL",
+        help="Disturbance of the world at level 1 to 3, or NAME=NUMBER, may be repeated; "
+        "docs/robustness.md lists them.",
+    ),
+]
+FaultsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="NAME:LEVEL",
+        help="Fault of the chip at level 1 to 3, or NAME=NUMBER, may be repeated; "
+        "docs/robustness.md lists them.",
+    ),
+]
+Specimen = Annotated[
+    int, typer.Option(min=0, help="Which faulty chip: decides which parts --fault hits.")
+]
 Energy = Annotated[
     list[str] | None,
     typer.Option(

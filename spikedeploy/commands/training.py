@@ -144,10 +144,10 @@ def publish(
 
 
 def experiment(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Which: kart, pareto.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which: kart, pareto, robustness.")],
     env: Annotated[
         str | None,
-        typer.Argument(metavar="[ENV]", help="Environment of pareto, such as hexapod."),
+        typer.Argument(metavar="[ENV]", help="Environment of pareto and robustness."),
     ] = None,
     seeds: Annotated[
         int | None,
@@ -167,7 +167,7 @@ def experiment(
     jobs: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Processes side by side.", show_default="kart all cores, pareto 1"
+            min=1, help="Processes side by side.", show_default="kart all cores, others 1"
         ),
     ] = None,
     finishes: Annotated[
@@ -185,7 +185,9 @@ def experiment(
     episodes: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Episodes of each evaluation.", show_default="100; karts of pareto 300"
+            min=1,
+            help="Episodes of each evaluation.",
+            show_default="100; karts of pareto 300; robustness 30",
         ),
     ] = None,
     chip_episodes: Annotated[
@@ -209,7 +211,7 @@ def experiment(
             "--folder",
             "--runs",
             help="Where the run folders are.",
-            show_default="runs/experiment-kart, runs/pareto/ENV",
+            show_default="runs/experiment-kart, runs/NAME/ENV",
         ),
     ] = None,
     output: Annotated[
@@ -218,14 +220,14 @@ def experiment(
             "-o",
             "--output",
             help="Where the page NAME.md and NAME/ are written.",
-            show_default="results; with --quick runs/pareto-quick",
+            show_default="results; with --quick runs/NAME-quick",
         ),
     ] = None,
     train: Annotated[
         bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
     ] = True,
     quick: Annotated[
-        bool, typer.Option("--quick", help="pareto: trainings and episodes of seconds.")
+        bool, typer.Option("--quick", help="pareto, robustness: trainings and episodes of seconds.")
     ] = False,
     json: Json = False,
 ) -> None:
@@ -248,7 +250,7 @@ def experiment(
         for module, _, function in (path.partition(":") for path in EXPERIMENTS[name])
     )
     design = asked({option: value for option, value in given.items() if value is not None})
-    output = output or Path("runs/pareto-quick" if quick else "results")
+    output = output or Path(f"runs/{name}-quick" if quick else "results")
     outcome = run(design, only or (), jobs, output, train)
     if json:
         files = [str(path) for path in outcome.files]

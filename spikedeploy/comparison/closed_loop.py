@@ -12,11 +12,12 @@ from spikedeploy.comparison.episodes import summarise
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import make_env
+from spikedeploy.make_env import disturbed_by, make_env
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.video import Frame, Pace, captioned, mp4
 
 
@@ -30,6 +31,7 @@ def run_policy(
     options: Mapping[str, Any] = MappingProxyType({}),
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
+    faults: Faults = NONE,
 ) -> Comparison:
     """One row: the policy on every seed.
 
@@ -42,9 +44,15 @@ def run_policy(
     options    of the environment
     limits     refuse what breaks a design rule of the chip
     quantisation  of a spiking policy on a chip
+    faults     of that chip
     """
-    candidate = replace(find(reference), limits=limits, quantisation=quantisation)
+    candidate = replace(find(reference), limits=limits, quantisation=quantisation, faults=faults)
     entry = Entry(candidate, chip or _default_chip(candidate))
+    if faults and entry.chip in (None, FLOAT):
+        raise ConfigError(
+            f"--fault is of chips, and {entry.label} runs in float. Leave it out, or run a spiking "
+            "policy on a chip."
+        )
     mode = "rgb_array" if video else None
     world: Any = make_env(env or _made_for(candidate), options, render_mode=mode)
     player = open_policy(candidate, entry.chip, world, sampled)
@@ -57,7 +65,7 @@ def run_policy(
             episodes.append(summarise(candidate, player, played))
             done()
     world.close()
-    return Comparison(played.env_id, seeds, [Row(entry, episodes)])
+    return Comparison(played.env_id, seeds, [Row(entry, episodes)], disturb=disturbed_by(options))
 
 
 def _made_for(candidate: Candidate) -> str:

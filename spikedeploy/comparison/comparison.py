@@ -1,7 +1,7 @@
 """The result of a comparison: every row beside its reference."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference,
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.interface import BASELINES
+from spikedeploy.runtime.chips.damage import summed
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
 
@@ -53,12 +54,14 @@ class Comparison:
     seeds  (n,)
     rows   in the order of the line-up
     tables energy tables to price by; empty for those of each row's chip
+    disturb  disturbances of the world
     """
 
     env: str
     seeds: Sequence[int]
     rows: Sequence[Row]
     tables: Sequence[str] = ()
+    disturb: Sequence[str] = ()
 
     def row(self, entry: Entry | None) -> Row | None:
         """The row of an entry."""
@@ -76,6 +79,7 @@ class Comparison:
             | self._agreement(row)
             | self._costs(row)
             | _metrics(row)
+            | _faults(row)
             for row in self.rows
         ]
 
@@ -202,6 +206,14 @@ def _metrics(row: Row) -> dict[str, float]:
         name: float(np.mean([e.metrics[name] for e in row.episodes if name in e.metrics]))
         for name in names
     }
+
+
+def _faults(row: Row) -> dict[str, Any]:
+    """What faults of the chip hit, of those over time in all episodes; nothing without faults."""
+    first = row.episodes[0].damage
+    over_time = summed([[d for d in e.damage if d.over_time] for e in row.episodes])
+    found = [asdict(d) for d in (*(d for d in first if not d.over_time), *over_time)]
+    return {"faults": found} if found else {}
 
 
 def _rng() -> np.random.Generator:

@@ -17,6 +17,7 @@ from spikedeploy.make_env import make_env
 from spikedeploy.policies.costs import Costs
 from spikedeploy.policies.interface import Candidate, Player
 from spikedeploy.policies.registry import open_policy, price
+from spikedeploy.runtime.chips.damage import Damage
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Episode:
     costs      per inference
     agreement  name -> agreement with each of the job's `others`
     remarks    of the compiler, on where a chip departs from the file
+    damage     what faults of the chip hit
     """
 
     total: float
@@ -61,6 +63,7 @@ class Episode:
     costs: Costs
     agreement: Mapping[str, Agreement]
     remarks: Sequence[str] = ()
+    damage: Sequence[Damage] = ()
 
 
 def play(job: EpisodeJob) -> Episode:
@@ -80,6 +83,7 @@ def summarise(
     others: Mapping[str, Rollout] = MappingProxyType({}),
 ) -> Episode:
     """The summary of a rollout that the player has just played."""
+    damage = getattr(player, "damage", ())  # first, like costs: agreement runs the player again
     return Episode(
         total=played.total,
         steps=played.steps,
@@ -88,6 +92,7 @@ def summarise(
         costs=price(candidate, player, played),  # first: agreement runs the player again
         agreement={name: agreement(player, played, other) for name, other in others.items()},
         remarks=getattr(player, "remarks", ()),
+        damage=damage,
     )
 
 

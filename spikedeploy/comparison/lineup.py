@@ -9,6 +9,7 @@ from spikedeploy.policies.interface import FLOAT, Candidate
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults.request import NONE, Faults
 
 _CONTROLS = (
     "phase",
@@ -36,7 +37,9 @@ class Entry:
         """The name in tables: `popsan · loihi1`."""
         if self.chip is None:
             return self.candidate.name
-        return f"{self.candidate.name} · {self.chip}{'' if self.limits else ', limits off'}"
+        remarks = "" if self.limits else ", limits off"
+        faulty = ", faulty" if self.candidate.faults else ""
+        return f"{self.candidate.name} · {self.chip}{remarks}{faulty}"
 
     @property
     def limits(self) -> bool:
@@ -60,6 +63,7 @@ def line_up(
     chips: Sequence[str],
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
+    faults: Faults = NONE,
 ) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
@@ -68,6 +72,7 @@ def line_up(
     chips   for those that spike
     limits  refuse what breaks a design rule of a chip
     quantisation  of the SNNs on chips
+    faults  of those chips
     """
     spec = envs.spec(env)
     short = spec.short
@@ -87,7 +92,7 @@ def line_up(
         candidate = replace(candidate, quantisation=quantisation)
         twin = Entry(candidate, FLOAT, ann)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
-        bound = replace(candidate, limits=limits)
+        bound = replace(candidate, limits=limits, faults=faults)
         entries += [twin, *(Entry(bound, chip, twin) for chip in chips if exported)]
     built_in = [find(name) for name in spec.controls]
     rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]

@@ -13,7 +13,7 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import Episode, EpisodeJob, play
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
-from spikedeploy.make_env import make_env
+from spikedeploy.make_env import disturbed_by, make_env
 from spikedeploy.parallel import workers
 from spikedeploy.policies.interface import FLOAT, check_fit
 from spikedeploy.runtime.chips.chip import chip
@@ -49,7 +49,7 @@ def compare_policies(
             for place, entry in enumerate(group):
                 played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
     rows = [Row(entry, played[entry]) for entry in entries]
-    return Comparison(envs.spec(env).id, seeds, rows)
+    return Comparison(envs.spec(env).id, seeds, rows, disturb=disturbed_by(options))
 
 
 @dataclass(frozen=True)

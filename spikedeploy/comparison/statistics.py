@@ -108,6 +108,37 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generat
     return Estimate(float(each.mean() / beside.mean()), (float(low), float(high)))
 
 
+def grouped_ratio(
+    values: ArrayLike, reference: ArrayLike, groups: ArrayLike, rng: np.random.Generator
+) -> Estimate:
+    """Mean of values (n,) / mean of a reference (n,) in the same episodes, with its interval.
+
+    groups  (n,) of each episode: a resample draws groups, then pairs within each, so that an
+            interval covers what a group has in common; where each pair is a group, only pairs
+
+    The `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
+    """
+    left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    if not right.any():
+        return Estimate(math.nan, (math.nan, math.nan))
+    _, of, sizes = np.unique(np.asarray(groups), return_inverse=True, return_counts=True)
+    members = np.zeros((sizes.size, sizes.max()), np.int64)
+    for group in range(sizes.size):
+        members[group, : sizes[group]] = np.flatnonzero(of == group)
+    ratios = []
+    for _ in range(_RESAMPLES // _TOGETHER):
+        drawn = rng.integers(sizes.size, size=(_TOGETHER, sizes.size))
+        share = rng.random((_TOGETHER, sizes.size, sizes.max()))
+        picks = members[drawn[..., None], (share * sizes[drawn][..., None]).astype(np.int64)]
+        counts = np.arange(sizes.max()) < sizes[drawn][..., None]
+        top, bottom = ((each[picks] * counts).sum((1, 2)) for each in (left, right))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios.append(top / bottom)
+    tail = (1 - _LEVEL) / 2
+    low, high = np.nanquantile(np.concatenate(ratios), (tail, 1 - tail))
+    return Estimate(float(left.mean() / right.mean()), (float(low), float(high)))
+
+
 def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     picks = rng.integers(sample.size, size=(_RESAMPLES, sample.size))
     means: NDArray[np.float64] = sample[picks].mean(axis=1)

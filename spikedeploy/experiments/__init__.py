@@ -14,6 +14,7 @@ kart_tables   its results as Markdown tables
 kart_plot     finishes against environment steps
 kart_page     results/kart.md
 pareto        the pareto experiment: return against operations and energy
+robustness    the robustness experiment: return under disturbances and faults
 """
 
 # what runs it, and what makes its design of the options that were given
@@ -25,5 +26,9 @@ EXPERIMENTS = {
     "pareto": (
         "spikedeploy.experiments.pareto.experiment:experiment",
         "spikedeploy.experiments.pareto.design:asked",
+    ),
+    "robustness": (
+        "spikedeploy.experiments.robustness.experiment:experiment",
+        "spikedeploy.experiments.robustness.design:asked",
     ),
 }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults.request import NONE, Faults
 
 if TYPE_CHECKING:
     import gymnasium
@@ -37,6 +38,7 @@ class Candidate:
     actions   numbers it puts out, or actions that it chooses from; None fits any
     limits    whether a chip refuses it when it breaks a design rule
     quantisation  of a spiking policy on a chip
+    faults    of that chip
     """
 
     path: str
@@ -48,6 +50,7 @@ class Candidate:
     actions: int | None = None
     limits: bool = True
     quantisation: Quantisation = PLAIN
+    faults: Faults = NONE
 
 
 class Player(Protocol):

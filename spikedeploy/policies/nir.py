@@ -12,11 +12,13 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import Costs, spiking_costs
 from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.runtime.metrics.memory import packed_bytes
 from spikedeploy.runtime.metrics.neurobench import connection_sparsity, footprint
 
@@ -39,21 +41,28 @@ class NirController:
         sampled: bool = False,
         limits: bool = True,
         quantisation: Quantisation = PLAIN,
+        faults: Faults = NONE,
     ) -> None:
         artifact = load(path)
         self.graph = artifact.graph
         self.chip = chip_called(chip)
         self._controller = SpikingController(
-            artifact, self.chip, "total", sampled, limits=limits, quantisation=quantisation
+            artifact,
+            self.chip,
+            "total",
+            sampled,
+            faults=faults,
+            limits=limits,
+            quantisation=quantisation,
         )
         self.program = self._controller.program
         self.remarks = self.program.remarks
-        self._before = self._controller.ledger
+        self._before, self._hit_before = self._controller.ledger, self._controller.damage
 
     def reset(self, seed: int) -> None:
         """Start an episode and its ledger."""
         self._controller.reset(seed)
-        self._before = self._controller.ledger
+        self._before, self._hit_before = self._controller.ledger, self._controller.damage
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,) or ()."""
@@ -64,6 +73,15 @@ class NirController:
         if not self._controller.remembers:
             return self._controller.act_batch(observations)
         return np.stack([self._controller.act(observation) for observation in observations])
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What faults of the chip have hit, those over time since the last reset."""
+        before = {damage.text: damage for damage in self._hit_before}
+        return tuple(
+            now.since(before[now.text]) if now.over_time and now.text in before else now
+            for now in self._controller.damage
+        )
 
     @property
     def ledger(self) -> Ledger:
@@ -103,7 +121,12 @@ def controller(
 ) -> NirController:
     """The network on the chip, or its float twin."""
     return NirController(
-        candidate.path, chip or FLOAT, sampled, candidate.limits, candidate.quantisation
+        candidate.path,
+        chip or FLOAT,
+        sampled,
+        candidate.limits,
+        candidate.quantisation,
+        candidate.faults,
     )
 
 

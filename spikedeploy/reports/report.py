@@ -14,6 +14,7 @@ from typing import Any
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
+from spikedeploy.envs.disturbances.disturbed import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
@@ -38,7 +39,8 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "meaning": summary(rows),
         "conventions": _conventions(comparison),
-        "remarks": _remarks(comparison),
+        "remarks": _remarks(comparison, rows),
+        "disturbances": _disturbances(comparison),
         "energy_tables": _energy_tables(rows),
         "rows": rows,
     }
@@ -50,9 +52,29 @@ def _conventions(comparison: Comparison) -> dict[str, str]:
     return {name: _convention(c) for name, c in candidates.items() if c.format == ".nir"}
 
 
-def _remarks(comparison: Comparison) -> dict[str, list[str]]:
-    """Label of a row -> remarks of the compiler."""
-    remarks = {row.entry.label: list(row.episodes[0].remarks) for row in comparison.rows}
+def _disturbances(comparison: Comparison) -> list[dict[str, Any]]:
+    """What the world was disturbed by."""
+    world = envs.spec(comparison.env).world
+    found = disturbances(comparison.disturb, world) if comparison.disturb else []
+    return [
+        {"text": d.text, "name": d.name, "number": d.number, "unit": d.kind.unit,
+         "meaning": d.kind.meaning}
+        for d in found
+    ]  # fmt: skip
+
+
+def _hit(fault: Mapping[str, Any]) -> str:
+    """`fault dead-neurons:2 (0.05) hits 60 of 1,204 neurons`."""
+    hit, of = f"{fault['hit']:,}", f"{fault['of']:,}"
+    return f"fault {fault['text']} ({fault['number']:g}) hits {hit} of {of} {fault['what']}"
+
+
+def _remarks(comparison: Comparison, rows: Sequence[Row]) -> dict[str, list[str]]:
+    """Label of a row -> remarks of the compiler, and what faults of the chip hit."""
+    remarks = {
+        row.entry.label: [*row.episodes[0].remarks, *map(_hit, found.get("faults", ()))]
+        for row, found in zip(comparison.rows, rows, strict=True)
+    }
     return {label: said for label, said in remarks.items() if said}
 
 
@@ -87,6 +109,8 @@ def _page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
     steps = [f"* {name}: {said}" for name, said in _stepped(document)]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
+    if said := disturbed(document):
+        lines[2:2] = [f"Disturbed by {said}.", ""]
     if steps:
         lines += ["How the networks are stepped:", "", *steps, ""]
     return "\n".join(lines)
@@ -96,6 +120,12 @@ def _stepped(document: Document) -> list[tuple[str, str]]:
     """How the networks are stepped: conventions, then remarks on chips."""
     remarks = [(label, said) for label, each in document["remarks"].items() for said in each]
     return [*document["conventions"].items(), *remarks]
+
+
+def disturbed(document: Document) -> str:
+    """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
+    found = document.get("disturbances", ())
+    return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
 
 
 def _html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
@@ -165,6 +195,8 @@ def _facts(document: Document) -> str:
         "made by": f"spikedeploy {document['version']}, {document['created']}",
         "command": document["command"],
     }
+    if said := disturbed(document):
+        facts["disturbed by"] = said
     return _list(facts.items())
 
 

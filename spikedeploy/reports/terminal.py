@@ -12,6 +12,7 @@ from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables
 from spikedeploy.reports.columns import bounded, scaled, tables
+from spikedeploy.reports.report import disturbed
 
 
 def print_checks(checks: Iterable[ParityCheck]) -> None:
@@ -33,6 +34,8 @@ def print_comparison(document: Mapping[str, Any]) -> None:
     """Print the tables of a comparison and its summary."""
     rows = document["rows"]
     console().print(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
+    if said := disturbed(document):
+        console().print(f"Disturbed by {said}.\n", markup=False)
     for title, columns in tables(rows).items():
         heads = [column.title for column in columns]
         cells = [[column.cell(row) for column in columns] for row in rows]

@@ -54,6 +54,16 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         return self.current.bits, self.membrane.bits
 
     @property
+    def weights_have_signs(self) -> bool:
+        """Whether one of a weight's bits is its sign; else its list has it."""
+        return self.sign_mode == "mixed"
+
+    @property
+    def threshold_range(self) -> tuple[int, int]:
+        """Step and largest threshold [state units]."""
+        return 1 << self.mantissa_shift, self.threshold_max << self.mantissa_shift
+
+    @property
     def weight_lists(self) -> int:
         """Lists that hold the weights of an axon: 2 where each sign has its own."""
         return 2 if self.sign_mode == "split" else 1

@@ -119,7 +119,9 @@ def arriving(layer: Layer, presynaptic: Sequence[Numbers]) -> Numbers:
     """Sum of the weights (B, N) that arrive, those of the bias included."""
     total = layer.bias.astype(layer.threshold.dtype)
     for synapses, spikes in zip(layer.synapses, presynaptic, strict=True):
-        arrived = spikes.astype(total.dtype) @ synapses.weight.astype(total.dtype)
+        # BLAS knows no integers; float64 holds whole numbers below 2**53, and no sum is larger
+        kind = np.float64 if total.dtype.kind == "i" else total.dtype
+        arrived = (spikes.astype(kind) @ synapses.weight.astype(kind)).astype(total.dtype)
         total = total + (arrived >> synapses.shift if synapses.shift else arrived)
     return total
 

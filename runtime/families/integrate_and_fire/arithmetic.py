@@ -28,6 +28,21 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         """Width of each state of a neuron [bits]: its membrane."""
         return (self.membrane.bits,)
 
+    @property
+    def weights_have_signs(self) -> bool:
+        """Whether one of a weight's bits is its sign; else its axon has it."""
+        return self.signs == "weight"
+
+    @property
+    def own_weights(self) -> bool:
+        """Whether every synapse has a weight of its own."""
+        return self.axon_types == 0
+
+    @property
+    def threshold_range(self) -> tuple[int, int]:
+        """Step and largest threshold [state units]."""
+        return 1, self.threshold_max
+
     def check_convention(self, convention: Convention, chip_name: str) -> None:
         """Refuse spikes and floors that the chip's neurons have not."""
         if convention.spikes == "many" and self.spikes_max == 1:

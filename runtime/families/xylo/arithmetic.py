@@ -161,6 +161,11 @@ class XyloArithmetic(XyloRegisters, ArithmeticDefaults):
         """Width of each state of a neuron [bits]: its currents and its membrane."""
         return (self.state.bits,) * (self.currents + 1)
 
+    @property
+    def threshold_range(self) -> tuple[int, int]:
+        """Step and largest threshold [state units]."""
+        return 1, self.state.limit
+
     def check_convention(self, convention: Convention, chip_name: str) -> None:
         """Refuse a floor; how often neurons spike is the chip's own, and a remark."""
         if convention.floor != "none":

@@ -5,6 +5,7 @@ import pytest
 
 from spikedeploy.comparison.statistics import (
     bootstrap,
+    grouped_ratio,
     iqm,
     nested_ratio,
     paired_difference,
@@ -108,3 +109,31 @@ def test_a_nested_interval_covers_the_spread_of_trainings(rng):
 def test_a_nested_ratio_to_nothing_is_no_number(rng):
     estimate = nested_ratio([[0.0, 1.0]], [0.0, 0.0], rng)
     assert np.isnan([estimate.mean, *estimate.ci95]).all()
+
+
+def test_a_grouped_ratio_of_what_loses_the_same_share_everywhere_is_a_point(rng):
+    reference = np.array([10.0, 20.0, 30.0, 40.0])
+    estimate = grouped_ratio(0.5 * reference, reference, [0, 1, 0, 1], rng)
+    assert estimate.mean == 0.5
+    assert estimate.ci95 == pytest.approx((0.5, 0.5))
+
+
+def test_an_interval_over_few_groups_is_wider_than_one_over_their_episodes(rng):
+    # three chips, of which one is far worse: its ten episodes are not ten witnesses
+    groups = np.repeat([0, 1, 2], 10)
+    values = np.where(groups == 0, 0.2, 1.0)
+    one = np.ones(30)
+    low, high = grouped_ratio(values, one, groups, rng).ci95
+    alone_low, alone_high = grouped_ratio(values, one, range(30), rng).ci95
+    assert (low, high) == pytest.approx((0.2, 1.0))
+    assert high - low > alone_high - alone_low
+
+
+def test_groups_may_differ_in_size_and_weigh_by_their_episodes(rng):
+    estimate = grouped_ratio([1.0, 1.0, 1.0, 0.0], [1.0] * 4, [0, 0, 0, 1], rng)
+    assert estimate.mean == 0.75
+    assert estimate.ci95 == (0, 1)
+
+
+def test_a_grouped_ratio_to_nothing_is_no_number(rng):
+    assert np.isnan(grouped_ratio([1.0, 2.0], [0.0, 0.0], [0, 1], rng).mean)

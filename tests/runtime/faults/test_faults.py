@@ -1,0 +1,346 @@
+"""Faults of chips: what they hit, and that nothing else changes."""
+
+import pickle
+from copy import deepcopy
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.damage import keys, uniform
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.backend import backend_class
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import MachinePool
+from spikedeploy.runtime.emulator.upset_backend import UpsetBackend
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults import FAULTS
+from spikedeploy.runtime.faults.injection import injected
+from spikedeploy.runtime.faults.request import fault, faults
+from tests import graded
+from tests.networks import chain, event_driven, lif, popsan
+
+FLOATS = ("ideal", "spinnaker2")
+INTEGERS = [name for name in CHIPS if name not in FLOATS]
+BROKEN = [name for name in FAULTS if fault(name).hurt is not None]
+OVER_TIME = [name for name in FAULTS if fault(name).hurt is None]
+OF_WEIGHTS = ("stuck-zero", "stuck-max", "weight-flips")
+
+
+def program_on(name, seed=0):
+    """A network of two layers that every chip of integers takes."""
+    rng = np.random.default_rng(seed)
+    xylo = name.startswith("xylo")
+
+    def neurons(size):
+        if xylo:
+            return lif(size, tau=2e-3, r=2.0)
+        ones = np.ones(size)
+        return nir.IF(r=1000 * ones, v_threshold=ones, v_reset=0 * ones)
+
+    nodes = [
+        nir.Linear(rng.normal(size=(40, 8))),
+        neurons(40),
+        nir.Linear(rng.normal(size=(6, 40))),
+        neurons(6),
+    ]
+    convention = Convention(1e-3, reset="subtract" if xylo else "zero")
+    artifact = Artifact(chain(*nodes, width=8, act=6), None, convention)
+    return compile_program(artifact, chip(name), limits=False)
+
+
+def spikes(batch=3, timesteps=30, width=8, seed=1):
+    rng = np.random.default_rng(seed)
+    return (rng.random((batch, timesteps, width)) < 0.3).astype(np.uint8)
+
+
+def same_layers(left, right):
+    return all(
+        np.array_equal(a.threshold, b.threshold)
+        and np.array_equal(a.bias, b.bias)
+        and all(
+            np.array_equal(s.weight, t.weight) for s, t in zip(a.synapses, b.synapses, strict=True)
+        )
+        for a, b in zip(left.layers, right.layers, strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_has_three_rising_levels_within_its_bounds(name):
+    found = fault(name)
+    lowest, highest = found.bounds
+    assert lowest < found.levels[0] < found.levels[1] < found.levels[2] <= highest
+    assert found.meaning
+    assert found.unit
+    assert found.source
+    assert found.what
+
+
+def test_there_are_six_kinds_of_faults_or_more():
+    assert len(FAULTS) >= 6
+
+
+@pytest.mark.parametrize("name", INTEGERS)
+@pytest.mark.parametrize("kind", FAULTS)
+def test_every_chip_of_integers_runs_every_fault_and_counts_it(name, kind):
+    program = program_on(name)
+    if kind in OF_WEIGHTS and not program.chip.arithmetic.own_weights:
+        with pytest.raises(ConfigError, match="one weight for all axons of a type"):
+            injected(program, faults([f"{kind}:3"]))
+        return
+    number = 0.2  # of anything, so that small networks are hit
+    pool = MachinePool(injected(program, faults([f"{kind}={number}"])))
+    whole = MachinePool(program).infer(spikes())
+    assert not np.array_equal(pool.infer(spikes()), whole)
+    (damage,) = pool.damage
+    assert 0 < damage.hit <= damage.of
+    assert (damage.name, damage.number, damage.over_time) == (kind, number, kind in OVER_TIME)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_the_same_specimen_is_the_same_chip_and_another_is_another(kind):
+    def output(specimen):
+        pool = MachinePool(injected(program_on("loihi1"), faults([f"{kind}=0.3"], specimen)))
+        return pool.infer(spikes())
+
+    assert np.array_equal(output(0), output(0))
+    assert not np.array_equal(output(0), output(1))
+
+
+def test_level_0_is_the_program_itself():
+    program = program_on("loihi1")
+    assert injected(program, faults([f"{name}:0" for name in FAULTS])) is program
+
+
+@pytest.mark.parametrize("name", FLOATS)
+def test_chips_that_compute_in_floats_have_no_faults(name):
+    with pytest.raises(ConfigError, match=f"chip '{name}' computes in floats"):
+        injected(program_on(name), faults(["dead-neurons:1"]))
+
+
+def test_the_float_twin_has_no_faults():
+    artifact, broken = popsan(), faults(["dead-neurons=0.5", "lost-spikes=0.5"])
+    observation = np.array([0.3, -0.2, 0.1])
+    twin, faulty = SpikingController(artifact), SpikingController(artifact, faults=broken)
+    assert np.array_equal(twin.act(observation), faulty.act(observation))
+    assert faulty.damage == ()
+
+
+# broken parts
+
+
+@pytest.mark.parametrize("name", INTEGERS)
+def test_dead_neurons_are_as_many_as_asked_for_and_never_spike(name):
+    program = injected(program_on(name), faults(["dead-neurons=0.5"]))
+    (damage,) = program.damage
+    assert (damage.hit, damage.of) == (23, 46)
+    machine = Machine(program, 3, trace=True)
+    machine.infer(np.ones((3, 30, 8), np.uint8))
+    silent = sum(
+        int((~each.spikes.astype(bool).any(axis=(0, 1))).sum())
+        for each in machine.recordings.values()
+    )
+    assert silent >= 23
+    dead = sum(int((~s.weight.any(axis=0)).sum()) for a in program.layers for s in a.synapses)
+    assert dead >= 23
+
+
+def test_more_dead_neurons_include_fewer():
+    def dead(share):
+        program = injected(program_on("loihi1"), faults([f"dead-neurons={share}"]))
+        return np.concatenate([~a.synapses[0].weight.any(axis=0) for a in program.layers])
+
+    assert (dead(0.5) | ~dead(0.2)).all()
+
+
+def test_readouts_are_spared_by_dead_neurons_and_mismatch():
+    program = compile_program(graded.delta_network(), chip("loihi2"))
+    broken = injected(program, faults(["dead-neurons=1", "threshold-mismatch=0.3"]))
+    for name in ("readout",):
+        before, after = program.layer(name), broken.layer(name)
+        assert np.array_equal(before.threshold, after.threshold)
+        assert np.array_equal(before.synapses[0].weight, after.synapses[0].weight)
+
+
+@pytest.mark.parametrize("name", [n for n in INTEGERS if n != "truenorth"])
+def test_only_stored_weights_are_hit_and_stay_in_their_range(name):
+    program = program_on(name)
+    (first, *_) = program.layers
+    weight = first.synapses[0].weight.copy()
+    weight[:3] = 0
+    arithmetic = program.chip.arithmetic
+    largest = 1 << (arithmetic.weight_bits - arithmetic.weights_have_signs)
+    step = int(np.gcd.reduce(weight[weight != 0].astype(int)))
+    for kind in OF_WEIGHTS:
+        broken = injected(program, faults([f"{kind}=0.5"]))
+        for before, after in zip(program.layers, broken.layers, strict=True):
+            old, new = before.synapses[0].weight, after.synapses[0].weight
+            assert new.dtype == old.dtype
+            assert not new[old == 0].any()
+            assert np.abs(new.astype(int)).max() <= largest * max(step, 2)
+
+
+def test_stuck_weights_are_0_or_the_largest_with_their_sign():
+    program = program_on("loihi1")
+    old = program.layers[0].synapses[0].weight
+    zero = injected(program, faults(["stuck-zero=0.3"])).layers[0].synapses[0].weight
+    most = injected(program, faults(["stuck-max=0.3"])).layers[0].synapses[0].weight
+    assert set(np.unique(zero[zero != old])) == {0}
+    assert np.array_equal(most[most != old], 255 * np.sign(old[most != old]))
+
+
+@pytest.mark.parametrize(("sign_mode", "signed"), [("split", False), ("mixed", True)])
+def test_a_flipped_weight_differs_in_one_bit_of_what_the_chip_stores(sign_mode, signed):
+    artifact = popsan()
+    program = compile_program(artifact, chip("loihi1", sign_mode=sign_mode))
+    broken = injected(program, faults(["weight-flips=0.5"]))
+    step = program.chip.arithmetic.weight_step
+    for before, after in zip(program.layers, broken.layers, strict=True):
+        old = before.synapses[0].weight.astype(int) // step
+        new = after.synapses[0].weight.astype(int) // step
+        stored = (old & 255) ^ (new & 255) if signed else np.abs(old) ^ np.abs(new)
+        flipped = stored[stored != 0]
+        assert flipped.size
+        assert (flipped & (flipped - 1) == 0).all()
+        if not signed:
+            assert (np.sign(old) * np.sign(new) >= 0).all()
+
+
+def test_mismatched_thresholds_are_multiples_of_the_chips_step_and_in_range():
+    program = program_on("loihi1")
+    broken = injected(program, faults(["threshold-mismatch=1"]))
+    step, largest = program.chip.arithmetic.threshold_range
+    for layer in broken.layers:
+        assert (layer.threshold % step == 0).all()
+        assert layer.threshold.min() >= step
+        assert layer.threshold.max() <= largest
+    assert not same_layers(program, broken)
+
+
+# upsets
+
+
+def test_upsets_run_on_the_interpreter_whatever_is_asked_for_and_numba_refuses():
+    program = injected(program_on("loihi1"), faults(["lost-spikes:1"]))
+    for name in ("numpy", "auto", "interpreter"):
+        assert backend_class(program, name) is UpsetBackend
+    with pytest.raises(ConfigError, match="drawn by the interpreter alone"):
+        backend_class(program, "numba")
+
+
+@pytest.mark.parametrize("artifact", [popsan, event_driven])
+def test_a_chip_with_upsets_of_probability_nearly_0_does_what_a_whole_one_does(artifact):
+    rows = np.random.default_rng(0).normal(size=(20, 3))
+    rare = faults([f"{name}=1e-300" for name in OVER_TIME])
+    whole = SpikingController(artifact(), chip("loihi1"))
+    upset = SpikingController(artifact(), chip("loihi1"), faults=rare)
+    for row in rows:
+        assert np.array_equal(whole.act(row), upset.act(row))
+    assert [damage.hit for damage in upset.damage] == [0, 0, 0]
+    assert np.array_equal(whole.ledger.counts, upset.ledger.counts)
+
+
+def test_all_spikes_lost_is_silence_behind_them():
+    pool = MachinePool(injected(program_on("loihi1"), faults(["lost-spikes=1"])), trace=True)
+    pool.infer(spikes())
+    (damage,) = pool.damage
+    assert damage.hit == damage.of == spikes().sum()
+    assert not any(rows.any() for rows in pool.spikes.values())
+
+
+def test_spurious_spikes_come_where_there_are_none_at_about_their_probability():
+    pool = MachinePool(injected(program_on("loihi1"), faults(["spurious-spikes=0.1"])))
+    pool.infer(np.zeros((20, 50, 8), np.uint8))
+    (damage,) = pool.damage
+    assert damage.hit / damage.of == pytest.approx(0.1, rel=0.05)
+
+
+def test_flipped_states_stay_in_the_register_of_the_membrane():
+    pool = MachinePool(injected(program_on("int"), faults(["state-flips=0.3"])), trace=True)
+    pool.infer(spikes())
+    limit = 1 << (program_on("int").chip.arithmetic.membrane.bits - 1)
+    seen = [np.abs(each.membrane).max() for each in pool.recordings.values()]
+    assert max(seen) <= limit
+    assert pool.damage[0].hit > 0
+
+
+@pytest.mark.parametrize("artifact", [popsan, event_driven])
+def test_a_robot_of_a_batch_has_the_upsets_that_it_has_alone(artifact):
+    broken = faults([f"{name}=0.05" for name in OVER_TIME])
+    rows = np.random.default_rng(0).normal(size=(12, 4, 3))
+    together = SpikingController(artifact(), chip("loihi1"), faults=broken)
+    together.reset(0, each=[7, 8, 9, 10])
+    batch = np.stack([together.act_batch(row) for row in rows], 1)
+    for place, seed in enumerate([7, 8, 9, 10]):
+        alone = SpikingController(artifact(), chip("loihi1"), faults=broken)
+        alone.reset(seed)
+        # readouts are added up in another order
+        np.testing.assert_allclose([alone.act(row[place]) for row in rows], batch[place], 1e-12)
+
+
+def test_an_episode_has_its_upsets_whatever_was_before():
+    broken = faults(["lost-spikes=0.3"])
+    policy = SpikingController(popsan(), chip("loihi1"), faults=broken)
+    rows = np.random.default_rng(0).normal(size=(5, 3))
+
+    def episode(seed):
+        policy.reset(seed)
+        return [policy.act(row) for row in rows]
+
+    first = episode(5)
+    other = episode(6)
+    assert not np.array_equal(first, other)
+    assert np.array_equal(first, episode(5))
+    assert policy.remembers
+
+
+@pytest.mark.parametrize("copied", [deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_copies_go_on_with_the_same_upsets(copied):
+    policy = SpikingController(event_driven(), chip("loihi1"), faults=faults(["lost-spikes=0.3"]))
+    rows = np.random.default_rng(0).normal(size=(8, 3))
+    policy.reset(3)
+    for row in rows[:4]:
+        policy.act(row)
+    other = copied(policy)
+    assert other.damage == policy.damage
+    for row in rows[4:]:
+        assert np.array_equal(policy.act(row), other.act(row))
+    assert other.damage == policy.damage
+
+
+def test_graded_spikes_are_lost_too():
+    program = compile_program(graded.delta_network(), chip("loihi2"))
+    broken = injected(program, faults(["lost-spikes=0.5"]))
+    rows = graded.rasters()
+    assert not np.array_equal(Machine(program, 3).infer(rows), Machine(broken, 3).infer(rows))
+
+
+def test_draws_are_uniform_and_differ_by_place_and_seed():
+    draws = uniform(keys(0, range(200)), (1, 2, 3), 500)
+    assert draws.min() >= 0
+    assert draws.max() < 1
+    assert draws.mean() == pytest.approx(0.5, abs=0.01)
+    assert len(np.unique(draws)) == draws.size
+    assert np.corrcoef(draws[0], draws[1])[0, 1] == pytest.approx(0, abs=0.2)
+    assert not np.isin(uniform(keys(0, range(200)), (1, 2, 4), 500), draws).any()
+    assert not np.isin(uniform(keys(1, range(200)), (1, 2, 3), 500), draws).any()
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["burnt:1"], "no fault 'burnt'; known: dead-neurons"),
+        (["dead-neurons"], "takes name:level or name=number"),
+        (["dead-neurons:7"], "no level from 0 to 3; a number is written dead-neurons=7"),
+        (["dead-neurons=7"], "'7' is not a number from 0 to 1"),
+        (["dead-neurons=all"], "is not a number"),
+        (["lost-spikes:1", "lost-spikes=0.2"], "--fault lost-spikes is given twice"),
+    ],
+)
+def test_a_request_that_cannot_be_met_says_what_can(texts, said):
+    with pytest.raises(ConfigError, match=said):
+        faults(texts)

@@ -1,0 +1,227 @@
+"""The robustness experiment in its smallest size: evaluated, written, resumed."""
+
+import json
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from spikedeploy import cli
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.envs.disturbances.disturbed import kinds_of
+from spikedeploy.experiments import workers
+from spikedeploy.experiments.robustness import page, records, tables
+from spikedeploy.experiments.robustness.design import UNDISTURBED, RobustnessDesign, asked
+from spikedeploy.experiments.robustness.evaluation import missing, perform, stored
+from spikedeploy.experiments.robustness.experiment import experiment
+from spikedeploy.experiments.workers import JobEnd
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults import FAULTS
+from spikedeploy.runtime.faults.request import faults
+from spikedeploy.seeds import EVALUATION
+
+ENV = "kart-grid"
+PARTS = (UNDISTURBED, "lidar-noise", "dead-neurons", "lost-spikes")
+
+
+@pytest.fixture(scope="module")
+def ran():
+    """The names of the jobs that ran, each in this process."""
+    names = []
+
+    def run(jobs, count, ended, look=None):
+        for job in jobs:
+            names.append(job.name)
+            module, _, function = job.call.partition(":")
+            done = getattr(import_module(module), function)(**json.loads(json.dumps(job.arguments)))
+            ended(JobEnd(job, 1.0, 0 if done else 1))
+        return True
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workers, "run", run)
+        yield names
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory):
+    runs = str(tmp_path_factory.mktemp("robustness") / "runs")
+    return RobustnessDesign(ENV, runs, episodes=3, specimens=2, limit=15)
+
+
+@pytest.fixture(scope="module")
+def results(design, ran, tmp_path_factory):
+    """The folder of the page of some parts."""
+    folder = tmp_path_factory.mktemp("results")
+    outcome = experiment(design, PARTS, 1, folder)
+    assert (outcome.done, outcome.of, outcome.failed) == (4, len(design.parts), {})
+    return folder
+
+
+def rows(results):
+    return records.read(results / "robustness" / f"{ENV}.csv")
+
+
+def test_the_line_up_is_the_ann_a_small_float_network_and_spiking_policies_on_the_chip(design):
+    labels = [tested.label for tested in design.policies]
+    assert labels[:3] == ["ann", "small", "linear"]
+    assert "snn · loihi1" in labels[3:]
+    assert all(label.endswith("· loihi1") for label in labels[3:])
+
+
+def test_a_part_is_every_disturbance_of_the_world_and_every_fault(design, results, ran):
+    assert design.parts == [UNDISTURBED, *kinds_of("kart"), *FAULTS]
+    assert ran[:4] == list(PARTS)
+
+
+def test_faults_are_of_chips_and_disturbances_of_all(design, results):
+    policies = {tested.label for tested in design.policies}
+    spiking = {tested.label for tested in design.policies if tested.chip}
+    by_name = {
+        name: {row["policy"] for row in rows(results) if row["name"] == name}
+        for name in (*PARTS[1:], None)
+    }
+    assert by_name[None] == by_name["lidar-noise"] == policies
+    assert by_name["dead-neurons"] == by_name["lost-spikes"] == spiking
+
+
+def test_every_row_has_every_level_and_every_episode(results):
+    of_part = [row for row in rows(results) if row["name"] == "dead-neurons"]
+    assert {row["level"] for row in of_part} == {1, 2, 3}
+    assert {len(row["returns"]) for row in rows(results)} == {3}
+    assert {tuple(row["groups"]) for row in of_part} == {(0, 1, 0)}
+    assert all(0 < row["hit"] <= row["of"] for row in of_part)
+
+
+def test_a_row_is_what_compare_says_of_the_same_episodes(results, design):
+    options = {"disturb": ["lidar-noise:2"], "max_steps": 15}
+    seeds = range(EVALUATION, EVALUATION + 3)
+    entry = next(Entry(tested.candidate, tested.chip) for tested in design.policies if tested.chip)
+    compared = compare_policies(ENV, [entry], seeds, 1, options)
+    (row,) = (
+        row
+        for row in rows(results)
+        if (row["name"], row["level"], row["policy"]) == ("lidar-noise", 2, entry.label)
+    )
+    np.testing.assert_allclose(row["returns"], compared.rows[0].returns, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["dead-neurons", "lost-spikes"])
+def test_a_faulty_row_is_what_compare_says_of_the_same_chip(results, design, name):
+    tested = next(tested for tested in design.policies if tested.chip)
+    (row,) = (
+        row
+        for row in rows(results)
+        if (row["name"], row["level"], row["policy"]) == (name, 3, tested.label)
+    )
+    for specimen, places in enumerate([(0, 2), (1,)]):
+        broken = replace(tested.candidate, faults=faults([f"{name}:3"], specimen))
+        seeds = [EVALUATION + place for place in places]
+        entry = Entry(broken, tested.chip)
+        compared = compare_policies(ENV, [entry], seeds, 1, {"max_steps": 15})
+        got = [row["returns"][place] for place in places]
+        np.testing.assert_allclose(got, compared.rows[0].returns, rtol=1e-6)
+
+
+def test_the_share_that_is_kept_is_of_the_same_policy_undisturbed(results):
+    calm = {row["policy"]: row for row in rows(results) if row["part"] == UNDISTURBED}
+    for row in rows(results):
+        if row["kept"] is not None:
+            expected = np.mean(row["returns"]) / np.mean(calm[row["policy"]]["returns"])
+            assert row["kept"] == pytest.approx(expected, rel=1e-5)
+            assert row["kept_low"] <= row["kept_high"]
+
+
+def test_what_is_done_is_not_done_again_and_what_has_changed_is(design, results, ran):
+    before = len(ran)
+    experiment(design, PARTS, 1, results)
+    assert len(ran) == before
+    row = stored(design, design.conditions("lidar-noise")[1], design.policies[0])
+    row.file.unlink()
+    experiment(design, PARTS, 1, results)
+    assert ran[before:] == ["lidar-noise"]
+    assert missing(replace(design, episodes=4), "lidar-noise")
+    assert missing(replace(design, chip="loihi2"), "dead-neurons")
+    assert not missing(replace(design, specimens=3), "lidar-noise")
+    assert missing(replace(design, specimens=3), "dead-neurons")
+
+
+def test_the_page_can_be_written_again_from_its_tables(design, results):
+    text = (results / "robustness.md").read_text(encoding="utf-8")
+    assert page.text(results / "robustness") == text
+    assert f"## {ENV}" in text
+    assert "parts are missing" in text
+    for name in (*PARTS[1:], "undisturbed"):
+        assert name in text.lower()
+    empty = replace(design, runs=str(results / "none"))
+    page.write(empty, results)
+    assert (results / "robustness.md").read_text(encoding="utf-8") == text
+
+
+def row_of(policy, kind, name, kept, part="disturbance"):
+    return {
+        "policy": policy, "kind": kind, "part": part, "name": name, "level": 2, "kept": kept,
+        "kept_low": kept - 0.1, "kept_high": kept + 0.1,
+    }  # fmt: skip
+
+
+def test_the_page_says_where_the_ann_keeps_enough_and_the_spiking_policy_does_not():
+    found = tables.sentences(
+        [
+            row_of("ann", "ann", "noise", 0.95),
+            row_of("snn", "snn", "noise", 0.5),
+            row_of("ann", "ann", "delay", 0.6),
+            row_of("snn", "snn", "delay", 0.4),
+            row_of("snn", "snn", "lost-spikes", 0.91, "fault"),
+        ]
+    )
+    assert "under 0 of 2 disturbances at level 2; less under noise 50% [40, 60], delay" in found[0]
+    assert "under 1 of 1 faults at level 2." in found[1]
+    assert "Where ann keeps 90%" in found[2]
+    assert found[2].endswith("noise (50% [40, 60] against 95% [85, 105]).")
+
+
+def test_the_page_says_so_where_there_is_no_such_case():
+    found = tables.sentences(
+        [row_of("ann", "ann", "noise", 0.8), row_of("snn", "snn", "noise", 0.5)]
+    )
+    assert found[-1] == "* Wherever ann keeps 90% at level 2, snn does."
+
+
+def test_a_policy_that_earns_nothing_keeps_no_share():
+    nothing = {"policy": "p", "part": UNDISTURBED, "returns": [0.0, 0.0], "groups": [0, 1]}
+    rows = records.with_kept([nothing, nothing | {"part": "disturbance"}])
+    assert all("kept" not in row for row in rows)
+    assert tables.kept(rows[1]) == "–"
+
+
+def test_options_of_other_experiments_are_refused():
+    with pytest.raises(ConfigError, match="robustness has no seeds"):
+        asked({"env": ENV, "seeds": 2})
+    with pytest.raises(ConfigError, match="needs an environment"):
+        asked({})
+    with pytest.raises(ConfigError, match="no environment 'moon'"):
+        asked({"env": "moon"})
+    assert asked({"env": ENV, "quick": True}).episodes == 2
+    assert asked({"env": ENV, "quick": True, "episodes": 4}).episodes == 4
+
+
+def test_an_unknown_part_is_refused(design, tmp_path):
+    with pytest.raises(ConfigError, match="no part of the experiment begins with 'slope'"):
+        experiment(design, ["slope"], 1, tmp_path)
+
+
+def test_the_command_runs_a_quick_look(ran, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["experiment", "robustness", ENV, "--quick", "--only", "undisturbed", "--json"]
+    with pytest.raises(SystemExit) as stop:
+        cli.app(words)
+    assert stop.value.code == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["done"] == 1
+    assert (tmp_path / "runs" / "robustness-quick" / "robustness.md").is_file()
+
+
+def test_a_job_makes_the_rows_of_its_parts(design, results):
+    assert perform(design.arguments(), ["undisturbed"])
