@@ -64,6 +64,9 @@ class Sparse(Runner[SparseConfig]):
         return cls.COLUMNS
 
     def __init__(self, config: SparseConfig, run: RunFolder) -> None:
+        self._chip = chip(config.chip)  # refused before environments are made
+        if config.rounding:
+            check_rounding(self._chip)
         self._phases = phases(config)
         super().__init__(
             config,
@@ -89,9 +92,6 @@ class Sparse(Runner[SparseConfig]):
         self._student = student(self.policy, config)
         self.learner = SparseLearner(config, self._student)
         self._episodes = Episodes(config.env, _TOGETHER, config.validation.limit)
-        self._chip = chip(config.chip)
-        if config.rounding:
-            check_rounding(self._chip)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self.teacher_return = np.nan
