@@ -6,7 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import atomic
+
+
+def check_folder(option: str, path: Path) -> None:
+    """Refuse a folder to write to that is a file, or would be inside one."""
+    for part in (path, *path.parents):
+        if part.exists():
+            if not part.is_dir():
+                raise ConfigError(f"{option} {path}: {part} is a file. Name a folder.")
+            return
 
 
 @contextmanager

@@ -6,18 +6,28 @@ recipe, TOML file and `--set`.
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 Positive = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
 Rate = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
+_MOST = 256  # as runtime.codec.delta has it, which is not imported for a number
+
+
+def _few(events: int) -> int:
+    if not 1 <= events <= _MOST:
+        raise ValueError(f"must be from 1 to {_MOST} events of an observation in a control step")
+    return events
+
+
+Events = Annotated[int, AfterValidator(_few)]
 
 
 class _Section(BaseModel):
-    """A group of settings: frozen, without unknown keys."""
+    """A group of settings: frozen, without unknown keys, and every number finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Ramp(_Section):
@@ -112,7 +122,7 @@ class DeltaSnnConfig(_Section):
     hidden: Count = 8
     skip: bool = True
     integrated: bool = False
-    most: Positive = 3
+    most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
     surrogate_width: Rate = 2.0
 
@@ -133,7 +143,7 @@ class DeltaMlpConfig(_Section):
     kind: Literal["delta-mlp"] = "delta-mlp"
     hidden: Positive = 16
     skip: bool = True
-    most: Positive = 3
+    most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
     threshold: Rate = 0.5
 

@@ -136,4 +136,6 @@ def _renamed(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _fault(loc: tuple[int | str, ...], msg: str, input: object, **_: object) -> str:
     """Return one of pydantic's errors as `a.b: what is wrong, got x`."""
-    return f"{'.'.join(map(str, loc))}: {msg}, got {input!r}"
+    said = msg.removeprefix("Value error, ")
+    # one of settings that do not go together says itself what it found
+    return f"{'.'.join(map(str, loc))}: {said}, got {input!r}" if loc else said

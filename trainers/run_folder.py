@@ -57,7 +57,8 @@ class RunFolder:
         for path in (Path(name), Path(runs) / name):
             if (path / "config.json").is_file():
                 return cls(path)
-        raise ConfigError(f"'{name}' is no run folder: no config.json in it, nor in {runs}/{name}")
+        beside = "" if Path(name).is_absolute() else f", nor in {Path(runs) / name}"
+        raise ConfigError(f"'{name}' is no run folder: no config.json in it{beside}")
 
     def settings(self) -> dict[str, Any]:
         """Return the configuration as written, for any algorithm."""

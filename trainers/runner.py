@@ -63,6 +63,7 @@ class Runner(ABC, Generic[C]):
         self._validator = Validator(config.env, config.validation)
         self.best = -np.inf
         self._returns: list[float] = []  # of the episodes since the last row of metrics
+        self._logged: float | None = None  # step of the last row of metrics
         self._clock = time.perf_counter(), 0
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
@@ -137,6 +138,7 @@ class Runner(ABC, Generic[C]):
             row = self._validate()
         if row or self._due(self._log_every, before):
             journal.add({**self._row(), **row})
+            self._logged = self.step
         if self._due(self._checkpoint_every, before):
             self._checkpoint()
 
@@ -162,7 +164,8 @@ class Runner(ABC, Generic[C]):
 
     def _checkpoint(self) -> None:
         """Save everything that resuming needs."""
-        state = {**self._counters(), **self._state(), "rng": self._rng.bit_generator.state}
+        counters = {**self._counters(), "logged": self._logged}
+        state = {**counters, **self._state(), "rng": self._rng.bit_generator.state}
         self._run.save("last", self.policy, state, {**self.learner.tensors(), **self._tensors()})
 
     def _resume(self) -> None:
@@ -170,6 +173,7 @@ class Runner(ABC, Generic[C]):
         state, tensors = self._run.load("last")
         self.learner.load(tensors)
         self.best = -np.inf if state["best"] is None else state["best"]
+        self._logged = state.get("logged")
         self._rng.bit_generator.state = state["rng"]
         self._restore(state, tensors)
 

@@ -3,9 +3,11 @@
 An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 """
 
+import shutil
 import signal
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
@@ -14,10 +16,9 @@ from typing import Any
 import torch
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import ALGORITHMS
+from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.journal import Journal, ProgressBar
-from spikedeploy.trainers.metrics import draw_curve
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import amended, known, resolve
 from spikedeploy.trainers.run_folder import RunFolder
@@ -54,15 +55,52 @@ def train(
         config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
         config = config if budget is None else with_budget(config, budget)
         run = RunFolder.create(runs, config)
+        with _removed_if_refused(run):
+            _learn(kind(config, run), config, run, quiet)
     else:
         run = RunFolder.find(resume, runs, recipe)
         if (recipe_of_run := run.settings()["recipe"]) != recipe:
             raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
         config = amended(run.config(kind.Config), file=config_file, overrides=overrides)
         config = config if budget is None else with_budget(config, budget)
-        run.write_config(config)
-    _learn(kind(config, run), config, run, quiet)
+        _check_metrics(run, kind, config)
+        with _written(run, config):
+            runner = kind(config, run)
+        _learn(runner, config, run, quiet)
     return run.path
+
+
+@contextmanager
+def _removed_if_refused(run: RunFolder) -> Iterator[None]:
+    """Remove a new run folder where its training is refused before anything was learned."""
+    try:
+        yield
+    except Exception:
+        learned = any((run.path / "checkpoints").iterdir())
+        if not learned and not (run.metrics.is_file() and metrics.read(run.metrics)):
+            shutil.rmtree(run.path)
+        raise
+
+
+@contextmanager
+def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
+    """Write the configuration of a run to be resumed; the former one where it is refused."""
+    file = run.path / "config.json"
+    before = file.read_bytes()
+    run.write_config(config)
+    try:
+        yield
+    except Exception:
+        file.write_bytes(before)
+        raise
+
+
+def _check_metrics(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
+    """Refuse a run to be resumed whose metrics are damaged."""
+    if run.checkpoint("last").is_file():
+        state, _ = run.load("last")
+        step = state[kind.COUNTERS[0]]
+        metrics.check(run.metrics, kind.columns(config), step, state.get("logged"))
 
 
 def _learn(runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool) -> None:
@@ -73,7 +111,7 @@ def _learn(runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool) 
             runner.learn(journal, stopped)
         finally:
             journal.close()
-    draw_curve(run.metrics, run.path / "curve.png", run.path.name)
+    metrics.draw_curve(run.metrics, run.path / "curve.png", run.path.name)
 
 
 class Interrupt:

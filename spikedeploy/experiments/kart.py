@@ -15,7 +15,9 @@ from spikedeploy.experiments.kart_design import ExperimentDesign
 from spikedeploy.experiments.kart_page import write
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
+from spikedeploy.files import check_folder
 from spikedeploy.parallel import cores
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines where there is no terminal
@@ -104,6 +106,9 @@ def experiment(
     results  folder of kart.md and kart/
     train    False only writes the page
     """
+    check_folder("--runs", Path(design.folder))
+    check_folder("--output", results)
+    chip(design.chip)  # raises on an unknown name
     for trial in design.trials():
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []

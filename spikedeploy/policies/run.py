@@ -77,14 +77,15 @@ class TorchController:
 def describe(path: Path) -> Candidate:
     """The candidate in a run folder."""
     from spikedeploy.exporters.to_nir import SpikingPolicy
-    from spikedeploy.trainers.policies import DeltaSnnPolicy
+    from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
     from spikedeploy.trainers.run_folder import load_policy
 
     policy = load_policy(path)
+    network = "control" if isinstance(policy, PrunedMlpPolicy) else "ann"
     return Candidate(
         path=str(path),
         name=path.resolve().name,
-        kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else "ann",
+        kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else network,
         format="run",
         env=env_id(settings(path)["env"]["name"]),
         observed=policy.observations,

@@ -78,9 +78,11 @@ def export_run(
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:
-    """The kind for comparisons; a float network on part of the observation is a control."""
+    """The kind for comparisons; a float network that is pruned or sees less is a control."""
     if policy.kind in SPIKING:
         return "snn"
+    if policy.kind == "pruned-mlp":
+        return "control"
     spec = policy.spec()
     sees_all = spec.get("features", {"name": "all"})["name"] == "all"
     return "ann" if sees_all and spec["hidden"] and not control else "control"

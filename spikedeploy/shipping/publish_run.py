@@ -1,5 +1,6 @@
 """Publishing: a run becomes a shipped policy, with a Markdown card on training and evaluation."""
 
+import re
 import shlex
 import shutil
 from collections.abc import Iterator, Mapping
@@ -10,6 +11,7 @@ from typing import Any
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.console import say
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
@@ -17,7 +19,7 @@ from spikedeploy.policies.registry import find
 from spikedeploy.reports.columns import markdown as tables_of
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves
-from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
 from spikedeploy.trainers.resolve import differences
@@ -31,6 +33,7 @@ _KINDS = {
     "control": "control: a float policy that is kept simple, to see what a network is worth (ONNX)",
 }
 # the setting of an algorithm that names another run, and settings that follow from that run
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _NEEDED = {"sparse": "pool", "sparse-ppo": "start"}
 _DERIVED = {"sparse-ppo": ("policy.",)}
 
@@ -113,6 +116,11 @@ def publish_run(
     control     whether comparisons show it as a control, such as a small network
     checkpoint  of the run, such as "ops-480"; by default its best, else its last
     """
+    if not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"--name {name!r}: a policy of the zoo has a name of letters, digits, - and _ alone, "
+            "such as popsan; its environment is that of the run"
+        )
     source = RunFolder.find(run).path
     target = folder / envs.spec(run_record.settings(source)["env"]["name"]).short
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
@@ -120,6 +128,8 @@ def publish_run(
         record = _describe(source, exported, checkpoint)
         record |= {"evaluation": _evaluation(exported.path, source, episodes, processes)}
         record = {key: _portable(value) for key, value in record.items()} | {"note": note}
+        if old := [path.name for path in sorted(target.glob(f"{name}.*"))]:
+            say(f"replaced in {target}: {', '.join(old)}")
         file = _copied(exported.path, target / exported.path.name)
     return [
         file,

@@ -5,6 +5,8 @@ from spikedeploy.trainers import ALGORITHMS, RECIPES
 from spikedeploy.trainers.config import Ramp
 from spikedeploy.trainers.resolve import differences, parse_override, resolve, validated
 from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.train import algorithm
 
 
@@ -110,3 +112,33 @@ def test_settings_of_version_0_1_are_accepted_under_their_old_names():
     written = config.model_dump(mode="json")
     written["hoist"] = written.pop("support_force")
     assert validated(SacConfig, written, "an old run folder") == config
+
+
+@pytest.mark.parametrize(
+    ("recipe", "override", "message"),
+    [
+        ("smoke-sparse", "budget=inf", "budget: Input should be a finite number, got inf"),
+        ("smoke-sparse", "step=inf", "step: .* finite"),
+        ("smoke-sparse", "levels=[inf]", "levels.0: .* finite"),
+        ("smoke-sparse", "policy.most=300", "most: must be from 1 to 256 .*, got 300"),
+        ("smoke-sparse-delta-mlp", "policy.most=0", "most: must be from 1 to 256 .*, got 0"),
+        ("smoke-sparse", "burn_in=20", r"smoke-sparse: window: 20 .* burn_in \(20\)"),
+        ("smoke-sparse", "window=1", r"smoke-sparse: window: 1 .* burn_in \(6\)"),
+        ("smoke-sparse-tuned", "gamma=nan", "gamma: "),
+        ("smoke-sparse-tuned", "noise=[inf,0.1]", "noise.0: .* finite"),
+        ("smoke-sparse-tuned", "burn_in=16", "smoke-sparse-tuned: window: 16 is less than twice"),
+        ("smoke", "learning_rate=inf", "finite"),
+    ],
+)
+def test_a_setting_out_of_range_is_refused_in_one_sentence(recipe, override, message):
+    model = {"smoke": SacConfig, "smoke-sparse-tuned": SparsePpoConfig}.get(recipe, SparseConfig)
+    with pytest.raises(ConfigError, match=message) as error:
+        resolve(model, recipe, overrides=[override])
+    assert len(str(error.value)) < 160
+
+
+def test_a_training_without_any_walks_is_refused():
+    none = ["teacher_walks=0", "noisy_walks=0"]
+    with pytest.raises(ConfigError, match=r"both are 0, .* or pool=RUN"):
+        resolve(SparseConfig, "smoke-sparse", overrides=none)
+    assert resolve(SparseConfig, "smoke-sparse", overrides=[*none, "pool=a-run"]).pool == "a-run"

@@ -137,6 +137,8 @@ def test_load_policy_takes_best_and_else_last(tmp_path):
 def test_a_path_that_is_no_run_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"no config\.json"):
         RunFolder.find("nothing", tmp_path)
+    with pytest.raises(ConfigError, match=r"no config\.json in it$"):
+        RunFolder.find(tmp_path / "nothing", "elsewhere")  # an absolute path lies in no folder
     with pytest.raises(ConfigError, match="no run of recipe smoke"):
         RunFolder.find("last", tmp_path, "smoke")
     with pytest.raises(ConfigError, match="no checkpoint 'best'"):
@@ -180,3 +182,101 @@ def test_a_journal_drops_values_without_a_column(tmp_path):
     journal.add({"env_steps": 1, "loss": 0.5, "eval_finish": 1.0})
     journal.close()
     assert read(run.metrics) == [{"env_steps": 1.0, "loss": 0.5}]
+
+
+def test_a_training_that_is_refused_leaves_no_run_folder(tmp_path, world):
+    whole = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    for recipe, overrides in (
+        ("smoke-distill", ["teacher=nowhere"]),
+        ("smoke-sparse", ["teacher=nowhere"]),
+        ("smoke-sparse-tuned", ["start=nowhere"]),
+    ):
+        with pytest.raises(ConfigError, match="nowhere"):
+            train(recipe, overrides=overrides, runs=tmp_path, quiet=True)
+        assert list(tmp_path.iterdir()) == [whole]
+
+
+def test_a_training_that_fails_later_keeps_what_it_learned(tmp_path, world, monkeypatch):
+    from spikedeploy.trainers.sac.sac import Sac
+
+    iterate = Sac._iterate
+
+    def failing(self, stopped):
+        if self.step > 150:
+            raise ConfigError("no more")
+        return iterate(self, stopped)
+
+    monkeypatch.setattr(Sac, "_iterate", failing)
+    with pytest.raises(ConfigError, match="no more"):
+        train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    (run,) = tmp_path.iterdir()
+    assert RunFolder(run).checkpoint("last").is_file()
+
+
+def test_a_resumed_run_that_is_refused_keeps_its_configuration(tmp_path, world):
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    before = (run / "config.json").read_bytes()
+    (run / "metrics.csv").write_bytes(b"\x89\xff")
+    with pytest.raises(ConfigError, match="is damaged"):
+        train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
+    assert (run / "config.json").read_bytes() == before
+
+
+@pytest.fixture
+def interrupted(tmp_path, world):
+    """A run that was stopped after 170 of 400 steps; it has rows up to step 160."""
+    world.interrupt_at = 170
+    return train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda old: b"\x89\xfe\x00" * 50, "no table of numbers"),
+        (lambda old: b"", "its first line is not the names of columns"),
+        (lambda old: old.split(b"\n", 1)[1], "its first line is not the names of columns"),
+        (lambda old: old[:-9], "a line is cut off"),
+        (lambda old: b"\n".join(old.split(b"\n")[:3]) + b"\n", "its rows end at 80, and .* to 160"),
+        (lambda old: old.replace(b"env_steps,", b"env_steps,odd_", 1), "a column odd_"),
+    ],
+)
+def test_damaged_metrics_are_refused_with_what_can_be_done(damage, message, interrupted):
+    file = interrupted / "metrics.csv"
+    file.write_bytes(damaged := damage(file.read_bytes()))
+    with pytest.raises(ConfigError, match=rf"metrics\.csv is damaged: .*{message}") as error:
+        train("smoke", resume=interrupted, quiet=True)
+    assert "move it away: then a new one begins at 1" in str(error.value)
+    assert file.read_bytes() == damaged
+
+
+def test_without_metrics_a_resumed_run_says_that_rows_begin_anew(interrupted, capsys):
+    file, step = interrupted / "metrics.csv", last(interrupted)["env_steps"]
+    file.unlink()
+    stopped = [f"steps={step}"]  # nothing is left to do, so that there are no rows yet
+    for overrides in (stopped, ["steps=400"]):
+        train("smoke", resume=interrupted, overrides=overrides, quiet=True)
+        assert f"metrics.csv has no rows: they begin at {step} env steps" in capsys.readouterr().err
+    assert read(file)[0]["env_steps"] > step
+    train("smoke", resume=interrupted, quiet=True)
+    assert capsys.readouterr().err == ""
+
+
+def test_runs_of_before_are_resumed_whatever_their_last_row(interrupted):
+    run = RunFolder(interrupted)
+    state, tensors = run.load("last")
+    assert state.pop("logged") == 160
+    policy = {key for key in tensors if key.startswith("policy.")}
+    others = {key: tensor for key, tensor in tensors.items() if key not in policy}
+    run.save("last", run.policy("last"), state, others)
+    lines = run.metrics.read_bytes().split(b"\n")
+    run.metrics.write_bytes(b"\n".join(lines[:3]) + b"\n")
+    train("smoke", resume=interrupted, quiet=True)
+    assert last(interrupted)["finished"]
+
+
+def test_a_picture_of_damaged_metrics_is_refused_by_name(tmp_path):
+    path = tmp_path / "metrics.csv"
+    for content in (b"\xff\xfe", b"step,loss\n1,much\n", b"step,loss\n1,2,3\n"):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=r"metrics\.csv is no table of numbers"):
+            read(path)

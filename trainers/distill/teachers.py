@@ -15,7 +15,7 @@ from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
-from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 class Teacher:
     """A policy to imitate; also a controller of one robot.
 
-    act_all: actions (B, act) for observations (B, obs)
+    act_all: actions (B, act) for observations (B, obs), or logits of discrete ones
     observations, actions: their numbers
     env: short name or id of its environment, empty if unknown
     """
@@ -76,12 +76,23 @@ def _zoo() -> dict[str, Path]:
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 
+def same_teacher(one: str, other: str) -> bool:
+    """Return whether two settings name the same teacher: equal words, paths or files."""
+    first, second = (Path(_shipped(each) or each) for each in (one, other))
+    if one == other or first.resolve() == second.resolve():
+        return True
+    both = first.is_file() and second.is_file()
+    return both and first.read_bytes() == second.read_bytes()
+
+
 def of_policy(policy: Policy, env: str = "") -> Teacher:
     """Return a policy as a teacher."""
 
     @torch.no_grad()
     def act_all(observation: FloatArray) -> FloatArray:
-        action: FloatArray = policy(torch.from_numpy(observation).float()).double().numpy()
+        seen = torch.from_numpy(observation).float()
+        found = policy.scores(seen) if policy.head == "discrete" else policy(seen)
+        action: FloatArray = found.double().numpy()
         return action
 
     return Teacher(act_all, policy.observations, policy.actions, env)
@@ -102,7 +113,10 @@ def _from_run(path: str) -> Teacher:
         near = get_close_matches(path, _zoo(), n=2)
         hint = f"; did you mean the shipped policy {' or '.join(near)}?" if near else ""
         raise ConfigError(f"{error}{hint}") from error
-    return of_policy(load_policy(path), str(settings["env"]["name"]))
+    policy = load_policy(path)
+    if isinstance(policy, DeltaSnnPolicy):
+        raise _remembers(path)
+    return of_policy(policy, str(settings["env"]["name"]))
 
 
 def _from_onnx(path: str) -> Teacher:
@@ -130,10 +144,7 @@ def _from_nir(path: str) -> Teacher:
         raise ConfigError(f"{path} has no codec, so it cannot act on observations")
     encoder = codec.encoder
     if artifact.convention.state == "kept" or (encoder.remembers and not encoder.random):
-        raise ConfigError(
-            f"{path} acts on the observations before, too, and a teacher labels single ones. Give "
-            "the float policy that it was made from"
-        )
+        raise _remembers(path)
 
     def act_all(observation: FloatArray) -> FloatArray:
         output = graph.run(codec.encode(observation))["output"].astype(np.float64)
@@ -142,6 +153,13 @@ def _from_nir(path: str) -> Teacher:
     actions = graph.outputs[0].size
     env = artifact.provenance.env if artifact.provenance else ""
     return Teacher(act_all, encoder.observed, actions, env)
+
+
+def _remembers(path: str) -> ConfigError:
+    return ConfigError(
+        f"the teacher {path} acts on the observations before, too, and a teacher labels single "
+        "ones. Give the float policy that it was made from"
+    )
 
 
 _FILES: dict[str, Callable[[str], Teacher]] = {".onnx": _from_onnx, ".nir": _from_nir}

@@ -10,6 +10,7 @@ students.py  what the algorithm asks of a spiking and of a float student
 pruning.py   one ranking over all synapses by what they are worth for an operation
 steps.py     steps of the delta encoder
 pool.py      whole walks, their events, and windows of them
+pool_files.py  walks of a run on disk, and those of another run
 collect.py   episodes, several at once
 on_chip.py   students as controllers, in float and on the chip
 """

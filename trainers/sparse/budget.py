@@ -3,7 +3,7 @@
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import C
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.resolve import amended
+from spikedeploy.trainers.resolve import amended, validated
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 # what the operations of each kind of policy are called
@@ -30,4 +30,5 @@ def with_budget(config: C, text: str) -> C:
         )
     found = amended(config, overrides=[f"budget={number}"])
     ratio = found.budget / config.budget
-    return found.model_copy(update={"levels": tuple(level * ratio for level in config.levels)})
+    levels = [level * ratio for level in config.levels]
+    return validated(type(found), found.model_dump() | {"levels": levels}, f"--budget {text}")

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from spikedeploy.trainers.config import Count, Positive, Rate, RunConfig, Share, ValidationConfig
 
@@ -81,6 +81,24 @@ class SparseConfig(RunConfig):
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000
     validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)
+
+    @model_validator(mode="after")
+    def _windows_are_longer_than_their_burn_in(self) -> "SparseConfig":
+        if self.window <= self.burn_in:
+            raise ValueError(
+                f"window: {self.window} control steps leave none to learn from behind burn_in "
+                f"({self.burn_in}). Make window longer or burn_in shorter"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _there_are_walks(self) -> "SparseConfig":
+        if not (self.pool or self.teacher_walks or self.noisy_walks):
+            raise ValueError(
+                "teacher_walks and noisy_walks: both are 0, so that there is nothing to learn "
+                "from. Set one of them, or pool=RUN"
+            )
+        return self
 
     @property
     def rounds(self) -> tuple[float, ...]:

@@ -196,6 +196,7 @@ def load_walks(path: Path) -> list[Walk]:
     """Read what `save_walks` wrote."""
     try:
         arrays = load_file(path)
+        _check_lengths(arrays)
         ends = np.cumsum(arrays["length"])[:-1]
         seen, labels = (np.split(arrays[name], ends) for name in ("observation", "label"))
         crashed = [bool(each) for each in arrays["crashed"]]
@@ -204,3 +205,15 @@ def load_walks(path: Path) -> list[Walk]:
         raise ConfigError(
             f"{path} holds no walks that can be read ({error}). Delete the run and train again."
         ) from error
+
+
+def _check_lengths(arrays: dict[str, NDArray[Any]]) -> None:
+    lengths, crashed = arrays["length"], arrays["crashed"]
+    rows = [(name, arrays[name]) for name in ("observation", "label")]
+    if len(lengths) == 0 or lengths.min() < 1 or crashed.shape != lengths.shape:
+        raise ValueError(f"it has {lengths.size} lengths of walks and {crashed.size} ends")
+    for name, array in rows:
+        if array.ndim != 2 or array.dtype != np.float32 or len(array) != lengths.sum():
+            raise ValueError(
+                f"{name} is {array.dtype} {array.shape}, expected float32 ({lengths.sum()}, n)"
+            )

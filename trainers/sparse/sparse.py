@@ -7,7 +7,6 @@ their return on the chip.
 
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,7 +27,8 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.learner import SparseLearner
 from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
 from spikedeploy.trainers.sparse.phases import phases
-from spikedeploy.trainers.sparse.pool import Walk, WalkPool, load_walks, save_walks
+from spikedeploy.trainers.sparse.pool import Walk, WalkPool, save_walks
+from spikedeploy.trainers.sparse.pool_files import collected, pool_file, walks_of
 from spikedeploy.trainers.sparse.pruning import operations
 from spikedeploy.trainers.sparse.rounding import check_rounding, deployed, rounding_offsets
 from spikedeploy.trainers.sparse.steps import binary_columns, retuned, tuned_thresholds
@@ -64,6 +64,9 @@ class Sparse(Runner[SparseConfig]):
         return cls.COLUMNS
 
     def __init__(self, config: SparseConfig, run: RunFolder) -> None:
+        self._chip = chip(config.chip)  # refused before environments are made
+        if config.rounding:
+            check_rounding(self._chip)
         self._phases = phases(config)
         super().__init__(
             config,
@@ -84,13 +87,11 @@ class Sparse(Runner[SparseConfig]):
         self.policy = from_config(
             config.policy, *sizes, config.normaliser.clip, envs.columns, envs.head
         )
+        self._sizes = sizes
         self.pool = WalkPool()
         self._student = student(self.policy, config)
         self.learner = SparseLearner(config, self._student)
         self._episodes = Episodes(config.env, _TOGETHER, config.validation.limit)
-        self._chip = chip(config.chip)
-        if config.rounding:
-            check_rounding(self._chip)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self.teacher_return = np.nan
@@ -99,11 +100,12 @@ class Sparse(Runner[SparseConfig]):
     def _begin(self) -> None:
         """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
         config = self._config
+        taken = walks_of(config, self._sizes) if config.pool else []  # refused before anyone walks
         seeds = self._validation_seeds
         _, returns, _ = self._episodes.play(seeds, Stateless(self._taught))
         self.teacher_return = float(np.mean(returns))
-        if config.pool:
-            self._keep(_walks_of(config.pool))
+        if taken:
+            self._keep(taken)
         if config.teacher_walks:
             self._collect(Stateless(self._taught), config.teacher_walks)
         if config.noisy_walks:
@@ -181,7 +183,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _keep(self, walks: list[Walk]) -> None:
         # over what a run that was killed may have left after its last checkpoint
-        save_walks(walks, _pool_folder(self._run.path) / f"{self.collections:03d}.safetensors")
+        save_walks(walks, pool_file(self._run.path, self.collections))
         self.collections += 1
         self.pool.add(walks)
 
@@ -261,24 +263,6 @@ class Sparse(Runner[SparseConfig]):
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         for name in self.COUNTERS:
             setattr(self, name, state[name])
-        for path in _pool_files(self._run.path)[: self.collections]:
-            self.pool.add(load_walks(path))
+        self.pool.add(collected(self._run.path, self.collections, self._sizes))
         self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool)
-
-
-def _pool_folder(run: Path) -> Path:
-    return run / "pool"
-
-
-def _pool_files(run: Path) -> list[Path]:
-    """Return the files of walks, in the order in which they were collected."""
-    return sorted(_pool_folder(run).glob("*.safetensors"))
-
-
-def _walks_of(run: str) -> list[Walk]:
-    """Return the walks of a run folder."""
-    files = _pool_files(RunFolder.find(run).path)
-    if not files:
-        raise ConfigError(f"{run} has no pool of walks. Give a run of a sparse recipe.")
-    return [walk for path in files for walk in load_walks(path)]

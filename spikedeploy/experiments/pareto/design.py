@@ -12,6 +12,7 @@ from typing import Any
 
 from spikedeploy.experiments.pareto.training import Training
 from spikedeploy.experiments.pareto.tuning import RewardTraining
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
@@ -80,6 +81,7 @@ class ParetoDesign:
             raise ConfigError(
                 f"the pareto experiment has no environment {self.env!r}; known: {', '.join(ENVS)}"
             )
+        chip(self.chip)  # raises on an unknown name
 
     @property
     def _all_settings(self) -> tuple[str, ...]:

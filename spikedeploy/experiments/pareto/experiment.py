@@ -13,6 +13,7 @@ from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
+from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines on what runs
@@ -60,10 +61,14 @@ def experiment(
     results  folder of pareto.md and pareto/
     train    False only writes the page
     """
+    check_folder("--runs", Path(design.runs))
+    check_folder("--output", results)
     for training in design.everything():
         check(training)
     parts = _parts(design)
-    jobs = [part.job for part in _chosen(parts, only) if not part.done] if train else []
+    to_do = [part for part in _chosen(parts, only) if not part.done] if train else []
+    _check_what_comes_before(to_do)
+    jobs = [part.job for part in to_do]
     failed: dict[str, str] = {}
     said = console(stderr=True)
     said.print(f"{len(jobs)} of {len(parts)} parts to do", markup=False)
@@ -111,6 +116,22 @@ def _chosen(parts: Sequence[_Part], only: Sequence[str]) -> list[_Part]:
                 f"no part of the experiment begins with {beginning!r}; known: {', '.join(names)}"
             )
     return [part for part in parts if not only or part.job.name.startswith(tuple(only))]
+
+
+def _check_what_comes_before(parts: Sequence[_Part]) -> None:
+    """Refuse parts that need a training which is neither complete nor among them."""
+    names = {part.job.name for part in parts}
+    for part in parts:
+        if part.training is None or names.issuperset(part.job.after):
+            continue
+        if not part.evaluates:
+            if part.training.run is None:
+                part.training.beginning()  # raises where it cannot begin
+        elif not part.training.trained:
+            raise ConfigError(
+                f"{part.job.name} evaluates {part.training.name}, which is not trained yet. Run "
+                f"the experiment without --only, or with --only {part.training.name} first."
+            )
 
 
 def _parts(design: ParetoDesign) -> list[_Part]:

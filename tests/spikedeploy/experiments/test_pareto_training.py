@@ -4,11 +4,14 @@ import json
 
 import pytest
 
-from spikedeploy.experiments.pareto import training, tuning
+from spikedeploy.experiments import workers
+from spikedeploy.experiments.pareto import page, training, tuning
 from spikedeploy.experiments.pareto.design import ParetoDesign
+from spikedeploy.experiments.pareto.design import asked as design_of
+from spikedeploy.experiments.pareto.experiment import experiment
 from spikedeploy.experiments.pareto.training import Training, perform
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ChipError, ConfigError
 from spikedeploy.trainers import train
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.phases import phases
@@ -152,3 +155,62 @@ def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
         "kart-grid-tuned-sparse-linear-s0",
     ]  # fmt: skip
     assert names[9] == "kart-grid-sparse-s1"
+
+
+# refused before anything runs
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The names of the jobs that were started; they do nothing."""
+    names = []
+    monkeypatch.setattr(
+        workers, "run", lambda jobs, *_: names.extend(job.name for job in jobs) or True
+    )
+    monkeypatch.setattr(page, "write", lambda design, results: [results / "pareto.md"])
+    return names
+
+
+def test_an_unknown_chip_is_refused_with_the_design(tmp_path):
+    with pytest.raises(ChipError, match="no chip 'nope'"):
+        design_of({"env": "kart-grid", "chip": "nope", "runs": str(tmp_path)})
+
+
+@pytest.mark.parametrize(
+    ("only", "missing"),
+    [
+        ("kart-grid-sparse-linear-s0", "learns from the walks of kart-grid-sparse-s0, which is no"),
+        ("kart-grid-tuned-sparse-s0", "goes on from kart-grid-sparse-s0, which is not trained yet"),
+        ("kart-grid-sparse-s0: levels", "evaluates kart-grid-sparse-s0, which is not trained yet"),
+    ],
+)
+def test_a_part_whose_training_before_is_missing_is_refused_at_the_start(
+    only, missing, started, tmp_path
+):
+    design = ParetoDesign("kart-grid", 1, str(tmp_path / "runs"), quick=True)
+    with pytest.raises(ConfigError, match=missing):
+        experiment(design, [only], 1, tmp_path / "results")
+    assert started == []
+    assert not list(tmp_path.iterdir())
+    experiment(design, [only, "kart-grid-sparse-s0"], 1, tmp_path / "results")
+    assert {"kart-grid-sparse-s0", only} <= set(started)
+
+
+def test_a_part_of_a_training_that_is_there_needs_nothing_more(started, asked, tmp_path):
+    leave(asked, whole(asked))
+    design = ParetoDesign("kart-grid", 2, str(tmp_path), asked.overrides)
+    experiment(design, ["kart-grid-sparse-linear-s1"], 1, tmp_path / "results")
+    assert started[0] == "kart-grid-sparse-linear-s1"
+
+
+def test_files_in_place_of_folders_are_refused_at_the_start(started, tmp_path):
+    (file := tmp_path / "file").touch()
+    for runs, results, option in (
+        (file, tmp_path / "results", "--runs"),
+        (tmp_path / "runs", file, "--output"),
+        (tmp_path / "runs", file / "results", "--output"),
+    ):
+        design = ParetoDesign("kart-grid", 1, str(runs), quick=True)
+        with pytest.raises(ConfigError, match=rf"{option} .*: .*file is a file\. Name a folder"):
+            experiment(design, (), 1, results)
+    assert started == []

@@ -89,13 +89,14 @@ def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_p
     assert not (tmp_path / "zoo").exists()
 
 
-def test_what_sees_less_or_is_linear_is_a_control():
+def test_what_sees_less_is_linear_or_pruned_is_a_control():
     assert kind_of(MlpPolicy(3, 2, hidden=(4,))) == "ann"
     assert kind_of(MlpPolicy(3, 2, hidden=())) == "control"
     assert (
         kind_of(MlpPolicy(6, 2, hidden=(4,), features=Features("phase", 6, [2, 3], [])))
         == "control"
     )
+    assert kind_of(from_config(PrunedMlpConfig(hidden=(4,)), 3, 2)) == "control"
     assert kind_of(PopsanPolicy(3, 2, hidden=(4,))) == "snn"
 
 
@@ -199,3 +200,37 @@ def test_a_page_names_the_runs_that_walks_and_the_start_came_from(tmp_path):
     assert [(each["run"], each["gives"]) for each in card["before"]] == [
         (spiking.name, "pool"), (rival.name, "start"),
     ]  # fmt: skip
+
+
+def test_a_pruned_float_policy_is_not_measured_against_itself(tmp_path, command):
+    run = sparse_run(tmp_path, "smoke-sparse-mlp", PrunedMlpConfig(hidden=(4,)))
+    file = export_run(str(run), "onnx", observations=30).path
+    for policy in (file, run):
+        code, out, _ = command("run", policy, "--json")
+        assert code == 0
+        (row,) = json.loads(out)["rows"]
+        assert (row["kind"], row["ratio_to_float_ann"]) == ("control", None)
+        assert "100.0%" not in command("run", policy)[1]
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "../../evil", "a/b", "a\\b", "/evil", "v0.5", "-x", "a b"]
+)
+def test_a_name_that_is_a_path_or_empty_is_refused(name, tmp_path):
+    with pytest.raises(ConfigError, match="letters, digits, - and _ alone") as error:
+        publish_run("no-run", name, 1, tmp_path / "zoo", 1)
+    assert repr(name) in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_that_are_replaced_are_named_in_one_line(tmp_path, capsys):
+    run = toy_stroll_env.run_folder(tmp_path / "runs", MlpConfig(hidden=(4,)))
+    options = {"episodes": 1, "folder": tmp_path / "zoo", "processes": 1}
+    publish_run(str(run), "small", **options)
+    assert "replaced" not in capsys.readouterr().err
+    publish_run(str(run), "smaller", **options)
+    publish_run(str(run), "small", **options)
+    found = " ".join(capsys.readouterr().err.split())
+    names = "small.csv, small.json, small.md, small.onnx, small.png"
+    assert found.endswith(f"zoo/stroll: {names}")
+    assert found.count("replaced in") == 1

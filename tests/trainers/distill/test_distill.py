@@ -15,13 +15,20 @@ from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.config import DistillConfig
 from spikedeploy.trainers.distill.dagger import DaggerDataset, collect
 from spikedeploy.trainers.distill.distill import Distill, DistillLearner
-from spikedeploy.trainers.distill.teachers import Teacher, of_policy, score, teacher
+from spikedeploy.trainers.distill.teachers import (
+    Teacher,
+    of_policy,
+    same_teacher,
+    score,
+    teacher,
+)
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
+from tests.delta_policies import delta_policy
 from tests.networks import event_driven
 
 HEXAPOD = "spikedeploy/Hexapod-v0"
@@ -262,3 +269,29 @@ def test_a_shipped_policy_may_teach_by_its_name():
         teacher("hexapod/sac", "hexapod-command")
     with pytest.raises(ConfigError, match="did you mean the shipped policy hexapod/sac"):
         teacher("hexapod/scc", "hexapod")
+
+
+def test_a_run_of_a_policy_that_keeps_its_states_is_no_teacher(tmp_path):
+    run = RunFolder.create(tmp_path, config())
+    run.save("last", delta_policy(obs=77, act=18, hidden=3), {})
+    with pytest.raises(ConfigError, match=r"acts on the observations before.* the float policy"):
+        teacher(str(run.path), "hexapod")
+
+
+def test_a_run_with_discrete_actions_teaches_by_its_logits_as_its_file_does(tmp_path):
+    policy = MlpPolicy(4, 3, hidden=(5,), head="discrete").eval()
+    observation = np.random.default_rng(0).normal(size=(6, 4))
+    file = to_onnx(policy, Provenance("kart-grid"), tmp_path / "t.onnx")
+    expected = teacher(str(file), "kart-grid").act_all(observation)
+    np.testing.assert_allclose(of_policy(policy).act_all(observation), expected, atol=1e-5)
+    assert expected.shape == (6, 3)
+
+
+def test_a_teacher_is_the_same_under_its_name_its_path_and_as_a_copy(onnx, tmp_path):
+    copy = tmp_path / "copy.onnx"
+    copy.write_bytes(onnx.read_bytes())
+    assert same_teacher("hexapod/sac", "spikedeploy/zoo/hexapod/sac.onnx")
+    assert same_teacher(str(onnx), str(copy))
+    assert same_teacher("gone.onnx", "gone.onnx")
+    assert not same_teacher(str(onnx), "hexapod/sac")
+    assert not same_teacher("gone.onnx", str(onnx))

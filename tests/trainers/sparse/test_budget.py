@@ -33,6 +33,8 @@ def test_a_budget_replaces_that_of_the_recipe_and_moves_its_levels():
         ("hexapod-sparse", "sops=", "--budget sops="),
         ("hexapod-sparse", "sops=many", "budget: .* number, .* got 'many'"),
         ("hexapod-sparse", "sops=-3", r"budget: .* greater than 0, got -3"),
+        ("hexapod-sparse", "sops=inf", r"budget: .* finite number, got inf"),
+        ("hexapod-sparse", "sops=1e308", r"--budget sops=1e308: levels.0: .* finite number"),
     ],
 )
 def test_a_wrong_budget_is_refused_in_one_line(recipe, text, message):

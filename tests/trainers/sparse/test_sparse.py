@@ -11,7 +11,8 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import DeltaSnnPolicy, MlpPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.sparse.pool import load_walks
+from spikedeploy.trainers.sparse.collect import Episodes
+from spikedeploy.trainers.sparse.pool import Walk, load_walks, save_walks
 from spikedeploy.trainers.sparse.sparse import Sparse
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
@@ -151,6 +152,72 @@ def test_walks_of_another_run_are_taken_over(stroll, tmp_path):
     (empty / "config.json").write_text("{}")
     with pytest.raises(ConfigError, match="no pool of walks"):
         learned(settings(teacher=stroll, pool=str(empty)), tmp_path, until=1)
+
+
+def test_walks_of_another_task_or_teacher_are_refused_before_anyone_walks(
+    stroll, tmp_path, monkeypatch
+):
+    first, _ = learned(settings(teacher=stroll), tmp_path, until=1)
+    other = str(toy_stroll_env.ann(tmp_path / "other.onnx", seed=1))
+    monkeypatch.setattr(Episodes, "play", lambda *_: 1 / 0)
+    for teacher, recorded, message in (
+        (stroll, {"env": {"name": "hexapod"}}, "has walks in hexapod, not in stroll"),
+        (other, {}, rf"by the teacher {stroll}, and the teacher here is {other}"),
+    ):
+        written = json.loads((first.path / "config.json").read_text()) | recorded
+        (first.path / "config.json").write_text(json.dumps(written))
+        with pytest.raises(ConfigError, match=message):
+            learned(settings(teacher=teacher, pool=str(first.path)), tmp_path)
+        (first.path / "config.json").write_text(json.dumps(written | {"env": {"name": "stroll"}}))
+
+
+def test_a_pool_that_is_not_there_leaves_no_run_folder(stroll, tmp_path):
+    overrides = ["env.name=stroll", f"teacher={stroll}", "pool=nowhere"]
+    with pytest.raises(ConfigError, match="'nowhere' is no run folder"):
+        train("smoke-sparse", overrides=overrides, runs=tmp_path / "runs", quiet=True)
+    assert not list((tmp_path / "runs").iterdir())
+
+
+def of_width(walks, observations, actions):
+    return [
+        Walk(np.resize(w.observation, (len(w.label), observations)),
+             np.resize(w.label, (len(w.label), actions)), w.crashed) for w in walks
+    ]  # fmt: skip
+
+
+def with_nan(walks):
+    walks[0].label[3, 1] = np.nan
+    return walks
+
+
+DAMAGES = [
+    (lambda path: path.unlink(), r"001\.safetensors is missing: .* train again"),
+    (lambda path: path.write_bytes(path.read_bytes()[:99]), r"001\.safetensors holds no walks"),
+    (lambda path: save_walks(of_width(load_walks(path), 4, 2), path),
+     r"001\.safetensors has walks of 4 observations and 2 actions, expected 3 and 2"),
+    (lambda path: save_walks(of_width(load_walks(path), 3, 1), path), "3 observations and 1 act"),
+    (lambda path: save_walks(with_nan(load_walks(path)), path),
+     r"001\.safetensors has an observation or label that is no finite number"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("damage", "message"), DAMAGES)
+def test_a_missing_or_damaged_file_of_walks_is_named(damage, message, stroll, tmp_path):
+    run, _ = learned(settings(teacher=stroll), tmp_path, until=8)
+    damage(run.path / "pool" / "001.safetensors")
+    with pytest.raises(ConfigError, match=message):
+        learned(settings(teacher=stroll), tmp_path, run=run)
+    if "missing" not in message:
+        with pytest.raises(ConfigError, match=message):
+            learned(settings(teacher=stroll, pool=str(run.path)), tmp_path)
+
+
+def test_a_run_without_any_of_its_walks_is_not_resumed(stroll, tmp_path):
+    run, _ = learned(settings(teacher=stroll), tmp_path, until=8)
+    for path in (run.path / "pool").iterdir():
+        path.unlink()
+    with pytest.raises(ConfigError, match=r"000\.safetensors is missing"):
+        learned(settings(teacher=stroll), tmp_path, run=run)
 
 
 def test_binary_observations_step_by_their_whole_swing(stroll, tmp_path, monkeypatch):
