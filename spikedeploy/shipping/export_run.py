@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from spikedeploy.trainers.policies import Policy
 
 _OBSERVATIONS = 1000
-SPIKING = ("popsan", "spiking-mlp", "delta-snn")  # kinds of policies that are exported as NIR
+# kinds of policies that are exported as NIR
+SPIKING = ("popsan", "spiking-mlp", "delta-snn", "delta-mlp")
 
 
 @dataclass(frozen=True)

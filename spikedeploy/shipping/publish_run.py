@@ -32,8 +32,8 @@ _KINDS = {
     "snn": "spiking network (NIR)",
     "control": "control: a float policy that is kept simple, to see what a network is worth (ONNX)",
 }
-# the setting of an algorithm that names another run, and settings that follow from that run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+# the setting of an algorithm that names another run, and settings that follow from that run
 _NEEDED = {"sparse": "pool", "sparse-ppo": "start"}
 _DERIVED = {"sparse-ppo": ("policy.",)}
 
@@ -212,13 +212,13 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
 def _evaluation(
     path: Path, source: Path, episodes: int, processes: int | None
 ) -> list[Mapping[str, Any]]:
-    """Rows of the policy: in float, and on the default chip if it spikes."""
-    candidate = find(str(path))
+    """Rows of the policy: in float, and if it spikes on its training's chip, or the default."""
+    settings, candidate = run_record.settings(source), find(str(path))
     entries = [Entry(candidate)]
     if candidate.kind == "snn":
         twin = Entry(candidate, FLOAT)
-        entries = [twin, Entry(candidate, DEFAULT_CHIP, twin)]
-    world = run_record.settings(source)["env"]
+        entries = [twin, Entry(candidate, settings.get("chip", DEFAULT_CHIP), twin)]
+    world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
     return [{**row, "file": path.name} for row in rows]
