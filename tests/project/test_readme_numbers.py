@@ -1,4 +1,4 @@
-"""Every number in the README's tables of results stands in the file of results/ that it names.
+"""Every number in tables of results, of README and docs, stands in the file of results/ they name.
 
 A table of results is one whose paragraph links to results/. Its rows are looked up by their names,
 the columns before the first number, and its cells by the names of their columns.
@@ -12,7 +12,8 @@ import pytest
 from tests.paths import ROOT
 
 README = ROOT / "README.md"
-LINK = re.compile(r"\]\((results/[^)#]+\.md)[^)]*\)")
+PAGES = (README, ROOT / "docs/results.md", ROOT / "docs/sparse.md")
+LINK = re.compile(r"\]\((?:\.\./)?(results/[^)#]+\.md)[^)]*\)")
 NUMBER = re.compile(r"[-+≥≤±~]?\s?\d")
 NOTHING = {"–", "-", ""}
 
@@ -83,8 +84,11 @@ def untied(text):
                     yield f"{' '.join(row[: names(row)])}, {head}: {cell}"
 
 
-def test_every_number_in_a_table_of_results_stands_in_the_file_that_the_readme_names():
-    assert list(untied(README.read_text("utf-8"))) == []
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_number_in_a_table_of_results_stands_in_the_file_that_the_page_names(page):
+    text = page.read_text("utf-8")
+    assert list(results(text))
+    assert list(untied(text)) == []
 
 
 def test_the_readme_has_results_and_each_of_their_tables_names_its_file():

@@ -21,7 +21,8 @@ from tests.networks import chain, cuba, event_driven, graph
 from tests.paths import ROOT
 
 SCRIPT = ROOT / "tests/project/recount.py"
-STEPS = 25
+STEPS = 60
+SPARSE = [name for name in zoo.names() if name.endswith("/sparse")]
 
 
 def recounted(policy, rollout, folder):
@@ -78,7 +79,7 @@ def test_the_script_uses_h5py_and_numpy_alone():
     assert imported == {"sys", "h5py", "numpy"}
 
 
-@pytest.mark.parametrize("name", ["hexapod/popsan", "kart-grid/snn"])
+@pytest.mark.parametrize("name", ["hexapod/popsan", "kart-grid/snn", *SPARSE])
 def test_a_shipped_policy_is_recounted(name, tmp_path):
     found, controller = check(zoo.resolve(name), tmp_path)
     check_operations(found, controller.ledger)
