@@ -55,6 +55,14 @@ def test_a_trace_worked_by_hand():
     assert state.sent.tolist() == [[-2]]
 
 
+def test_halves_of_a_256th_go_to_the_even_one():
+    code = encoder(most=2)  # step 0.5, threshold 154
+    below, above = 0.5 * 154.5 / 256, 0.5 * 155.5 / 256
+    # 154.5 becomes 154, which is not above the threshold; 155.5 becomes 156
+    assert sent(code, [below]) == [[0]]
+    assert sent(code, [above]) == [[1]]
+
+
 def test_a_jump_is_caught_up_in_the_timesteps_of_an_inference_as_in_several():
     # X = 2560, ten events of at most 3: 3 3 3 1
     assert sent(encoder(), [5.0], 5) == [[3, 3, 3, 1, 0]]

@@ -11,6 +11,7 @@ from spikedeploy.experiments.pareto import networks, records, tables
 from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE, energies, terms, total
 from spikedeploy.experiments.pareto.fronts import Point, best_pairing, pairing, points
 from spikedeploy.experiments.pareto.overview import cheapest
+from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
@@ -146,17 +147,20 @@ def test_robots_at_their_end_are_not_counted():
     counts[:, 0, EVENTS.index("sop")] = [1, 10, 1, 1000, 1, 1000]
     ledger = Ledger(("out",), (4,), counts, 6, 6, 6, readouts=("out",))
     layer = SimpleNamespace(name="out", synapses=(), size=4)
+    # what no synapse reads has a step of infinity, and costs the encoder nothing
+    encoder = DeltaEncoder(np.array([0.5, np.inf, 1.0]), most=2)
     program = SimpleNamespace(
         layers=(layer,), spiking=(), input="in", readout=None, outlets=(), host=()
     )
     running = SimpleNamespace(
         spiking=SimpleNamespace(ledger=ledger, program=program),
-        artifact=SimpleNamespace(codec=None),
+        artifact=SimpleNamespace(codec=SimpleNamespace(encoder=encoder)),
     )
     walks = [Walk(np.zeros((n, 1), np.float32), np.zeros((n, 0), np.float32)) for n in (3, 1)]
     found = networks._counted(running, walks)
     assert found["operations"] == (1 + 1 + 1 + 10) / 4
     assert found["sparsity"] is None
+    assert found["observations"] == 2
 
 
 def test_a_teacher_that_scores_nothing_leaves_no_share():

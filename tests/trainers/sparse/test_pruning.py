@@ -45,6 +45,23 @@ def test_all_kinds_of_synapses_are_ranked_together_and_by_their_curvature():
     assert (one.matrix.mask.tolist(), other.matrix.mask.tolist()) == ([[1, 0]], [[0]])
 
 
+def test_the_curvature_is_the_root_of_the_second_moment():
+    # w^2 sqrt(v): 1 x 0.1 and 0.09 x 1; w^2 v would be 0.01 and 0.09
+    one = group([[1.0, 0.3]], [1.0, 1.0])
+    prune([one], {one.matrix: torch.tensor([[0.01, 1.0]])}, 1.0)
+    assert one.matrix.mask.tolist() == [[1, 0]]
+
+
+def test_a_removed_neuron_is_one_that_brings_little_for_all_that_it_costs():
+    # gain 2, 0.2, 2 over cost 1 + 2 + 1, so shares 0.5, 0.05 and 0.5: above a tenth of the mean
+    into, out = group([[1.0], [0.1**0.5], [1.0]], [1.0]), group([[1.0, 0.1**0.5, 1.0]], [2.0] * 3)
+    assert remove_neurons(into, out, squares(into, out), 1.0, 3) == 0
+    # many outgoing operations make the same neuron too dear: share 0.2 / 62, mean about 0.33
+    out = SynapseGroup(out.matrix, torch.tensor([2.0, 60.0, 2.0]))
+    assert remove_neurons(into, out, squares(into, out), 1.0, 3) == 1
+    assert out.matrix.mask.tolist() == [[1, 0, 1]]
+
+
 def test_pruning_reaches_its_goal_and_takes_out_no_more():
     torch.manual_seed(0)
     groups = [group(torch.randn(20, 30).tolist(), torch.rand(30).tolist()) for _ in range(2)]
