@@ -151,7 +151,11 @@ def _command(design: ParetoDesign) -> str:
 def _missing(design: ParetoDesign) -> str:
     trainings = design.everything()
     done = sum(training.trained for training in trainings)
-    return f"**{done} of {len(trainings)} trainings are done.**" if done < len(trainings) else ""
+    notes = [f"{done} of {len(trainings)} trainings are done."] if done < len(trainings) else []
+    if design.limit:
+        steps = f"{design.limit} control steps"
+        notes.append(f"A quick trial, whose episodes end after {steps}: its scores say nothing.")
+    return f"**{' '.join(notes)}**" if notes else ""
 
 
 def _facts(design: ParetoDesign) -> list[str]:

@@ -157,7 +157,9 @@ def test_delta_networks_run_where_graded_spikes_do(results):
     graded = [row for row in rows(results) if row["student"] == "delta-mlp"]
     assert {row["place"].split(":")[0] for row in graded} == {"loihi2", "ideal"}
     assert all(0 <= row["graded_operations"] < row["operations"] for row in graded)
-    assert "| delta network | 60 |" in (results / "pareto.md").read_text()
+    text = (results / "pareto.md").read_text()
+    assert "| delta network | 60 |" in text
+    assert "**A quick trial, whose episodes end after 12 control steps" in text
 
 
 def test_a_chip_that_refuses_a_network_is_named_with_its_rule(results):
