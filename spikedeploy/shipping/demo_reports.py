@@ -35,7 +35,7 @@ class _DemoTask:
 
 
 _TASKS = {
-    "hexapod": _DemoTask(episodes=4, seconds=5.0),
+    "hexapod": _DemoTask(episodes=4, seconds=3.5),
     "hexapod-command": _DemoTask(episodes=3),
     "kart-steer": _DemoTask(episodes=10, seconds=15.0),
 }
