@@ -17,6 +17,7 @@ import torch
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
+from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.journal import Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
@@ -91,7 +92,8 @@ def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
     try:
         yield
     except Exception:
-        file.write_bytes(before)
+        with replacing(file) as part:
+            part.write_bytes(before)
         raise
 
 

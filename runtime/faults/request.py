@@ -1,4 +1,7 @@
-"""Requests such as `dead-neurons:2` or `lost-spikes=0.03`, read."""
+"""Requests such as `dead-neurons:2` or `lost-spikes=0.03`, read.
+
+The grammar is that of envs.disturbances.disturbed; neither package may import the other.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

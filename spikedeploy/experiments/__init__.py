@@ -7,6 +7,8 @@ evaluation    greedy episodes of a policy on evaluation seeds
 finishes      environment steps at which training episodes finished
 workers       jobs in processes of their own, some at a time
 worker        the program that such a process runs
+stored_row    a row of results that is kept until what made it changes
+csv_rows      rows of results as CSV, and read again
 kart          the kart experiment: which parts are missing, done in order, with progress
 kart_design   its trainings and controls, and kart-simulator's own figures
 kart_records  its results as records and CSV

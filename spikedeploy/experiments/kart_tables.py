@@ -10,6 +10,7 @@ from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, PEERS, WORLD
 from spikedeploy.experiments.kart_records import COUNT, NTH, Record
 from spikedeploy.policies.interface import FLOAT
 from spikedeploy.reports.columns import ABSENT, scaled
+from spikedeploy.reports.markdown import markdown_table
 
 
 def of(rows: Iterable[Record], world: str, policy: str, **more: object) -> list[Record]:
@@ -44,7 +45,7 @@ def learning_table(rows: Sequence[Record], budgets: Mapping[tuple[str, str], int
                     f"{peer.share:.1%}" if spiking else ABSENT,
                 ]
             )
-    return _markdown(lines)
+    return markdown_table(lines)
 
 
 def driving_table(rows: Sequence[Record]) -> list[str]:
@@ -70,7 +71,7 @@ def driving_table(rows: Sequence[Record]) -> list[str]:
             ]
             joules = [_joules(found, price) for price in prices]
             lines.append([world, label, f"{len(found)}", *cells, *joules])
-    return _markdown(lines)
+    return markdown_table(lines)
 
 
 def chip_table(rows: Sequence[Record]) -> list[str]:
@@ -79,7 +80,7 @@ def chip_table(rows: Sequence[Record]) -> list[str]:
     for world in WORLDS:
         twins = {row["seed"]: row for row in of(rows, world, "snn", chip=FLOAT)}
         lines += [_beside(row, twins[row["seed"]]) for row in on_chip(rows, world)]
-    return _markdown(lines)
+    return markdown_table(lines)
 
 
 def _beside(row: Record, twin: Record) -> list[str]:
@@ -126,12 +127,6 @@ def percent_of_ann(rows: Sequence[Record], world: str) -> str:
     low, high = found.ci95
     known = "" if math.isnan(low) else f" [{low:.0%}, {high:.0%}]"
     return f"{found.mean:.1%}{known}"
-
-
-def _markdown(lines: Sequence[Sequence[str]]) -> list[str]:
-    """A table whose first line is its head."""
-    rows = [lines[0], ["---"] * len(lines[0]), *lines[1:]]
-    return [f"| {' | '.join(row)} |" for row in rows]
 
 
 def _drivers(rows: Sequence[Record], world: str) -> list[tuple[str, list[Record]]]:

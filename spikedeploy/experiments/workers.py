@@ -15,6 +15,7 @@ from typing import Any
 
 from spikedeploy.experiments.worker import INTERRUPTED
 from spikedeploy.parallel import WORKER_ENVIRONMENT
+from spikedeploy.runtime.errors import ConfigError
 
 _PAUSE = 0.5  # [s] between two polls of the processes
 
@@ -59,6 +60,25 @@ class JobEnd:
         """The last line of the log, which holds the error message."""
         lines = self.job.log.read_text(encoding="utf-8", errors="replace").split("\n")
         return next((line for line in reversed(lines) if line.strip()), "no output")
+
+    def line(self, took: str) -> str:
+        """`12:30:05 ✓ name (took)`; with the error where it failed."""
+        sign = "✗" if self.failed else "…" if self.status else "✓"
+        why = f": {self.last_line} ({self.job.log})" if self.failed else ""
+        return f"{time.strftime('%H:%M:%S')} {sign} {self.job.name} ({took}){why}"
+
+
+def chosen(names: Sequence[str], only: Sequence[str]) -> list[str]:
+    """The names that have one of the prefixes; all without prefixes.
+
+    Raises ConfigError where a prefix is of none.
+    """
+    for beginning in only:
+        if not any(name.startswith(beginning) for name in names):
+            raise ConfigError(
+                f"no part of the experiment begins with {beginning!r}; known: {', '.join(names)}"
+            )
+    return [name for name in names if not only or name.startswith(tuple(only))]
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ Nothing is computed here that is not in the data; the same tables serve terminal
 
 columns       the tables of a comparison, column by column
 report        a comparison as report.json, report.html and report.md
+markdown      lines of a table in Markdown
 plots         returns, energies and learning curves as PNG
 curves        the learning curve in a run's metrics
 terminal      what commands print of comparisons, emulations, drifts, files and traces

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
+from spikedeploy.reports.markdown import markdown_table
 
 Row = Mapping[str, Any]
 Cell = Callable[[Row], str]
@@ -280,6 +281,5 @@ def markdown(rows: Sequence[Row]) -> list[str]:
 
 
 def _markdown(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
-    lines = [[column.title for column in columns], ["---"] * len(columns)]
-    lines += [[column.cell(row) for column in columns] for row in rows]
-    return [f"| {' | '.join(line)} |" for line in lines]
+    heads = [column.title for column in columns]
+    return markdown_table([heads, *([column.cell(row) for column in columns] for row in rows)])

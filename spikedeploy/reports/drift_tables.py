@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
 from spikedeploy.emulation.drift_report import DriftReport
+from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
 
 # title, heads, rows
@@ -77,8 +78,7 @@ def markdown(report: DriftReport) -> str:
     """The tables as Markdown."""
     parts = []
     for title, heads, rows in tables(report):
-        lines = [heads, ["---"] * len(heads), *rows]
-        table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+        table = "\n".join(markdown_table([heads, *rows]))
         parts.append(f"## {title}\n\n{table}\n")
     return "\n".join(parts)
 

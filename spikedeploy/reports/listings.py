@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
+from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
@@ -31,8 +32,7 @@ def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
 
 def chip_markdown(chips: Iterable[Chip]) -> str:
     """The same as a table of Markdown."""
-    lines = [CHIP_COLUMNS, ("---",) * len(CHIP_COLUMNS), *chip_rows(chips)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return "".join(f"{line}\n" for line in markdown_table([CHIP_COLUMNS, *chip_rows(chips)]))
 
 
 _PICO, _NANO = 1e-12, 1e-9
@@ -104,8 +104,7 @@ def energy_sources() -> list[tuple[str, str]]:
 
 def energy_markdown() -> list[str]:
     """Tables and sources as lines of Markdown, for docs/energy.md."""
-    lines = [ENERGY_COLUMNS, ("---",) * len(ENERGY_COLUMNS), *energy_rows()]
-    table = [f"| {' | '.join(line)} |" for line in lines]
+    table = markdown_table([ENERGY_COLUMNS, *energy_rows()])
     return [*table, "", *[f"* `{name}` – {source}." for name, source in energy_sources()]]
 
 

@@ -98,9 +98,10 @@ def test_the_readme_has_results_and_each_of_their_tables_names_its_file():
     assert all(LINK.search(table.before) for table in tables(section))
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 @pytest.mark.parametrize("digit", [re.compile(r"\d(?=\D*$)"), re.compile(r"\d")])
-def test_a_digit_that_is_changed_in_any_cell_is_found(digit):
-    text = README.read_text("utf-8")
+def test_a_digit_that_is_changed_in_any_cell_is_found(digit, page):
+    text = page.read_text("utf-8")
     for table, _ in results(text):
         for row in table.rows:
             for k in range(names(row), len(row)):

@@ -6,9 +6,7 @@ sizes have changed is made again.
 """
 
 import hashlib
-import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from spikedeploy.experiments.pareto.design import LAST, LEVELS, ParetoDesign, st
 from spikedeploy.experiments.pareto.networks import greedy, network, outcomes
 from spikedeploy.experiments.pareto.training import Training
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.files import as_text, write_text
+from spikedeploy.experiments.stored_row import StoredRow
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
@@ -24,30 +22,6 @@ from spikedeploy.trainers.sparse.collect import BatchController, Episodes
 
 Record = dict[str, Any]
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
-
-
-@dataclass(frozen=True)
-class StoredRow:
-    """One level of a training at one place, or a baseline.
-
-    file  where the result is
-    of    what it must have been made with
-    """
-
-    file: Path
-    of: Record
-
-    @property
-    def found(self) -> Record | None:
-        """The result; None where it is missing or was made with something else."""
-        if not self.file.is_file():
-            return None
-        made: Record = json.loads(self.file.read_text(encoding="utf-8"))
-        return made["row"] if made["of"] == self.of else None
-
-    def write(self, row: Record) -> None:
-        """Write the result."""
-        write_text(self.file, as_text({"of": self.of, "row": row}))
 
 
 def rows(

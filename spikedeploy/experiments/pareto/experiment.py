@@ -12,7 +12,7 @@ from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.experiments.workers import Job, JobEnd, Outcome
+from spikedeploy.experiments.workers import Job, JobEnd, Outcome, chosen
 from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
@@ -66,7 +66,8 @@ def experiment(
     for training in design.everything():
         check(training)
     parts = _parts(design)
-    to_do = [part for part in _chosen(parts, only) if not part.done] if train else []
+    names = chosen([part.job.name for part in parts], only)
+    to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
     _check_what_comes_before(to_do)
     jobs = [part.job for part in to_do]
     failed: dict[str, str] = {}
@@ -74,11 +75,7 @@ def experiment(
     said.print(f"{len(jobs)} of {len(parts)} parts to do", markup=False)
 
     def ended(end: JobEnd) -> None:
-        sign = "✗" if end.failed else "…" if end.status else "✓"
-        clock = time.strftime("%H:%M:%S")
-        why = f": {end.last_line} ({end.job.log})" if end.failed else ""
-        line = f"{clock} {sign} {end.job.name} ({end.seconds / 60:.1f} min){why}"
-        said.print(line, markup=False, soft_wrap=True)
+        said.print(end.line(f"{end.seconds / 60:.1f} min"), markup=False, soft_wrap=True)
         if end.failed:
             failed[end.job.name] = end.last_line
         page.write(design, results)
@@ -90,8 +87,8 @@ def experiment(
         nonlocal last_line
         if time.monotonic() - last_line > _EVERY:
             last_line = time.monotonic()
-            names = (_progress(job, trainings.get(job.name)) for job in running)
-            said.print("running: " + "; ".join(names), markup=False, soft_wrap=True)
+            progress = (_progress(job, trainings.get(job.name)) for job in running)
+            said.print("running: " + "; ".join(progress), markup=False, soft_wrap=True)
 
     whole = workers.run(jobs, count or 1, ended, look)
     files = page.write(design, results)
@@ -105,17 +102,6 @@ def _progress(job: Job, training: Training | RewardTraining | None) -> str:
         return job.name
     made, total = training.progress
     return f"{job.name}: {max(made, 0):,} of {total:,} {training.unit}"
-
-
-def _chosen(parts: Sequence[_Part], only: Sequence[str]) -> list[_Part]:
-    """The parts whose names have one of the prefixes."""
-    names = [part.job.name for part in parts]
-    for beginning in only:
-        if not any(name.startswith(beginning) for name in names):
-            raise ConfigError(
-                f"no part of the experiment begins with {beginning!r}; known: {', '.join(names)}"
-            )
-    return [part for part in parts if not only or part.job.name.startswith(tuple(only))]
 
 
 def _check_what_comes_before(parts: Sequence[_Part]) -> None:

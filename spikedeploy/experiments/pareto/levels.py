@@ -4,8 +4,9 @@ from collections.abc import Callable, Sequence
 
 from spikedeploy.comparison import statistics
 from spikedeploy.experiments.pareto.fronts import Point, Record, baseline
-from spikedeploy.experiments.pareto.tables import markdown, number, of_teacher, share
+from spikedeploy.experiments.pareto.tables import number, of_teacher, share
 from spikedeploy.reports.columns import ABSENT
+from spikedeploy.reports.markdown import markdown_text
 
 _Cells = dict[str, Callable[[Point], str]]
 
@@ -31,7 +32,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
             about = {f"% of {name}": "100.0%"} | _own_scores(row)
             own = [about.get(head, ABSENT) for head in cells]
             lines.append([f"{name}, {row.get('place')}", *own])
-    return markdown(lines)
+    return markdown_text(lines)
 
 
 def _cells(rows: Sequence[Record]) -> _Cells:

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from spikedeploy.experiments.pareto.costs import TOTALS
 from spikedeploy.experiments.pareto.fronts import Point, Record, points
-from spikedeploy.experiments.pareto.tables import markdown, number, of_teacher, pico, share
+from spikedeploy.experiments.pareto.tables import number, of_teacher, pico, share
+from spikedeploy.reports.markdown import markdown_text
 
 NEARLY = 0.98  # of the teacher's score
 
@@ -16,7 +17,7 @@ def overview(tables: Mapping[str, Sequence[Record]]) -> str:
     lines = [heads]
     for env, rows in tables.items():
         lines += [[env, *_cells(point)] for point in cheapest(points(rows))]
-    return markdown(lines)
+    return markdown_text(lines)
 
 
 def cheapest(found: Sequence[Point]) -> list[Point]:

@@ -16,6 +16,7 @@ from spikedeploy.experiments.pareto.fronts import (
     refusals,
 )
 from spikedeploy.reports.columns import ABSENT
+from spikedeploy.reports.markdown import markdown_text
 
 NEAR = 0.95  # of the teacher's score: points below are of no use, and not compared
 _PICO = 1e12
@@ -31,12 +32,6 @@ _TERM_WORDS = {
     "encoder": "the encoder",
     "constants": "the constants",
 }
-
-
-def markdown(lines: Sequence[Sequence[str]]) -> str:
-    """A table whose first line is its head."""
-    rows = [lines[0], ["---"] * len(lines[0]), *lines[1:]]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def number(value: float | None, form: str = ",.0f") -> str:
@@ -82,7 +77,7 @@ def energy_table(found: Sequence[Point]) -> str:
         else:
             cells += [ABSENT, ABSENT]
         lines.append(cells)
-    return markdown(lines)
+    return markdown_text(lines)
 
 
 def term_table(found: Sequence[Point]) -> str:
@@ -92,7 +87,7 @@ def term_table(found: Sequence[Point]) -> str:
         cells = [pico(joules) for joules in p.terms().values()]
         lean = pico(p.terms(lean=True)["updates"])
         lines.append([p.label, f"{p.level:g}", *cells, lean])
-    return markdown(lines)
+    return markdown_text(lines)
 
 
 def last_levels(found: Sequence[Point]) -> list[Point]:
@@ -109,7 +104,7 @@ def rival_table(found: Sequence[Point]) -> str:
             pairs.append(pairing(found, point, "all", lean=True))
             cells = [point.label, f"{point.level:g}", mean_of_teacher(point)]
             lines.append([*cells, *map(_against, pairs)])
-    return markdown(lines) if len(lines) > 1 else ""
+    return markdown_text(lines) if len(lines) > 1 else ""
 
 
 def _against(pair: Pairing) -> str:
@@ -190,7 +185,7 @@ def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
         lines.append([*cells, *counts])
     for (student, place), why in refused.items():
         lines.append([LABELS[student], ABSENT, place, f"refused: {why}", ABSENT, ABSENT])
-    return markdown(lines)
+    return markdown_text(lines)
 
 
 def _first_episodes(point: Point, others: Sequence[Point]) -> Point:

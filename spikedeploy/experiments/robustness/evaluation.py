@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from spikedeploy.experiments.pareto.evaluation import StoredRow
 from spikedeploy.experiments.robustness.design import (
     DISTURBANCE,
     FAULT,
@@ -19,6 +18,7 @@ from spikedeploy.experiments.robustness.design import (
     RobustnessDesign,
     Tested,
 )
+from spikedeploy.experiments.stored_row import StoredRow
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
@@ -82,8 +82,8 @@ def perform(design: Record, parts: Sequence[str]) -> bool:
 def _complete(asked: RobustnessDesign, part: str) -> None:
     episodes: Episodes | None = None
     for condition in asked.conditions(part):
-        if episodes is None or condition.part == DISTURBANCE:
-            episodes = None  # of another world
+        if condition.part == DISTURBANCE:
+            episodes = None  # each level is another world
         for tested in asked.tested(part):
             row = stored(asked, condition, tested)
             if row.found is None:

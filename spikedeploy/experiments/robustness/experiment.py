@@ -1,6 +1,5 @@
 """The robustness experiment: evaluates what is missing, part by part, and writes its page."""
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,8 +8,7 @@ from spikedeploy.experiments import workers
 from spikedeploy.experiments.robustness import page
 from spikedeploy.experiments.robustness.design import RobustnessDesign
 from spikedeploy.experiments.robustness.evaluation import missing
-from spikedeploy.experiments.workers import Job, JobEnd, Outcome
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.experiments.workers import Job, JobEnd, Outcome, chosen
 
 _QUICK_PARTS = 8  # of a job
 _PERFORM = "spikedeploy.experiments.robustness.evaluation:perform"
@@ -30,16 +28,13 @@ def experiment(
     results  folder of robustness.md and robustness/
     train    False only writes the page
     """
-    left = [part for part in _chosen(design.parts, only) if missing(design, part)] if train else []
+    left = [part for part in chosen(design.parts, only) if missing(design, part)] if train else []
     failed: dict[str, str] = {}
     said = console(stderr=True)
     said.print(f"{len(left)} of {len(design.parts)} parts to do", markup=False)
 
     def ended(end: JobEnd) -> None:
-        sign = "✗" if end.failed else "…" if end.status else "✓"
-        why = f": {end.last_line} ({end.job.log})" if end.failed else ""
-        line = f"{time.strftime('%H:%M:%S')} {sign} {end.job.name} ({end.seconds:.0f} s){why}"
-        said.print(line, markup=False, soft_wrap=True)
+        said.print(end.line(f"{end.seconds:.0f} s"), markup=False, soft_wrap=True)
         if end.failed:
             failed[end.job.name] = end.last_line
 
@@ -47,16 +42,6 @@ def experiment(
     files = page.write(design, results)
     done = [not missing(design, part) for part in design.parts]
     return Outcome(sum(done), len(done), failed, not whole, files)
-
-
-def _chosen(parts: Sequence[str], only: Sequence[str]) -> list[str]:
-    """The parts whose names have one of the prefixes."""
-    for beginning in only:
-        if not any(part.startswith(beginning) for part in parts):
-            raise ConfigError(
-                f"no part of the experiment begins with {beginning!r}; known: {', '.join(parts)}"
-            )
-    return [part for part in parts if not only or part.startswith(tuple(only))]
 
 
 def _jobs(design: RobustnessDesign, parts: Sequence[str]) -> list[Job]:

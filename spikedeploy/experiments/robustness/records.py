@@ -1,7 +1,5 @@
 """Rows of the robustness experiment as CSV, with what is kept of the undisturbed return."""
 
-import csv
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.comparison.statistics import grouped_ratio
+from spikedeploy.experiments.csv_rows import Record, read_rows, write_rows
 from spikedeploy.experiments.robustness.design import UNDISTURBED
-from spikedeploy.files import replacing
 
-Record = dict[str, Any]
 _COLUMNS = (
     "env", "policy", "kind", "chip", "part", "name", "level", "number", "unit", "episodes",
     "return_mean", "success_rate", "kept", "kept_low", "kept_high", "hit", "of", "what",
@@ -23,20 +20,12 @@ _TEXT = ("env", "policy", "kind", "chip", "part", "name", "unit", "what")
 
 def write(found: Iterable[Record], path: Path) -> Path:
     """Write rows; missing fields stay empty."""
-    rows = with_kept(list(found))
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n", extrasaction="raise")
-        writer.writeheader()
-        writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    return path
+    return write_rows(with_kept(list(found)), _COLUMNS, path)
 
 
 def read(path: Path) -> list[Record]:
     """The rows of a CSV; missing fields are None."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            {name: _value(name, text) for name, text in row.items()} for row in csv.DictReader(file)
-        ]
+    return read_rows(path, _TEXT)
 
 
 def with_kept(rows: Sequence[Record]) -> list[Record]:
@@ -51,15 +40,3 @@ def _kept(row: Mapping[str, Any], calm: Mapping[str, Any] | None) -> Record:
     rng = np.random.default_rng(0)
     found = grouped_ratio(row["returns"], calm["returns"], row["groups"], rng)
     return {"kept": found.mean, "kept_low": found.ci95[0], "kept_high": found.ci95[1]}
-
-
-def _cell(value: object) -> object:
-    if isinstance(value, list):
-        return json.dumps([float(f"{each:.7g}") for each in value], separators=(",", ":"))
-    return f"{value:.10g}" if isinstance(value, float) else value
-
-
-def _value(name: str, text: str) -> Any:  # noqa: ANN401
-    if name in _TEXT:
-        return text or None
-    return json.loads(text) if text else None

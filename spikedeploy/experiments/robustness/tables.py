@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from spikedeploy.experiments.pareto.tables import markdown
 from spikedeploy.experiments.robustness.design import DISTURBANCE, FAULT, UNDISTURBED
 from spikedeploy.reports.columns import ABSENT
+from spikedeploy.reports.markdown import markdown_text
 
 Record = dict[str, Any]
 MIDDLE = 2  # the level of the sentences
@@ -25,7 +25,7 @@ def undisturbed_table(rows: Sequence[Record]) -> str:
         for r in rows
         if r["part"] == UNDISTURBED
     ]
-    return markdown(lines)
+    return markdown_text(lines)
 
 
 def kept_table(rows: Sequence[Record], part: str) -> str:
@@ -41,7 +41,7 @@ def kept_table(rows: Sequence[Record], part: str) -> str:
         hit = [_hit(each)] if part == FAULT else []
         cells = [kept(each.get(policy)) for policy in names]
         lines.append([f"{name}:{level}", f"{first['number']:g} [{first['unit']}]", *hit, *cells])
-    return markdown(lines) if found else ""
+    return markdown_text(lines) if found else ""
 
 
 def kept(row: Record | None) -> str:

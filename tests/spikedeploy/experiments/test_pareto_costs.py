@@ -145,6 +145,7 @@ def test_weights_in_few_bits_fill_their_range_and_zeros_cost_nothing():
 def test_robots_at_their_end_are_not_counted():
     counts = np.zeros((3 * 2, 1, len(EVENTS)), np.int64)  # three control steps of two robots
     counts[:, 0, EVENTS.index("sop")] = [1, 10, 1, 1000, 1, 1000]
+    counts[:, 0, EVENTS.index("graded_sop")] = [0, 4, 0, 1000, 0, 1000]
     ledger = Ledger(("out",), (4,), counts, 6, 6, 6, readouts=("out",))
     layer = SimpleNamespace(name="out", synapses=(), size=4)
     # what no synapse reads has a step of infinity, and costs the encoder nothing
@@ -159,6 +160,7 @@ def test_robots_at_their_end_are_not_counted():
     walks = [Walk(np.zeros((n, 1), np.float32), np.zeros((n, 0), np.float32)) for n in (3, 1)]
     found = networks._counted(running, walks)
     assert found["operations"] == (1 + 1 + 1 + 10) / 4
+    assert found["graded_operations"] == 4 / 4
     assert found["sparsity"] is None
     assert found["observations"] == 2
 
