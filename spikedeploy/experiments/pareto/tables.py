@@ -66,7 +66,7 @@ def mean_of_teacher(point: Point) -> str:
 def energy_table(found: Sequence[Point]) -> str:
     """Energies of every level, total by total."""
     heads = ["policy", "aim", "% of teacher", "operations alone", "+ neuron updates", "+ the rest"]
-    lean = ["+ lean updates", "+ the rest"]
+    lean = ["+ lean updates", "lean, + the rest"]
     lines = [[*heads, *lean, "davies2018", "sanafe"]]
     for p in found:
         cells = [p.label, f"{p.level:g}", mean_of_teacher(p)]
