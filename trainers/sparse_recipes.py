@@ -55,9 +55,9 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
 # operations of each student at the end, and on the way there; and sizes
 _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
     ("hexapod", "sparse"): {"budget": 50, "levels": [210, 140, 105, 84, 66], "polish": 3},
-    ("hexapod", "sparse-linear"): {"budget": 70, "levels": [160, 100], "walks": 25},
-    ("hexapod", "small-mlp"): {"budget": 130, "levels": [400, 250, 180], "walks": 25},
-    ("hexapod", "small-linear"): {"budget": 200, "levels": [600, 300], "walks": 25},
+    ("hexapod", "sparse-linear"): {"budget": 50, "levels": [160, 100, 70], "walks": 25},
+    ("hexapod", "small-mlp"): {"budget": 70, "levels": [400, 250, 180, 130, 95], "walks": 25},
+    ("hexapod", "small-linear"): {"budget": 100, "levels": [600, 300, 180], "walks": 25},
     ("hexapod-command", "sparse"): {
         "budget": 300,
         "levels": [1_600, 1_000, 700, 480, 360],
