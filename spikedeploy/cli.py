@@ -18,6 +18,7 @@ COMMANDS = {
         "check": "checks",
         "drift": "open_loop",
         "verify": "checks",
+        "reproduce": "evidence",
     },
     "Make": {
         "train": "training",

@@ -5,7 +5,19 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-_PACKAGES = ("spikedeploy", "torch", "numpy", "gymnasium", "mujoco", "snntorch", "safetensors")
+_PACKAGES = (
+    "spikedeploy",
+    "torch",
+    "numpy",
+    "gymnasium",
+    "mujoco",
+    "pymunk",
+    "onnxruntime",
+    "numba",
+    "nir",
+    "snntorch",
+    "safetensors",
+)
 
 
 def versions() -> dict[str, str | None]:

@@ -7,6 +7,7 @@ options      options that several commands share
 closed_loop  run, compare, demo: policies in their environments
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
+evidence     reproduce
 training     train, experiment, visualize, export, publish
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes

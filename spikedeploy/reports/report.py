@@ -11,7 +11,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from spikedeploy import envs
+from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances.disturbed import disturbances
@@ -22,7 +22,7 @@ from spikedeploy.reports.plots import draw_energy, draw_returns
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.metrics.energy import describe_table, energy_table
-from spikedeploy.trainers.versions import own
+from spikedeploy.trainers.versions import own, versions
 
 Document = Mapping[str, Any]
 
@@ -36,12 +36,14 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "seeds": {"first": comparison.seeds[0], "count": len(comparison.seeds)},
         "command": shlex.join(["spikedeploy", *sys.argv[1:]]),
         "version": own(),
+        "versions": versions(),
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "meaning": summary(rows),
         "conventions": _conventions(comparison),
         "remarks": _remarks(comparison, rows),
         "disturbances": _disturbances(comparison),
         "energy_tables": _energy_tables(rows),
+        "sha256": zoo.hashes(row["file"] for row in rows),
         "rows": rows,
     }
 

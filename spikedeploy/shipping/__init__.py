@@ -1,8 +1,10 @@
-"""From a run folder to a shipped policy: export, publish, and the demo of what is shipped.
+"""From a run folder to a shipped policy: export, publish, reproduce, and the demo of them.
 
 An exported file is read back and compared with its policy before anything else uses it.
 
-export_run    a run's policy as a file, compared with the policy on recorded observations
-publish_run   an exported policy in the zoo, with its card, learning curve and evaluation
-demo_reports  reports and films of the shipped policies on three tasks
+export_run           a run's policy as a file, compared with the policy on recorded observations
+publish_run          an exported policy in the zoo, with its card, learning curve and evaluation
+recorded_evaluation  what cards and reports record, so that it can be made again
+reproduce            an evaluation made again, number by number
+demo_reports         reports and films of the shipped policies on three tasks
 """

@@ -26,6 +26,7 @@ from spikedeploy.trainers.resolve import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse_ppo.start import find_start
 from spikedeploy.trainers.train import algorithm
+from spikedeploy.trainers.versions import versions
 
 _KINDS = {
     "ann": "float network (ONNX)",
@@ -126,7 +127,7 @@ def publish_run(
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
         exported = _exported(source, Path(stage) / name, control, checkpoint)
         record = _describe(source, exported, checkpoint)
-        record |= {"evaluation": _evaluation(exported.path, source, episodes, processes)}
+        record |= _evaluation(exported.path, source, episodes, processes)
         record = {key: _portable(value) for key, value in record.items()} | {"note": note}
         if old := [path.name for path in sorted(target.glob(f"{name}.*"))]:
             say(f"replaced in {target}: {', '.join(old)}")
@@ -145,6 +146,7 @@ def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) ->
     origin = run_record.origin(source, checkpoint)
     return {
         "file": exported.path.name,
+        "sha256": zoo.sha256(exported.path),
         "kind": exported.kind,
         "env": origin.env,
         **_training(source, checkpoint),
@@ -209,9 +211,7 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
     return data.replace(f"{Path.cwd()}/", "") if isinstance(data, str) else data
 
 
-def _evaluation(
-    path: Path, source: Path, episodes: int, processes: int | None
-) -> list[Mapping[str, Any]]:
+def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) -> dict[str, Any]:
     """Rows of the policy: in float, and if it spikes on its training's chip, or the default."""
     settings, candidate = run_record.settings(source), find(str(path))
     entries = [Entry(candidate)]
@@ -221,7 +221,11 @@ def _evaluation(
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
-    return [{**row, "file": path.name} for row in rows]
+    return {
+        "seeds": {"first": seeds[0], "count": len(seeds)},
+        "evaluated_with": versions(),
+        "evaluation": [{**row, "file": path.name} for row in rows],
+    }
 
 
 def _copied(source: Path, target: Path) -> Path:

@@ -1,7 +1,8 @@
 """The zoo: the shipped policies, `spikedeploy/zoo/<env>/<name>`, with a card beside each."""
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,17 @@ def called(file: str) -> str:
     """A policy's file as reports name it: `hexapod/popsan.nir` where it is shipped."""
     place = Path(file)
     return str(place.relative_to(FOLDER)) if place.is_relative_to(FOLDER) else file
+
+
+def sha256(file: Path) -> str:
+    """The hash of a policy's bytes, in hexadecimal."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def hashes(files: Iterable[str]) -> dict[str, str]:
+    """File as reports name it -> its sha256; built-ins and run folders have none."""
+    places = {file: resolve(file) for file in dict.fromkeys(files)}
+    return {file: sha256(place) for file, place in places.items() if place and place.is_file()}
 
 
 def card(name: str) -> dict[str, Any]:

@@ -1,0 +1,223 @@
+"""A recorded evaluation made again, and every number of it compared with the recorded one."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.files import as_text
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.recorded_evaluation import RecordedEvaluation, Row
+from spikedeploy.trainers.versions import versions
+
+TOLERANCE = 1e-9
+EQUAL, CLOSE, DIFFERS = "equal", f"equal up to {TOLERANCE:g}", "differs"
+_RETURNS = "returns"  # of each episode; every other field is of all
+# counted from the file, whatever episodes are played
+_OF_THE_FILE = ("macs_dense", "footprint", "footprint_packed")
+# fields of fewer units than 1e-9, whose numbers are compared in proportion alone
+_SMALL = ("energy", "latency")
+# which row it is
+_IDENTITY = ("policy", "kind", "chip", "limits", "file", "episodes", "reference")
+_MISSING = object()
+
+Number = float | int | None
+
+
+@dataclass(frozen=True)
+class NumberThatDiffers:
+    """A number that was found otherwise than recorded.
+
+    row       policy and chip: `sparse · loihi1`
+    field     of the row: `returns`, `energy_per_inference_j.davies2018`
+    seed      of the episode, None for what is of all episodes
+    expected  as recorded
+    found     now; "nothing" where the row has no such field any more
+    """
+
+    row: str
+    field: str
+    seed: int | None
+    expected: Number
+    found: Number | str
+
+    def describe(self) -> str:
+        """The difference in one line."""
+        where = "" if self.seed is None else f", episode of seed {self.seed}"
+        return (
+            f"{self.row}{where}, {self.field}: {_text(self.expected)} then, {_text(self.found)} now"
+        )
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What came of making an evaluation again.
+
+    name          of the evaluation
+    episodes      that were played of each row; `of` were recorded
+    rows          policies on chips
+    numbers       that were compared
+    verdict       EQUAL, CLOSE or DIFFERS
+    difference    the first number of those that decide the verdict; None where all are equal
+    differing     how many numbers are not equal
+    not_compared  fields that are means over all recorded episodes, when fewer were played
+    not_recorded  what the record lacks, in words
+    versions      package -> [version then, version now]
+    seconds       that it took
+    """
+
+    name: str
+    episodes: int
+    of: int
+    rows: int
+    numbers: int
+    verdict: str
+    difference: NumberThatDiffers | None
+    differing: int
+    not_compared: Sequence[str]
+    not_recorded: Sequence[str]
+    versions: Mapping[str, Sequence[str | None]]
+    seconds: float
+
+    @property
+    def equal(self) -> bool:
+        """Whether every number is equal, or is so up to TOLERANCE."""
+        return self.verdict != DIFFERS
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields, and whether it is equal."""
+        return {"equal": self.equal, **asdict(self)}
+
+
+def reproduce(
+    recorded: RecordedEvaluation, episodes: int | None = None, processes: int | None = None
+) -> Reproduction:
+    """Play an evaluation again and compare it with the record.
+
+    episodes   the first of its seeds; by default all
+    processes  one for each core by default
+    """
+    count = len(recorded.seeds) if episodes is None else episodes
+    check_episodes(recorded, count)
+    started = monotonic()
+    played = compare_policies(
+        recorded.env,
+        recorded.entries,
+        recorded.seeds[:count],
+        processes,
+        recorded.settings.options,
+    )
+    rows = replace(played, tables=recorded.settings.tables).as_json()
+    found = json.loads(as_text(rows))  # as a file would have them: infinite bounds are null
+    expected = [comparable(row, count) for row in recorded.rows]
+    labels = [entry.label for entry in recorded.entries]
+    checked = list(_checked(labels, expected, found, recorded.seeds))
+    verdict, first, differing = _judged(checked)
+    return Reproduction(
+        name=recorded.name,
+        episodes=count,
+        of=len(recorded.seeds),
+        rows=len(found),
+        numbers=len(checked),
+        verdict=verdict,
+        difference=first,
+        differing=differing,
+        not_compared=_left_out(recorded.rows, expected),
+        not_recorded=recorded.not_recorded,
+        versions=_versions(recorded.versions),
+        seconds=round(monotonic() - started, 1),
+    )
+
+
+def check_episodes(recorded: RecordedEvaluation, count: int) -> None:
+    """Refuse more episodes than were recorded."""
+    if count > len(recorded.seeds):
+        raise ConfigError(
+            f"{recorded.name} records {len(recorded.seeds)} episodes: --episodes {count} is more"
+        )
+
+
+def comparable(row: Row, count: int) -> Row:
+    """What a recorded row says of its first `count` episodes."""
+    if count == row["episodes"]:
+        return row
+    returns = row[_RETURNS][:count]
+    kept = {name: row[name] for name in _OF_THE_FILE if name in row}
+    return {"return_mean": float(np.mean(returns)), _RETURNS: returns, **kept}
+
+
+def _left_out(rows: Sequence[Row], kept: Sequence[Row]) -> list[str]:
+    """Fields with numbers that are compared in no row."""
+    named = dict.fromkeys(name for row in rows for name in row if name not in _IDENTITY)
+    return [
+        name
+        for name in named
+        if not any(name in row for row in kept)
+        and any(number is not None for row in rows for _, number in numbers(row.get(name)))
+    ]
+
+
+def numbers(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Number]]:  # noqa: ANN401
+    """(path, number) of every number in plain data, and of every null in the place of one."""
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            yield from numbers(each, (*path, key))
+    elif isinstance(value, list):
+        for key, each in enumerate(value):
+            yield from numbers(each, (*path, key))
+    elif value is None or isinstance(value, int | float):
+        yield path, value
+
+
+def _checked(
+    labels: Sequence[str], expected: Sequence[Row], found: Sequence[Row], seeds: range
+) -> Iterator[tuple[str, NumberThatDiffers]]:
+    """(verdict, both numbers) of every recorded number; of each row the returns first."""
+    expected = [{n: v for n, v in row.items() if n not in _IDENTITY} for row in expected]
+    for label, then, now in zip(labels, expected, found, strict=True):
+        there = dict(numbers(now))
+        for path, number in sorted(numbers(then), key=lambda item: item[0][0] != _RETURNS):
+            other: Any = there.get(path, _MISSING)
+            seed = seeds[path[1]] if path[0] == _RETURNS else None
+            field = _RETURNS if seed is not None else ".".join(map(str, path))
+            shown = "nothing" if other is _MISSING else other
+            pair = NumberThatDiffers(label, field, seed, number, shown)
+            yield _verdict(number, other, str(path[0])), pair
+
+
+def _verdict(then: Number, now: Any, field: str) -> str:  # noqa: ANN401
+    """Whether two numbers are equal, close, or differ; integers are never close."""
+    if then == now:
+        return EQUAL
+    if not (isinstance(then, float) and isinstance(now, float)):
+        return DIFFERS
+    near = 0.0 if field.startswith(_SMALL) else TOLERANCE
+    close = math.isclose(then, now, rel_tol=TOLERANCE, abs_tol=near)
+    return CLOSE if close else DIFFERS
+
+
+def _judged(
+    checked: Sequence[tuple[str, NumberThatDiffers]],
+) -> tuple[str, NumberThatDiffers | None, int]:
+    """The worst verdict, the first number that has it, and how many are not equal."""
+    unequal = [(verdict, pair) for verdict, pair in checked if verdict != EQUAL]
+    for worst in (DIFFERS, CLOSE):
+        for verdict, pair in unequal:
+            if verdict == worst:
+                return worst, pair, len(unequal)
+    return EQUAL, None, 0
+
+
+def _versions(then: Mapping[str, str | None]) -> dict[str, list[str | None]]:
+    """Package -> its version then and now; "not recorded" where the record does not name it."""
+    now = versions()
+    return {name: [then.get(name, "not recorded"), now[name]] for name in now}
+
+
+def _text(number: Number | str) -> str:
+    return str(number) if isinstance(number, str) else json.dumps(number)
