@@ -17,8 +17,8 @@ from spikedeploy.seeds import EVALUATION
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 REPORT = "report.json"
-_NO_HASH = "no sha256 of {}, so whether the file is the evaluated one is not checked"
-_OF_TRAINING = "the versions then are those of the training; those of the evaluation, none"
+_NO_HASH = "sha256 of {}, so whether that was changed since is not checked"
+_OF_TRAINING = "versions of the evaluation; those shown are of the training"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,280 @@
+"""Reproducing: a recorded evaluation is played again, and one changed number of it is found."""
+
+import json
+import shutil
+
+import pytest
+
+from spikedeploy import zoo
+from spikedeploy.commands.evidence import settings
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.publish_run import publish_run
+from spikedeploy.shipping.recorded_evaluation import recorded
+from spikedeploy.shipping.reproduce import CLOSE, DIFFERS, EQUAL, reproduce
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from tests import toy_stroll_env
+
+EPISODES = 3
+
+
+@pytest.fixture(autouse=True)
+def _stroll(monkeypatch):
+    toy_stroll_env.install(monkeypatch)
+
+
+@pytest.fixture
+def card(tmp_path):
+    """The card of a published spiking policy."""
+    run = toy_stroll_env.run_folder(tmp_path / "runs", PopsanConfig(hidden=(6,), populations=3))
+    publish_run(str(run), "small", episodes=EPISODES, folder=tmp_path / "zoo", processes=1)
+    return tmp_path / "zoo/stroll/small.json"
+
+
+def again(path, episodes=None):
+    return reproduce(recorded(str(path), settings), episodes, processes=1)
+
+
+def change(card, *path, to):
+    """Write the card with the value at a path replaced by to(value)."""
+    document = json.loads(card.read_text())
+    place = document
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = to(place[path[-1]])
+    card.write_text(json.dumps(document))
+    return document
+
+
+def test_a_published_card_is_reproduced_in_every_number(card):
+    found = again(card)
+    assert (found.verdict, found.equal, found.difference) == (EQUAL, True, None)
+    assert (found.episodes, found.of, found.rows) == (EPISODES, EPISODES, 2)
+    assert found.numbers > 80
+    assert not found.not_compared
+    assert not found.not_recorded
+    assert found.versions["numpy"][0] == found.versions["numpy"][1]
+
+
+def test_its_policy_file_names_the_same_card(card):
+    assert again(card.with_suffix(".nir"), episodes=1).verdict == EQUAL
+
+
+def test_a_float_policy_is_reproduced(tmp_path):
+    run = toy_stroll_env.run_folder(tmp_path / "runs", MlpConfig(hidden=(4,)))
+    publish_run(str(run), "net", episodes=1, folder=tmp_path / "zoo", processes=1)
+    assert again(tmp_path / "zoo/stroll/net.json").verdict == EQUAL
+
+
+def test_a_return_that_was_changed_is_found_with_its_seed(card):
+    change(card, "evaluation", 1, "returns", 2, to=lambda number: number + 0.01)
+    found = again(card)
+    assert found.verdict == DIFFERS
+    assert (found.difference.row, found.difference.field) == ("small · loihi1", "returns")
+    assert found.difference.seed == 10_002
+    assert found.difference.expected == pytest.approx(found.difference.found + 0.01)
+    assert "episode of seed 10002, returns" in found.difference.describe()
+    assert found.differing == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "factor"),
+    [
+        (("sops_per_inference",), 1 + 1e-6),
+        (("spikes_per_inference",), 1.01),
+        (("success_rate",), 0.5),
+        (("action_rmse",), 1.001),
+        (("energy_per_inference_j", "davies2018"), 1 + 1e-8),
+        (("energy_interval_j", "sanafe", 0), 1 - 1e-8),
+        (("return_ci95", 1), 1.0001),
+    ],
+)
+def test_any_other_number_that_was_changed_is_found(path, factor, card):
+    change(card, "evaluation", 1, *path, to=lambda number: (number or 1.0) * factor + 1e-12)
+    found = again(card)
+    assert found.verdict == DIFFERS
+    assert found.difference.field == ".".join(map(str, path))
+    assert found.difference.seed is None
+
+
+def test_an_integer_is_equal_or_differs(card):
+    change(card, "evaluation", 1, "saturations", to=lambda number: number + 10**12)
+    assert again(card).verdict == DIFFERS
+
+
+def test_noise_is_told_from_equality(card):
+    change(card, "evaluation", 0, "returns", 0, to=lambda number: number * (1 + 1e-12))
+    found = again(card)
+    assert (found.verdict, found.equal) == (CLOSE, True)
+    assert found.difference.seed == 10_000
+
+
+def test_a_number_in_the_place_of_none_differs(card):
+    change(card, "evaluation", 0, "footprint_packed", to=lambda _: 12.0)
+    assert again(card).verdict == DIFFERS
+
+
+def test_a_field_that_no_row_has_any_more_differs(card):
+    change(card, "evaluation", 0, to=lambda row: {**row, "old_metric": 1.0})
+    found = again(card)
+    assert (found.difference.field, found.difference.found) == ("old_metric", "nothing")
+
+
+def test_a_card_is_compared_in_the_fields_that_it_has(card):
+    everything = again(card).numbers
+    change(card, "evaluation", 0, to=lambda row: {k: v for k, v in row.items() if k != "sparsity"})
+    found = again(card)
+    assert (found.verdict, found.numbers) == (EQUAL, everything - 1)
+
+
+def test_a_file_that_was_replaced_is_refused(card, tmp_path):
+    other = tmp_path / "other"
+    run = toy_stroll_env.run_folder(other / "runs", PopsanConfig(hidden=(5,), populations=3))
+    publish_run(str(run), "small", episodes=1, folder=other, processes=1)
+    shutil.copyfile(other / "stroll/small.nir", card.with_suffix(".nir"))
+    with pytest.raises(ConfigError, match=r"small\.nir has sha256 .* was evaluated: the file was"):
+        again(card)
+
+
+def test_an_older_card_says_what_it_does_not_record_and_another_file_differs(card, tmp_path):
+    test_document = json.loads(card.read_text())
+    del test_document["sha256"], test_document["evaluated_with"], test_document["seeds"]
+    card.write_text(json.dumps(test_document))
+    found = again(card)
+    assert found.verdict == EQUAL
+    assert "sha256 of small.nir" in found.not_recorded[0]
+    assert "of the training" in found.not_recorded[1]
+    run = toy_stroll_env.run_folder(tmp_path / "o", PopsanConfig(hidden=(5,), populations=3))
+    publish_run(str(run), "else", episodes=1, folder=tmp_path / "zoo", processes=1)
+    twin = tmp_path / "zoo/stroll/twin"
+    twin.mkdir()
+    shutil.copyfile(card, twin / "small.json")
+    shutil.copyfile(tmp_path / "zoo/stroll/else.nir", twin / "small.nir")
+    assert again(twin / "small.json").verdict == DIFFERS
+
+
+def test_the_first_episodes_are_compared_in_what_is_of_them(card):
+    change(card, "evaluation", 1, "sops_per_inference", to=lambda number: 2 * number)
+    change(card, "evaluation", 1, "returns", 2, to=lambda number: 2 * number)
+    found = again(card, episodes=2)
+    assert (found.verdict, found.episodes, found.of) == (EQUAL, 2, EPISODES)
+    assert {"sops_per_inference", "success_rate", "action_rmse"} <= set(found.not_compared)
+    assert not {"returns", "return_mean", "footprint", "reference"} & set(found.not_compared)
+    change(card, "evaluation", 1, "returns", 1, to=lambda number: 2 * number)
+    assert again(card, episodes=2).difference.seed == 10_001
+
+
+def test_more_episodes_than_recorded_are_refused(card):
+    with pytest.raises(ConfigError, match="records 3 episodes: --episodes 4 is more"):
+        again(card, episodes=4)
+
+
+@pytest.fixture
+def report(monkeypatch, tmp_path, command):
+    """A folder with a report on the shipped policies of the toy world."""
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    folder = tmp_path / "results"
+    code, _, err = command(
+        "compare", "stroll", "--episodes", 2, "--workers", 1, "-o", folder, "--json",
+        "--energy", "davies2018", "--quantise", "channel", "--fault", "lost-spikes:3", "--chips", "loihi1,int",
+    )  # fmt: skip
+    assert code == 0, err
+    return folder
+
+
+def test_a_report_is_reproduced_with_the_settings_of_its_command(report, tmp_path):
+    found = again(report)
+    assert (found.verdict, found.not_recorded) == (EQUAL, [])
+    rows = json.loads((report / "report.json").read_text())["rows"]
+    assert found.rows == len(rows) > 4
+    assert any("faults" in row for row in rows)
+    assert again(report / "report.json", episodes=1).verdict == EQUAL
+
+
+def test_a_report_of_policies_that_were_replaced_is_refused(report):
+    shipped = [path for path in zoo.policies("stroll") if path.suffix == ".nir"]
+    shipped[0].write_bytes(shipped[0].read_bytes() + b" ")
+    with pytest.raises(ConfigError, match="has sha256"):
+        again(report)
+
+
+def test_settings_are_read_as_compare_reads_them():
+    found = settings(
+        "spikedeploy compare kart-grid a.nir --set track=small_S --set lidar.noise=5 "
+        "--disturb grip:2 --rounding truncate --fault dead-neurons:2 --specimen 3 --energy sanafe"
+    )
+    assert found.options == {"track": "small_S", "lidar": {"noise": 5}, "disturb": ["grip:2"]}
+    assert found.quantisation.rounding == "truncate"
+    assert found.faults.specimen == 3
+    assert found.tables == ("sanafe",)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("spikedeploy compare hexapod --colour red", "is not understood"),
+        ("spikedeploy experiment kart", "not `spikedeploy compare`"),
+        ("", "not `spikedeploy compare`"),
+    ],
+)
+def test_a_command_that_is_none_is_refused(line, message):
+    with pytest.raises(ConfigError, match=message):
+        settings(line)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("kart-steer/spars", "did you mean 'kart-steer/sparse'"),
+        ("gait", "is built in"),
+        ("empty", r"has no report\.json"),
+        ("run", "is a run folder"),
+        ("alone.nir", r"no card alone\.json"),
+        ("list.json", "records no evaluation"),
+        ("torn.json", "is not JSON"),
+        ("uneven.json", "rows with 1, 2 episodes"),
+    ],
+)
+def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/config.json").write_text("{}")
+    shutil.copyfile(zoo.resolve("kart-steer/sparse"), tmp_path / "alone.nir")
+    for stem in ("uneven", "torn"):
+        shutil.copyfile(tmp_path / "alone.nir", tmp_path / f"{stem}.nir")
+    (tmp_path / "list.json").write_text("[]")
+    (tmp_path / "torn.json").write_text("{")
+    rows = [{"returns": [1.0], "episodes": 2}]
+    (tmp_path / "uneven.json").write_text(
+        json.dumps({"file": "uneven.nir", "env": "kart-steer", "evaluation": rows})
+    )
+    with pytest.raises(ConfigError, match=message):
+        recorded(name, settings)
+
+
+def test_the_command_says_equal_or_the_first_difference(card, command):
+    code, out, _ = command("reproduce", card, "--workers", 1)
+    assert code == 0
+    assert f"✓ {card}: equal (" in out
+    change(card, "evaluation", 0, "returns", 1, to=lambda number: 2 * number)
+    code, out, _ = command("reproduce", card, "--workers", 1, "--episodes", 2)
+    assert code == 1
+    assert f"✗ {card}: differs" in out
+    assert "small · float, episode of seed 10001, returns:" in out
+    assert "mujoco" in out
+    assert "not compared:" in out
+    code, out, _ = command("reproduce", card, card, "--workers", 1, "--json")
+    documents = json.loads(out)
+    assert (code, [each["equal"] for each in documents]) == (1, [False, False])
+    assert documents[0]["difference"]["seed"] == 10_001
+
+
+def test_a_wrong_name_is_refused_before_anything_is_played(card, command):
+    code, out, err = command("reproduce", card, "kart-steer/spars", "--workers", 1)
+    assert (code, out) == (1, "")
+    assert "did you mean" in err
+
+
+def test_a_shipped_kart_policy_acts_as_its_card_says():
+    found = again("kart-steer/linear", episodes=1)
+    assert found.verdict == EQUAL, found.difference.describe()
