@@ -175,7 +175,8 @@ def report(monkeypatch, tmp_path, command):
     folder = tmp_path / "results"
     code, _, err = command(
         "compare", "stroll", "--episodes", 2, "--workers", 1, "-o", folder, "--json",
-        "--energy", "davies2018", "--quantise", "channel", "--fault", "lost-spikes:3", "--chips", "loihi1,int",
+        "--energy", "davies2018", "--quantise", "channel", "--fault", "lost-spikes:3",
+        "--chips", "loihi1,int",
     )  # fmt: skip
     assert code == 0, err
     return folder
