@@ -1,0 +1,240 @@
+"""Where the numbers in sentences of README and docs come from: one rule for each claim.
+
+A rule is a piece of a sentence with a `{}` for each number, and a function that computes those
+numbers from results/. Links, backticks, asterisks and line breaks of the page are left out. Where a
+sentence is rewritten, rewrite the rule; where it goes, delete the rule.
+"""
+
+import csv
+import json
+import re
+from statistics import median
+
+from spikedeploy.runtime.metrics.energy import energy_table
+from tests.paths import ROOT
+
+RESULTS = ROOT / "results"
+KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
+WALKS = ("hexapod", "hexapod-command")
+
+
+def row(env, policy, chip="loihi1"):
+    """A row of results/<env>/report.json; `chip` is passed over where the policy does not spike."""
+    rows = json.loads((RESULTS / env / "report.json").read_text("utf-8"))["rows"]
+    return next(r for r in rows if r["policy"] == policy and r["chip"] in (chip, None))
+
+
+def sops(env, policy="sparse"):
+    """Synaptic operations of an inference on loihi1."""
+    return row(env, policy)["sops_per_inference"]
+
+
+def joules(env, policy, table="horowitz45-int8"):
+    """Energy of an inference [J]; on loihi1 where the policy spikes."""
+    return row(env, policy)["energy_per_inference_j"][table]
+
+
+def fewer(envs, dense, table=None):
+    """How many times fewer operations, or less energy by a table, `sparse` needs: of each env."""
+    if table:
+        return [joules(env, dense, table) / joules(env, "sparse", table) for env in envs]
+    return [sops(env, dense) / sops(env) for env in envs]
+
+
+def skipping(env):
+    """Energy of the float network of a task without the zeros [J]."""
+    return row(env, "sac")["effective_macs"] * mac()
+
+
+def mac():
+    """Price of a multiply-accumulate with 8-bit weights [J]."""
+    return energy_table("horowitz45-int8").joules["mac"]
+
+
+def lines(file):
+    """Rows of a CSV file of results/."""
+    with (RESULTS / file).open(encoding="utf-8") as opened:
+        return list(csv.DictReader(opened))
+
+
+def medians(file, column, **wanted):
+    """Median of a column over the rows that have the wanted cells."""
+    rows = [r for r in lines(file) if all(r[name] == text for name, text in wanted.items())]
+    return median(float(r[column]) for r in rows if r[column])
+
+
+def returns(env, *policies):
+    """Mean returns, on loihi1 of policies that spike."""
+    return [row(env, policy)["return_mean"] for policy in policies]
+
+
+def low(found, name):
+    """The lower end of a row's 95 % interval."""
+    return found[f"{name}_ci95"][0]
+
+
+def high(found, name):
+    """The upper end of a row's 95 % interval."""
+    return found[f"{name}_ci95"][1]
+
+
+def steps_of_ann():
+    """The SNN's steps to 300 finishes over the ANN's [%], of each kart."""
+    learning = "kart/learning.csv", "finish_300"
+    return [
+        100 * medians(*learning, world=k, policy="snn") / medians(*learning, world=k, policy="ann")
+        for k in KARTS
+    ]
+
+
+def small_operations():
+    """Operations of `small` over those of the SNN on loihi1, of each kart."""
+    driving = "kart/driving.csv"
+    return [
+        medians(driving, "effective_macs", world=kart, policy="small")
+        / medians(driving, "sops_per_inference", world=kart, policy="snn", chip="loihi1")
+        for kart in KARTS
+    ]
+
+
+def lost_on_chip():
+    """How many of the trained SNNs lose points of the finish rate on the chip, and most of them."""
+    points = [-100 * float(r["success_difference_mean"] or 0) for r in lines("kart/driving.csv")]
+    return len([p for p in points if p > 1.5]), max(points)
+
+
+def table(file, *heads):
+    """Rows (a dict each) of every table of a page of results/ that has the heads."""
+    for block in re.split(r"\n\s*\n", (RESULTS / file).read_text("utf-8")):
+        found = [[c.strip() for c in line.strip("|").split("|")] for line in block.splitlines()]
+        if len(found) > 2 and set(heads) <= set(found[0]):
+            yield from (dict(zip(found[0], cells, strict=True)) for cells in found[2:])
+
+
+def column(file, head, *near, **wanted):
+    """Every number in a column of the tables that have it and the columns `near`."""
+    rows = [r for r in table(file, head, *near, *wanted) if wanted.items() <= r.items()]
+    return [float(n.replace(",", "")) for r in rows for n in re.findall(r"[-+]?[\d,.]*\d", r[head])]
+
+
+def drift(head, bits):
+    """A factor of the first table of results/drift.md, over all policies."""
+    return column("drift.md", head, bits=str(bits))[0]
+
+
+def spread(numbers):
+    """The least and the most."""
+    return min(numbers), max(numbers)
+
+
+def cheapest(total):
+    """Energy over that of the cheapest float network of equal return, of each task in pareto.md."""
+    text = (RESULTS / "pareto.md").read_text("utf-8")
+    return [float(n) for n in re.findall(rf"^- . {total}: .*? pJ: ([\d.]+) times", text, re.M)]
+
+
+def rounding_share(bits):
+    """What rounding of thresholds, decays and states changes the distance by, at most [%]."""
+    head = f"distance, {bits} bits"
+    weights = column("drift.md", head, rounding="weights rounded")
+    chip = column("drift.md", head, rounding="+ states, overflow: the chip")
+    return max(100 * abs(each / other - 1) for each, other in zip(chip, weights, strict=True))
+
+
+def truncated(rounding):
+    """hexapod/popsan with 4 bits and a scale a layer: return less the float twin's, interval."""
+    head = "return − float's [95 %]"
+    return column("drift.md", head, "distance lif3", bits="4", scale="layer", rounding=rounding,
+                  tuned="")  # fmt: skip
+
+
+def tuned_interval_on_karts():
+    """The largest bound of a return's difference at 2 bits, scales per neuron, tuned."""
+    rows = [
+        r
+        for r in table("drift.md", "return − float's [95 %]", "output error")
+        if (r["bits"], r["scale"], r["tuned"]) == ("2", "channel", "yes")
+        and "distance lif3" not in r
+    ]
+    bounds = [n for r in rows for n in re.findall(r"\d+\.\d+", r["return − float's [95 %]"])]
+    return max(map(float, bounds))
+
+
+RULES = [
+    # README
+    ("{} operations walk better than {}.", lambda: (
+        sops("hexapod"), sops("hexapod", "popsan"))),
+    ("the command task ({} operations) and three karts ({})", lambda: (
+        sops("hexapod-command"), max(map(sops, KARTS)))),
+    ("the sparse walkers cost {} to {} of the cheapest pruned float network of equal", lambda:
+        spread(cheapest("Operations alone"))),
+    ("with the updates of their neurons and the encoder they cost {} to {} times as much", lambda:
+        spread(cheapest("With updates, encoder and constants") + cheapest("With neuron updates"))),
+    # docs/results.md
+    ("the spiking walker costs {} µJ per inference ({} µJ on the command task)", lambda:
+        [1e6 * joules(env, "popsan") for env in WALKS]),
+    ("The float network costs {} µJ when all its {} MACs are executed", lambda: (
+        1e6 * joules("hexapod", "sac"), row("hexapod", "sac")["macs_dense"])),
+    ("at {} pJ for a MAC with its weight fetch", lambda: (1e12 * mac(),)),
+    ("{} on the walking task, {} µJ, and {} on the command task, {} µJ", lambda:
+        [n for env in WALKS for n in (row(env, "sac")["effective_macs"], 1e6 * skipping(env))]),
+    ("costs {} times the dense float network and {} times the one that skips zeros "
+     "({} and {} times on the command task)", lambda:
+        [joules(env, "popsan") / other
+         for env in WALKS for other in (joules(env, "sac"), skipping(env))]),
+    ("about {} times fewer synaptic operations than popsan on the walking task, {} times fewer on "
+     "the command task, and {} to {} times fewer than snn on the karts", lambda:
+        (*fewer(WALKS, "popsan"), *spread(fewer(KARTS, "snn")))),
+    ("an inference costs about {} times less on the walking task, {} on the command task and {} to "
+     "{} on the karts", lambda: (
+        *fewer(WALKS, "popsan", "davies2018"), *spread(fewer(KARTS, "snn", "davies2018")))),
+    ("The SNN needs {}, {} and {} % of the ANN's steps (grid, gazebo, steer)", steps_of_ann),
+    ("The {} % intervals over seeds in results/kart.md contain {} % in all three worlds", lambda: (
+        95, 100 if all(least <= 100 <= most for _, least, most in zip(
+            *[iter(column("kart.md", "% of ANN", "first finish", policy="snn"))] * 3, strict=True,
+        )) else 0)),
+    ("drives as well with {} to {} of the operations", lambda: spread(small_operations())[::-1]),
+    ("the SNNs finish {}, {} and {} % in float and {}, {} and {} % on loihi1", lambda:
+        [100 * row(kart, "snn", chip)["success_rate"]
+         for chip in ("float", "loihi1") for kart in KARTS]),
+    ("among all fifteen, {} lost {} points on the chip", lost_on_chip),
+    ("stopped by hand at {}, {} and {} of 120,000 steps", lambda:
+        [float(lines(f"hexapod-popsan/seed{seed}.csv")[-1]["env_steps"]) for seed in range(3)]),
+    # docs/quantisation.md, of results/drift.md
+    ("together change the distance by about {} % at most, and by less than {} % from 6 bits down",
+     lambda: (rounding_share(8), 1 if max(map(rounding_share, (6, 4, 2))) < 1 else 99)),
+    ("distances are {} to {} of those with a scale for each layer, at every number of bits", lambda:
+        spread(column("drift.md", "channel / layer"))),
+    ("It needs {} to {} distinct thresholds in a layer", lambda:
+        spread(column("drift.md", "distinct thresholds", scale="channel"))),
+    ("with 16 of them distances grow by {} to {} %", lambda:
+        [100 * (n - 1) for n in spread(column("drift.md", "16 thresholds / any"))]),
+    ("Truncation costs {} times the distance at 8 bits and {} times at 2", lambda: [
+        drift("truncate / nearest", bits) for bits in (8, 2)]),
+    ("(nearest: {}, interval {} to {})", lambda: truncated("nearest")),
+    ("(truncated: {} of 3,295)", lambda: truncated("truncate")[:1]),
+    ("{} of the distance at 8 bits, {} at 2", lambda: [
+        drift("tuned / as it is", bits) for bits in (8, 2)]),
+    ("differs measurably from the float twin's by more than {} on the karts", lambda: (
+        tuned_interval_on_karts(),)),
+    ("the worst one's steps become {} to {} times coarser", lambda: spread(
+        column("drift.md", "proven: steps coarser, at most", policy="hexapod/popsan",
+               scale="channel"))),
+]  # fmt: skip
+
+# sentences without numbers that compare, and whether results/ says so
+COMPARISONS = [
+    ("operations walk better than", lambda:
+        low(row("hexapod", "sparse"), "return") > high(row("hexapod", "popsan"), "return")),
+    ("A linear policy walks as well as the network", lambda:
+        returns("hexapod", "linear") >= returns("hexapod", "sac")),
+    ("the controls fall behind", lambda:
+        max(returns("hexapod-command", "phase", "bilinear", "linear"))
+        < 0.95 * returns("hexapod-command", "sac")[0]),
+    ("The dense spiking walker costs more than the float network either way", lambda:
+        all(joules(env, "popsan") > joules(env, "sac") > skipping(env) for env in WALKS)),
+    ("smooth, which earns more than sac", lambda:
+        returns("hexapod-command", "smooth") > returns("hexapod-command", "sac")),
+    ("On big_S the scripted driver finishes as often", lambda:
+        all(high(row(kart, "gap"), "success_difference") >= 0 for kart in KARTS)),
+]  # fmt: skip
