@@ -170,6 +170,8 @@ def _check_file(name: str, file: Path, recorded_hash: str | None) -> None:
 
 def _seeds(path: Path, rows: Sequence[Row], first: int) -> range:
     """The seeds of the episodes, as many as each row has returns."""
+    if not all("returns" in row and "episodes" in row for row in rows):
+        raise ConfigError(f"{path}: rows without the returns of their episodes cannot be compared")
     counts = {len(row["returns"]) for row in rows} | {row["episodes"] for row in rows}
     if len(counts) > 1:
         raise ConfigError(

@@ -233,6 +233,7 @@ def test_a_command_that_is_none_is_refused(line, message):
         ("list.json", "records no evaluation"),
         ("torn.json", "is not JSON"),
         ("uneven.json", "rows with 1, 2 episodes"),
+        ("old.json", "rows without the returns"),
     ],
 )
 def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path, monkeypatch):
@@ -241,13 +242,16 @@ def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path
     (tmp_path / "run").mkdir()
     (tmp_path / "run/config.json").write_text("{}")
     shutil.copyfile(zoo.resolve("kart-steer/sparse"), tmp_path / "alone.nir")
-    for stem in ("uneven", "torn"):
+    for stem in ("uneven", "torn", "old"):
         shutil.copyfile(tmp_path / "alone.nir", tmp_path / f"{stem}.nir")
     (tmp_path / "list.json").write_text("[]")
     (tmp_path / "torn.json").write_text("{")
     rows = [{"returns": [1.0], "episodes": 2}]
     (tmp_path / "uneven.json").write_text(
         json.dumps({"file": "uneven.nir", "env": "kart-steer", "evaluation": rows})
+    )
+    (tmp_path / "old.json").write_text(
+        json.dumps({"file": "old.nir", "env": "kart-steer", "evaluation": [{"return_mean": 1.0}]})
     )
     with pytest.raises(ConfigError, match=message):
         recorded(name, settings)
