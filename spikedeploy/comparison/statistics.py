@@ -91,8 +91,9 @@ def stratified(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
     the intervals cover episodes alone.
     """
     each = np.asarray(values, np.float64)
+    trainings, episodes = each.shape
     found = []
-    for drawn, picks in _draws(*each.shape, rng, shared=True):
+    for drawn, picks in _draws(trainings, episodes, rng, shared=True):
         ordered = np.sort(each[drawn, picks].reshape(len(drawn), -1), axis=1)
         found.append((ordered.mean(-1), _middle(ordered), _worst(ordered)))
     sample = float(each.mean()), iqm(each), risk(each)
@@ -146,8 +147,9 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generat
     each, beside = np.asarray(values, np.float64), np.asarray(reference, np.float64)
     if not beside.any():
         return Estimate(math.nan, (math.nan, math.nan))
+    trainings, episodes = each.shape
     ratios = []
-    for drawn, picks in _draws(*each.shape, rng, shared=False):
+    for drawn, picks in _draws(trainings, episodes, rng, shared=False):
         with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
             ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
     return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))

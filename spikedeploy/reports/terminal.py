@@ -45,8 +45,9 @@ def print_comparison(document: Mapping[str, Any]) -> None:
     for label, remarks in document["remarks"].items():
         for remark in remarks:
             console().print(f"{label}: {remark}", markup=False)
-    if document["meaning"]:
-        console().print(document["meaning"])
+    for said in (document["meaning"], document["env_remark"]):
+        if said:
+            console().print(said, markup=False)
 
 
 def print_emulation(emulation: Emulation) -> None:
