@@ -75,11 +75,6 @@ def scaled(value: float) -> str:
     return f"{value / size:.2f} {prefixes[size]}"
 
 
-def interval(row: Row) -> str:
-    """The mean return with its interval: `3,413 [3,405, 3,420]`, for karts `30.1 [29.8, 30.4]`."""
-    return _estimate("return_mean", "return_ci95")(row)
-
-
 def _estimate(field: str, between: str, sign: str = "") -> Cell:
     """A cell with a return and its interval; a dash in reports from before it had one."""
 
@@ -93,9 +88,8 @@ def _estimate(field: str, between: str, sign: str = "") -> Cell:
     return cell
 
 
-def difference(row: Row) -> str:
-    """The paired difference with its interval: `-20 [-41, +3]`."""
-    return _estimate("difference_mean", "difference_ci95", "+")(row)
+interval = _estimate("return_mean", "return_ci95")  # `3,413 [3,405, 3,420]`
+difference = _estimate("difference_mean", "difference_ci95", "+")  # paired: `-20 [-41, +3]`
 
 
 def _digits(row: Row) -> int:
@@ -133,7 +127,7 @@ def divergence(row: Row) -> str:
 
 _NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
-_EARNED = (
+_RETURNS = (
     Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
     Column(
         "IQM",
@@ -147,7 +141,7 @@ _EARNED = (
     ),
 )
 _WALK = (
-    *_EARNED,
+    *_RETURNS,
     Column("success", "episodes that succeed", _number("success_rate", ".0%")),
     Column("of ANN", "mean return / that of the float ANN", _number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
@@ -156,7 +150,7 @@ _WALK = (
 _DRIVE = (
     Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", _share),
     *(Column(m.title, m.meaning, _number(m.name, m.form)) for m in DRIVING),
-    *_EARNED,
+    *_RETURNS,
     Column("score", "normalised return: random actions are 0, the float ANN 100", score),
 )
 _AGREEMENT = (
