@@ -57,6 +57,7 @@ class EnvSpec:
     target    "module:class"
     summary   one line
     controls  built-in baselines of every comparison; the first is the zero of its score
+    remark    what its returns can and cannot show, for reports
     """
 
     short: str
@@ -64,6 +65,7 @@ class EnvSpec:
     target: str
     summary: str
     controls: tuple[str, ...] = ()
+    remark: str = ""
 
     @property
     def world(self) -> str:
@@ -80,6 +82,8 @@ ENVS: dict[str, EnvSpec] = {
             "spikedeploy.envs.hexapod.env:HexapodEnv",
             "walk straight ahead at 0.4 m/s over 3 cm bumps",
             controls=("gait",),
+            remark="Hexapod-v0 is a reconstruction from Spikerman's text, which has no environment "
+            "file: returns cannot be compared with Spikerman's.",
         ),
         EnvSpec(
             "hexapod-command",
@@ -87,6 +91,9 @@ ENVS: dict[str, EnvSpec] = {
             "spikedeploy.envs.hexapod.command:HexapodCommandEnv",
             "follow commanded speed and turn rate over 5-9 cm bumps",
             controls=("gait",),
+            remark="The reward of HexapodCommand-v0 has a peaked kernel, chosen so that it "
+            "separates controls without feedback from policies with it: shares of a return are not "
+            "shares of the tracking, which success and the errors measure.",
         ),
         EnvSpec(
             "kart-grid",

@@ -21,6 +21,11 @@ _OUTER_SPEED = 0.5  # [m/s] largest speed of the outer legs
 _HALF_TRACK = 0.2  # [m] distance of the outer feet from the body's centre
 HOLD = (100, 200)  # [control steps] shortest and longest duration of a command
 
+# RMSE below which commands are followed: a fifth of the largest command. A robot that stands still
+# has about twice as much, the RMS of the commands themselves (0.22 m/s and 0.36 rad/s).
+_FOLLOWED = 0.2
+FOLLOWED = np.array([_FOLLOWED * SPEED[1], _FOLLOWED * _TURN])  # [m/s], [rad/s]
+
 _COMMANDED_BODY = tuple(
     ObservationEntry("turn_error", 1, 0.0, 0.8) if entry.name == "heading" else entry  # [rad/s]
     for entry in BODY
@@ -62,9 +67,10 @@ class HexapodCommandEnv(HexapodEnv):
     a broad one an open-loop gait modulator scores like a policy with feedback.
 
     A fall is an up axis below 0.5 or a height below 0.035 m. An episode succeeds when it does not
-    fall and its return passes SUCCESS_RETURN; the gait alone earns about 900. The info adds
-    command_speed, command_turn, speed_error and turn_error (commanded - smoothed) to HexapodEnv's;
-    its speed is along the body and its distance the length of the path.
+    fall and follows: RMSE below a fifth of the largest command in speed and turn rate, 0.09 m/s and
+    0.16 rad/s (FOLLOWED), changes of the command included. The gait alone earns about 1400. The
+    info adds command_speed, command_turn, speed_error and turn_error (commanded - smoothed) to
+    HexapodEnv's; its speed is along the body and its distance the length of the path.
     """
 
     ENTRIES: ClassVar[tuple[ObservationEntry, ...]] = (*_COMMANDED_BODY, *_COMMAND, LOAD)
@@ -93,6 +99,7 @@ class HexapodCommandEnv(HexapodEnv):
 
     def _begin(self) -> None:
         self._turn = 0.0
+        self._squares = np.zeros(2)
         self._command = draw_command(self.np_random)
         self._change = self._hold()
 
@@ -106,11 +113,16 @@ class HexapodCommandEnv(HexapodEnv):
         return int(self.np_random.integers(shortest, longest + 1))
 
     def _track(self, motion: Motion) -> None:
-        """Update smoothed speed along the body, smoothed turn rate and length of the path."""
+        """Update smoothed speed along the body and turn rate, their errors, length of the path."""
         forward, _ = _planar(motion)
         self._speed += SMOOTHING * (forward - self._speed)
         self._turn += SMOOTHING * (motion.angular_velocity[2] - self._turn)
         self._distance += abs(self._speed) * CONTROL_DT
+        speed, turn = self._command
+        self._squares += np.square([speed - self._speed, turn - self._turn])
+
+    def _succeeds(self) -> bool:
+        return bool((np.sqrt(self._squares / self._step) < FOLLOWED).all())
 
     def _task_terms(self, motion: Motion) -> dict[str, float]:
         speed, turn = self._command

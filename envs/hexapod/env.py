@@ -263,7 +263,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             "cot": self._energy / (weight * max(self._distance, 0.01)),
             "distance": self._distance,
             "episode_return": self._return,
-            "success": not fall and self._return > self.SUCCESS_RETURN,
+            "success": not fall and self._succeeds(),
         }
 
     # The parts that depend on the task; HexapodCommandEnv overrides them.
@@ -281,6 +281,10 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def _task_terms(self, motion: Motion) -> dict[str, float]:
         return course_terms(self._speed, motion.heading, motion.position[1])
+
+    def _succeeds(self) -> bool:
+        """Whether the episode so far is a success, if it does not end with a fall."""
+        return self._return > self.SUCCESS_RETURN
 
     def _task_observation(self, values: FloatArray, motion: Motion) -> None:
         columns = self.OBSERVATION

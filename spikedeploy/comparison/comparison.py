@@ -10,10 +10,11 @@ from spikedeploy import zoo
 from spikedeploy.comparison.agreement import median_divergence, pooled_equality, pooled_rmse
 from spikedeploy.comparison.episodes import Episode
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.statistics import bootstrap, iqm, paired_difference, share
+from spikedeploy.comparison.statistics import bootstrap, paired_difference, share, stratified
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.interface import BASELINES
+from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.chips.damage import summed
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
@@ -44,6 +45,11 @@ class Row:
     def mean(self) -> float:
         """Mean return."""
         return float(np.mean(self.returns))
+
+    @property
+    def training_seeds(self) -> int | None:
+        """How many trainings it is of: a file holds one; None for what was not trained."""
+        return None if self.entry.candidate.format in BUILT_IN else 1
 
 
 @dataclass(frozen=True)
@@ -111,16 +117,23 @@ class Comparison:
         """Returns and successes, alone and beside the float ANN and the baseline."""
         ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
         estimate, succeeded = bootstrap(row.returns, _rng()), share(row.successes)
+        others = stratified([row.returns], _rng())
         return {
+            "training_seeds": row.training_seeds,
             "episodes": len(row.episodes),
             "return_mean": estimate.mean,
-            "return_iqm": iqm(row.returns),
+            "return_std": float(np.std(row.returns)),
+            "return_iqm": others.iqm.mean,
+            "risk": others.risk.mean,
             "return_ci95": estimate.ci95,
+            "return_iqm_ci95": others.iqm.ci95,
+            "risk_ci95": others.risk.ci95,
             "success_rate": succeeded.mean,
             "success_ci95": succeeded.ci95,
             "ratio_to_float_ann": row.mean / ann.mean if ann else None,
             "normalised_score": _score(row, baseline, ann) if ann and baseline else None,
             "returns": row.returns,
+            "successes": row.successes,
         }
 
     def _agreement(self, row: Row) -> dict[str, Any]:

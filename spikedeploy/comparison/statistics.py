@@ -1,11 +1,13 @@
 """Statistics of few episodes: interquartile mean, bootstrap intervals, paired differences.
 
 Returns of a controller are skewed by rare falls, so a mean needs its interval and an interquartile
-mean beside it (Agarwal et al. 2021, section 4.3). Two policies on the same seeds share terrain and
-pushes, so their *paired* difference has a far smaller variance than the difference of their means.
+mean beside it (Agarwal et al. 2021, section 4.3), and the worst episodes a number of their own, the
+risk. Two policies on the same seeds share terrain and pushes, so their *paired* difference has a
+far smaller variance than the difference of their means.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 _RESAMPLES = 10_000
 _TOGETHER = 500  # resamples of whole tables at once
 _LEVEL = 0.95
+_WORST = 0.05  # of the episodes, whose mean is the risk
 Z = 1.959964  # standard deviations that hold LEVEL of a normal distribution
 
 
@@ -33,20 +36,70 @@ class Estimate:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class ReturnEstimates:
+    """What episodes earn: on average, typically, and at worst, each with its interval.
+
+    mean  of all returns
+    iqm   interquartile mean
+    risk  mean of the worst 5 %
+    """
+
+    mean: Estimate
+    iqm: Estimate
+    risk: Estimate
+
+
 def iqm(values: ArrayLike) -> float:
     """The interquartile mean: the mean without the lowest and the highest quarter."""
-    ordered = np.sort(np.asarray(values, dtype=np.float64))
-    cut = ordered.size // 4
-    return float(ordered[cut : ordered.size - cut].mean())
+    return float(_middle(_ordered(values)))
+
+
+def risk(values: ArrayLike) -> float:
+    """The mean of the worst 5 %, of at least one value (NeuroBench, RewardScore: risk)."""
+    return float(_worst(_ordered(values)))
+
+
+def _ordered(values: ArrayLike) -> NDArray[np.float64]:
+    return np.sort(np.asarray(values, dtype=np.float64), axis=None)
+
+
+def _middle(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean (...,) of the middle half of (..., n) in order."""
+    size = ordered.shape[-1]
+    middle: NDArray[np.float64] = ordered[..., size // 4 : size - size // 4].mean(-1)
+    return middle
+
+
+def _worst(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean (...,) of the lowest 5 % of (..., n) in order."""
+    worst: NDArray[np.float64] = ordered[..., : max(1, int(_WORST * ordered.shape[-1]))].mean(-1)
+    return worst
 
 
 def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
     """The mean of `values` (n,) and the interval of means of resamples with replacement."""
     sample = np.asarray(values, dtype=np.float64)
-    means = _resampled_means(sample, rng)
-    tail = (1 - _LEVEL) / 2
-    low, high = np.quantile(means, (tail, 1 - tail))
-    return Estimate(float(sample.mean()), (float(low), float(high)))
+    return Estimate(float(sample.mean()), _interval(_resampled_means(sample, rng)))
+
+
+def stratified(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
+    """Mean, IQM and risk of all values (S, n) of S trainings in the same n episodes.
+
+    The stratified bootstrap of Agarwal et al. 2021: a resample draws trainings, then episodes, the
+    same for all of its trainings, as they share what is hard about an episode. With one training
+    the intervals cover episodes alone.
+    """
+    each = np.asarray(values, np.float64)
+    trainings, episodes = each.shape
+    found = []
+    for drawn, picks in _draws(trainings, episodes, rng, shared=True):
+        ordered = np.sort(each[drawn, picks].reshape(len(drawn), -1), axis=1)
+        found.append((ordered.mean(-1), _middle(ordered), _worst(ordered)))
+    sample = float(each.mean()), iqm(each), risk(each)
+    resampled = map(np.concatenate, zip(*found, strict=True))
+    pairs = zip(sample, resampled, strict=True)
+    return ReturnEstimates(*(Estimate(value, _interval(many)) for value, many in pairs))
 
 
 def share(events: ArrayLike) -> Estimate:
@@ -82,9 +135,7 @@ def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Gen
         np.median(each[rng.integers(each.size, size=(_RESAMPLES, each.size))], axis=1)
         for each in (left, right)
     )
-    tail = (1 - _LEVEL) / 2
-    low, high = np.quantile(tops / bottoms, (tail, 1 - tail))
-    return Estimate(float(np.median(left) / np.median(right)), (float(low), float(high)))
+    return Estimate(float(np.median(left) / np.median(right)), _interval(tops / bottoms))
 
 
 def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
@@ -98,14 +149,22 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generat
         return Estimate(math.nan, (math.nan, math.nan))
     trainings, episodes = each.shape
     ratios = []
-    for _ in range(_RESAMPLES // _TOGETHER):
-        drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
-        picks = rng.integers(episodes, size=(_TOGETHER, trainings, episodes))
+    for drawn, picks in _draws(trainings, episodes, rng, shared=False):
         with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
             ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
-    tail = (1 - _LEVEL) / 2
-    low, high = np.nanquantile(np.concatenate(ratios), (tail, 1 - tail))
-    return Estimate(float(each.mean() / beside.mean()), (float(low), float(high)))
+    return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
+
+
+def _draws(
+    trainings: int, episodes: int, rng: np.random.Generator, shared: bool
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Resamples of trainings (R, S, 1) and of episodes (R, S, n), or (R, 1, n) if all share them.
+
+    R at once, until there are enough.
+    """
+    for _ in range(_RESAMPLES // _TOGETHER):
+        drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
+        yield drawn, rng.integers(episodes, size=(_TOGETHER, 1 if shared else trainings, episodes))
 
 
 def grouped_ratio(
@@ -134,12 +193,17 @@ def grouped_ratio(
         top, bottom = ((each[picks] * counts).sum((1, 2)) for each in (left, right))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios.append(top / bottom)
-    tail = (1 - _LEVEL) / 2
-    low, high = np.nanquantile(np.concatenate(ratios), (tail, 1 - tail))
-    return Estimate(float(left.mean() / right.mean()), (float(low), float(high)))
+    return Estimate(float(left.mean() / right.mean()), _interval(np.concatenate(ratios)))
 
 
 def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     picks = rng.integers(sample.size, size=(_RESAMPLES, sample.size))
     means: NDArray[np.float64] = sample[picks].mean(axis=1)
     return means
+
+
+def _interval(resampled: NDArray[np.float64]) -> tuple[float, float]:
+    """The middle 95 % of what resamples gave; those that gave no number are left out."""
+    tail = (1 - _LEVEL) / 2
+    low, high = np.nanquantile(resampled, (tail, 1 - tail))
+    return float(low), float(high)

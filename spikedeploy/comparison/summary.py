@@ -1,26 +1,48 @@
-"""The result of a comparison in two or three sentences."""
+"""The result of a comparison in a few sentences."""
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from spikedeploy.comparison.metrics import drives
+from spikedeploy.comparison.statistics import paired_difference
 from spikedeploy.policies.interface import BASELINES
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 
-_NEEDED = 0.95  # of the ANN's return: a control that reaches this much is as good
 _NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
 
 
+class _Words(NamedTuple):
+    """Of a task: the field of a row by which policies are equal, and what being so is called."""
+
+    field: str
+    less: str
+    equal: str
+
+
+_WALK = _Words("returns", "earn less", "earns as much")
+_RACE = _Words("successes", "finish less often", "finishes as often")
+
+
 def summary(rows: Sequence[Row]) -> str:
-    """What the chip keeps of the float twin, and what the network is worth beside controls."""
+    """What the chip keeps of the float twin, the smallest float policy as good, the controls."""
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
     racing = any(map(drives, rows))
-    sentences = [_finishes(row) if racing else _on_chip(row) for row in on_chip]
-    return " ".join([*sentences, _race(rows) if racing else _worth(rows)]).strip()
+    sentences = []
+    for row in on_chip:
+        sentences.append(_finishes(row) if racing else _keeps(row))
+        sentences.append(_smallest(row, rows, _RACE if racing else _WALK))
+    if any("MACs a control step" in sentence for sentence in sentences):
+        sentences.append("Neuron updates and the encoder are in neither count.")
+    sentences.append(_race(rows) if racing else _controls(rows))
+    sentences.append(_covered(rows))
+    return " ".join(filter(None, sentences))
 
 
-def _on_chip(row: Row) -> str:
+def _keeps(row: Row) -> str:
     kept = [f"{row['ratio_to_reference']:.1%} of its float twin's return"]
     if row["ratio_to_float_ann"] is not None:
         kept.append(f"{row['ratio_to_float_ann']:.1%} of the float ANN's")
@@ -36,30 +58,76 @@ def _share(row: Row) -> str:
     return "all" if row["success_rate"] == 1 else f"{row['success_rate']:.0%}"
 
 
-def _worth(rows: Sequence[Row]) -> str:
+def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> str:
+    """The float policy of fewest operations that is not shown to be worse, and scripts likewise."""
+    float_rows = [r for r in rows if r["kind"] != "snn"]
+    equal = [r for r in float_rows if not _below(r, row, words)]
+    networks, count = _trained(equal), len(_trained(float_rows))
+    found = []
+    if networks:
+        found.append(_named(min(networks, key=_macs), row, words))
+    elif count == 1:
+        found.append(f"The one float policy here is shown to {words.less}.")
+    elif count:
+        found.append(f"None of the {count} float policies here {words.equal}.")
+    if scripts := [each["policy"] for each in equal if not each["training_seeds"]]:
+        found.append(_scripts(scripts, words, " either" if networks else ""))
+    return " ".join(found)
+
+
+def _below(row: Row, other: Row, words: _Words) -> bool:
+    """Whether a row is shown to be worse: the 95 % interval of the paired difference is below 0."""
+    difference = paired_difference(row[words.field], other[words.field], np.random.default_rng(0))
+    return difference.ci95[1] < 0
+
+
+def _trained(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row["training_seeds"]]
+
+
+def _macs(row: Row) -> float:
+    """MACs of an inference with an input that is not 0, all where those are not known."""
+    names = ("macs_effective", "effective_macs", "macs_dense")
+    return next((row[name] for name in names if row.get(name) is not None), math.inf)
+
+
+def _named(rival: Row, row: Row, words: _Words) -> str:
+    macs = _macs(rival)
+    counted = f"{macs:,.0f} MACs" if math.isfinite(macs) else "MACs that were not counted"
+    own = f"{row['sops_per_inference']:,.0f} synaptic operations"
+    if more := round(row.get("effective_macs") or 0):
+        own += f" and {more:,} MACs"
+    return (
+        f"The smallest float policy not shown to {words.less} is {rival['policy']}: {counted} a "
+        f"control step, to {own} of {row['policy']}."
+    )
+
+
+def _scripts(names: Sequence[str], words: _Words, either: str) -> str:
+    subject = f"script {names[0]} is" if len(names) == 1 else f"scripts {' and '.join(names)} are"
+    return f"The {subject} not shown to {words.less}{either}."
+
+
+def _controls(rows: Sequence[Row]) -> str:
     """What the baseline and the best control reach."""
     kinds = (*BASELINES, "control")
     plain = [r for r in rows if r["kind"] in kinds and r["ratio_to_float_ann"]]
     if not plain:
         return ""
     best = max(plain, key=lambda row: row["return_mean"])
-    share = best["ratio_to_float_ann"]
-    verdict = (
-        "so on this task alone the network is not shown to be needed"
-        if share >= _NEEDED
-        else "so the rest is what the network is worth"
-    )
     baseline = next((row for row in plain if row["kind"] in BASELINES), None)
+    share = f"{best['ratio_to_float_ann']:.1%}"
+    if baseline is None:
+        return f"The best control ({best['policy']}) earns {share} of the float ANN's return."
     alone = (
         f"{_NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%} of the float ANN's "
         "return"
-        if baseline
-        else ""
     )
-    if best is baseline:
-        return f"{alone}, {verdict}."
-    control = f"the best control ({best['policy']}) {share:.1%}"
-    return f"{alone}, {control}: {verdict}."
+    return (
+        f"{alone}."
+        if best is baseline
+        else f"{alone}, the best control ({best['policy']}) {share}."
+    )
 
 
 def _finishes(row: Row) -> str:
@@ -73,16 +141,21 @@ def _finishes(row: Row) -> str:
 
 
 def _race(rows: Sequence[Row]) -> str:
-    """How often the float ANN finishes, and what drives without a trained network."""
+    """How often the float ANN finishes, and the controls."""
     ann = next((row for row in rows if row["kind"] == "ann"), None)
     plain = [row for row in rows if row["kind"] in (*BASELINES, "control")]
     if not ann or not plain:
         return ""
     others = ", ".join(f"{row['policy']} {row['success_rate']:.0%}" for row in plain)
-    best = max(plain, key=lambda row: row["success_rate"])
-    verdict = (
-        f"so on this track alone {best['policy']} is enough"
-        if best["success_rate"] >= _NEEDED * ann["success_rate"]
-        else "so the rest is what the network is worth"
+    return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}."
+
+
+def _covered(rows: Sequence[Row]) -> str:
+    """What the intervals of a comparison cover, where no row is of several trainings."""
+    trained = _trained(rows)
+    if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
+        return ""
+    return (
+        f"Intervals cover {trained[0]['episodes']} episodes of one training each; other trainings "
+        "differ: results/pareto.md."
     )
-    return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}: {verdict}."

@@ -75,20 +75,21 @@ def scaled(value: float) -> str:
     return f"{value / size:.2f} {prefixes[size]}"
 
 
-def interval(row: Row) -> str:
-    """The mean return with its interval: `3,413 [3,405, 3,420]`, for karts `30.1 [29.8, 30.4]`."""
-    low, high = row["return_ci95"]
-    form = f",.{_digits(row)}f"
-    return f"{row['return_mean']:{form}} [{low:{form}}, {high:{form}}]"
+def _estimate(field: str, between: str, sign: str = "") -> Cell:
+    """A cell with a return and its interval; a dash in reports from before it had one."""
+
+    def cell(row: Row) -> str:
+        if row.get(between) is None:
+            return ABSENT
+        low, high = row[between]
+        form = f"{sign},.{_digits(row)}f"
+        return f"{row[field]:{form}} [{low:{form}}, {high:{form}}]"
+
+    return cell
 
 
-def difference(row: Row) -> str:
-    """The paired difference with its interval: `-20 [-41, +3]`."""
-    if row["difference_mean"] is None:
-        return ABSENT
-    low, high = row["difference_ci95"]
-    form = f"+,.{_digits(row)}f"
-    return f"{row['difference_mean']:{form}} [{low:{form}}, {high:{form}}]"
+interval = _estimate("return_mean", "return_ci95")  # `3,413 [3,405, 3,420]`
+difference = _estimate("difference_mean", "difference_ci95", "+")  # paired: `-20 [-41, +3]`
 
 
 def _digits(row: Row) -> int:
@@ -126,8 +127,21 @@ def divergence(row: Row) -> str:
 
 _NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
-_WALK = (
+_RETURNS = (
     Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
+    Column(
+        "IQM",
+        "interquartile mean of the returns, without the lowest and the highest quarter, likewise",
+        _estimate("return_iqm", "return_iqm_ci95"),
+    ),
+    Column(
+        "risk",
+        "mean return of the worst 5% of the episodes, likewise",
+        _estimate("risk", "risk_ci95"),
+    ),
+)
+_WALK = (
+    *_RETURNS,
     Column("success", "episodes that succeed", _number("success_rate", ".0%")),
     Column("of ANN", "mean return / that of the float ANN", _number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
@@ -136,7 +150,7 @@ _WALK = (
 _DRIVE = (
     Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", _share),
     *(Column(m.title, m.meaning, _number(m.name, m.form)) for m in DRIVING),
-    Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
+    *_RETURNS,
     Column("score", "normalised return: random actions are 0, the float ANN 100", score),
 )
 _AGREEMENT = (

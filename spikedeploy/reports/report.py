@@ -39,6 +39,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "versions": versions(),
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "meaning": summary(rows),
+        "env_remark": envs.spec(comparison.env).remark,
         "conventions": _conventions(comparison),
         "remarks": _remarks(comparison, rows),
         "disturbances": _disturbances(comparison),
@@ -111,6 +112,8 @@ def _page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
     steps = [f"* {name}: {said}" for name, said in _stepped(document)]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
+    if remark := document.get("env_remark"):
+        lines[4:4] = [remark, ""]
     if said := disturbed(document):
         lines[2:2] = [f"Disturbed by {said}.", ""]
     if steps:
@@ -143,6 +146,7 @@ def _html(document: Document, pictures: Mapping[str, Path], video: Path | None =
     return page.substitute(
         title=escape(f"{document['env']}: {len(rows)} policies on the same seeds"),
         meaning=escape(document["meaning"]),
+        remark=escape(document.get("env_remark", "")),
         sections="".join(
             _section(title, _table(columns, rows), pictures.get(title))
             for title, columns in shown.items()

@@ -45,8 +45,9 @@ def print_comparison(document: Mapping[str, Any]) -> None:
     for label, remarks in document["remarks"].items():
         for remark in remarks:
             console().print(f"{label}: {remark}", markup=False)
-    if document["meaning"]:
-        console().print(document["meaning"])
+    for sentence in (document["meaning"], document.get("env_remark", "")):
+        if sentence:
+            console().print(sentence, markup=False)
 
 
 def print_emulation(emulation: Emulation) -> None:

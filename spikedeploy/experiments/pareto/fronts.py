@@ -3,12 +3,17 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 
-from spikedeploy.comparison.statistics import Estimate, nested_ratio
+from spikedeploy.comparison.statistics import (
+    Estimate,
+    ReturnEstimates,
+    nested_ratio,
+    stratified,
+)
 from spikedeploy.experiments.pareto.costs import INT8, TERMS, spikes, terms, total
 from spikedeploy.experiments.pareto.design import FLOAT, LABELS, LEVELS, SPIKING, STUDENTS
 from spikedeploy.experiments.pareto.tuning import RewardTraining
@@ -81,6 +86,27 @@ class Point:
     def spiking(self) -> bool:
         """Whether it spikes, or is delta-coded."""
         return spikes(self.rows[0])
+
+
+def earned(rows: Sequence[Record]) -> ReturnEstimates | None:
+    """Mean, IQM and risk of the returns of rows on the same episodes; None where these lack."""
+    returns = [row.get("returns") or ([] if drives(row) else row["scores"]) for row in rows]
+    return _estimates(tuple(map(tuple, returns))) if all(returns) else None
+
+
+def score(rows: Sequence[Record]) -> Estimate:
+    """Mean score of rows on the same episodes: the return of walkers, finishes of karts."""
+    return _estimates(tuple(tuple(row["scores"]) for row in rows)).mean
+
+
+@cache  # the page is written again after every part of the experiment
+def _estimates(values: tuple[tuple[float, ...], ...]) -> ReturnEstimates:
+    return stratified(values, np.random.default_rng(0))
+
+
+def drives(row: Record) -> bool:
+    """Whether a row is of a kart, whose scores are finishes."""
+    return row.get("crashes") is not None
 
 
 def _rewarded(row: Record) -> bool:

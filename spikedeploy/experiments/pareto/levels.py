@@ -1,9 +1,17 @@
-"""The table of every level: score and activity, the baselines below."""
+"""The tables of every level, the baselines below: score and activity; returns over trainings."""
 
 from collections.abc import Callable, Sequence
 
 from spikedeploy.comparison import statistics
-from spikedeploy.experiments.pareto.fronts import Point, Record, baseline
+from spikedeploy.comparison.statistics import Estimate
+from spikedeploy.experiments.pareto.fronts import (
+    Point,
+    Record,
+    baseline,
+    drives,
+    earned,
+    score,
+)
 from spikedeploy.experiments.pareto.tables import number, of_teacher, share
 from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.markdown import markdown_text
@@ -37,14 +45,13 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
 
 def _cells(rows: Sequence[Record]) -> _Cells:
     """Heads and cells: the score in the words of the task."""
-    drives = any(row.get("crashes") is not None for row in rows)
     of_reference: _Cells = {"% of reference": lambda p: share(p.of_reference)}
     return {
         "aim": lambda p: f"{p.level:g}",
         "seeds": lambda p: f"{len(p.rows)}",
         "% of teacher": of_teacher,
         **(of_reference if baseline(rows, "reference") else {}),
-        **(_driving(rows) if drives else _walking()),
+        **(_driving(rows) if any(map(drives, rows)) else _walking()),
         **_ACTIVITY,
     }
 
@@ -72,7 +79,7 @@ def _driving(rows: Sequence[Record]) -> _Cells:
 
 def _own_scores(row: Record) -> dict[str, str]:
     """Scores of a baseline by the head of their column."""
-    if row.get("crashes") is None:
+    if not drives(row):
         return {"return": number(row["return_mean"]), "falls": number(row["falls"], ".1%")}
     finished = statistics.share(row["scores"]).mean
     return {"finished": f"{finished:.1%}", "lap [s]": number(row.get("lap_time"), ".3f")}
@@ -81,5 +88,37 @@ def _own_scores(row: Record) -> dict[str, str]:
 def _finished(point: Point) -> str:
     """Share of all episodes, with Wilson's interval: a bootstrap of successes alone has none."""
     found = statistics.share([score for row in point.rows for score in row["scores"]])
+    return _between(found, ".1%")
+
+
+def return_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
+    """Mean return, IQM and risk of every level, of karts the share of finishes before them."""
+    racing = any(map(drives, rows))
+    heads = ["policy", "aim", "training seeds", "episodes"]
+    lines = [[*heads, *(["finished"] if racing else []), "return", "IQM", "risk"]]
+    for p in found:
+        counts = [f"{p.level:g}", f"{len(p.rows)}", f"{len(p.teacher)}"]
+        lines.append([p.label, *counts, *_returns(p.rows, racing)])
+    for name in ("teacher", "reference"):
+        if (row := baseline(rows, name)) is not None:
+            counts = [ABSENT, ABSENT, f"{len(row['scores'])}"]
+            lines.append([f"{name}, {row.get('place')}", *counts, *_returns([row], racing)])
+    # older tables of karts have finishes alone
+    filled = [k for k, cells in enumerate(zip(*lines[1:], strict=True)) if {*cells} != {ABSENT}]
+    return markdown_text([[line[k] for k in filled] for line in lines])
+
+
+def _returns(rows: Sequence[Record], racing: bool) -> list[str]:
+    """Cells of rows on the same episodes, with intervals over trainings and episodes."""
+    found = earned(rows)
+    each = (found.mean, found.iqm, found.risk) if found else (None, None, None)
+    form = ",.1f" if racing else ",.0f"  # karts earn tens, hexapods thousands
+    return [*([_between(score(rows), ".1%")] if racing else []), *(_between(e, form) for e in each)]
+
+
+def _between(found: Estimate | None, form: str) -> str:
+    """`3,438 [3,430, 3,446]`; a dash where there is none."""
+    if found is None:
+        return ABSENT
     low, high = found.ci95
-    return f"{found.mean:.1%} [{low:.1%}, {high:.1%}]"
+    return f"{found.mean:{form}} [{low:{form}}, {high:{form}}]"

@@ -165,7 +165,10 @@ def in_bits(policy: PrunedMlpPolicy, bits: int) -> PrunedMlpPolicy:
 
 
 def outcomes(returns: Sequence[float], infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What episodes came to: scores are finishes (0 or 1) of karts, returns of walkers."""
+    """What episodes came to: scores are finishes (0 or 1) of karts, returns of walkers.
+
+    Of karts the returns stand beside the scores.
+    """
     found: dict[str, Any] = {"return_mean": float(np.mean(returns)), "scores": list(returns)}
     if "gates" not in infos[0]:
         return found | {"falls": float(np.mean([info["fall"] for info in infos]))}
@@ -174,6 +177,7 @@ def outcomes(returns: Sequence[float], infos: Sequence[Mapping[str, Any]]) -> di
     crashed = float(np.mean([bool(info["crash"]) for info in infos]))
     return found | {
         "scores": [float(each) for each in finished],
+        "returns": list(returns),
         "lap_time": float(np.mean(laps)) if laps else None,
         "crashes": crashed,
     }

@@ -13,7 +13,7 @@ from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE
 from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import all_rows
 from spikedeploy.experiments.pareto.fronts import Record, baseline, points
-from spikedeploy.experiments.pareto.levels import level_table
+from spikedeploy.experiments.pareto.levels import level_table, return_table
 from spikedeploy.experiments.pareto.overview import NEARLY, overview
 from spikedeploy.experiments.pareto.plot import draw
 from spikedeploy.files import as_text, write_text
@@ -41,7 +41,11 @@ of walks, and finishes of karts, on seeds from 10,000 on that no training and no
 checkpoint saw; teacher and students have the same. Intervals of 95 % are bootstrapped over training
 seeds, then over episodes of student and teacher together; with one training seed they cover
 episodes alone. "Finished" has Wilson's interval over all episodes. Other numbers are means over
-training seeds.
+training seeds. The second table of each task has return, IQM and risk of all trainings together,
+with intervals by the stratified bootstrap over training seeds and episodes (Agarwal et al. 2021):
+each of 10,000 resamples draws trainings, then episodes, the same for all of them. IQM is the mean
+without the lowest and the highest quarter, risk the mean of the worst 5 %. Teacher and reference
+are one training each. "Finished" of 100 % has no width there.
 
 Energies are of a control step, in pJ, by {INT8}: {TABLES[INT8].joules["sop"] * _PICO:.2f} pJ a
 synaptic operation, {TABLES[INT8].joules["mac"] * _PICO:.2f} a multiply-accumulate,
@@ -112,6 +116,8 @@ def _section(env: str, rows: list[Record], made: Record) -> list[str]:
         f"![return against operations and energy](pareto/{env}.png)",
         "### Every level",
         level_table(rows, found),
+        "### Returns over training seeds and episodes",
+        return_table(rows, found),
         "### What it costs [pJ]",
         tables.energy_table(found),
         "Terms of the last level:",

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.command import HOLD, HexapodCommandEnv, draw_command
+from spikedeploy.envs.hexapod.command import FOLLOWED, HOLD, HexapodCommandEnv, draw_command
 
 STILL = np.zeros(18)
 
@@ -78,6 +78,32 @@ def test_the_gait_alone_neither_falls_nor_follows(walks):
     returns = [infos[-1]["episode_return"] for infos in walks]
     assert 300.0 < np.mean(returns) < 1600.0
     assert not any(infos[-1]["success"] for infos in walks)
+
+
+def test_success_is_an_rmse_below_a_fifth_of_the_largest_command_in_speed_and_turn(walks):
+    assert pytest.approx([0.45 / 5, 0.8 / 5]) == FOLLOWED
+    followed = []
+    for infos in walks:
+        errors = np.array([(info["speed_error"], info["turn_error"]) for info in infos])
+        steps = np.arange(1, len(errors) + 1)[:, None]
+        rmse = np.sqrt(np.cumsum(errors**2, axis=0) / steps)
+        followed += (rmse < FOLLOWED).all(axis=1).tolist()
+    assert followed == [info["success"] for infos in walks for info in infos]
+    assert 0 < sum(followed) < len(followed)
+
+
+def test_a_fall_is_no_success_however_well_it_followed(env):
+    env.reset(seed=0)
+    env.steer(0.0, 0.0)
+    assert env.step(STILL)[-1]["success"]
+    env.LOWEST_HEIGHT = 1.0  # of this copy: wherever it stands, it has fallen
+    try:
+        _, _, terminated, _, info = env.step(STILL)
+    finally:
+        del env.LOWEST_HEIGHT
+    assert terminated
+    assert abs(info["speed_error"]) < FOLLOWED[0]
+    assert not info["success"]
 
 
 def test_the_path_of_a_turning_robot_is_longer_than_its_displacement(walks):

@@ -10,7 +10,9 @@ from spikedeploy.comparison.statistics import (
     nested_ratio,
     paired_difference,
     ratio_of_medians,
+    risk,
     share,
+    stratified,
 )
 
 
@@ -26,6 +28,19 @@ def test_iqm_drops_the_lowest_and_the_highest_quarter():
 
 def test_iqm_of_fewer_than_four_values_is_their_mean():
     assert iqm([1, 2, 6]) == 3
+
+
+def test_risk_is_the_mean_of_the_worst_twentieth_and_of_one_value_at_least():
+    returns = np.arange(100.0)
+    assert risk(returns[::-1]) == np.mean([0, 1, 2, 3, 4])
+    assert risk(returns[:39]) == 0
+    assert risk([7.0, 5.0]) == 5
+
+
+def test_risk_is_neurobenchs_where_there_are_twenty_values(rng):
+    # RewardScore.compute of NeuroBench's branch 2025_GC
+    returns = rng.normal(size=137).tolist()
+    assert risk(returns) == pytest.approx(np.mean(sorted(returns)[: int(len(returns) * 0.05)]))
 
 
 def test_one_fall_moves_the_mean_but_not_the_iqm():
@@ -137,3 +152,47 @@ def test_groups_may_differ_in_size_and_weigh_by_their_episodes(rng):
 
 def test_a_grouped_ratio_to_nothing_is_no_number(rng):
     assert np.isnan(grouped_ratio([1.0, 2.0], [0.0, 0.0], [0, 1], rng).mean)
+
+
+def test_mean_iqm_and_risk_of_trainings_are_those_of_all_their_episodes(rng):
+    returns = rng.normal(3000, 100, size=(3, 40))
+    found = stratified(returns, rng)
+    assert found.mean.mean == returns.mean()
+    assert found.iqm.mean == iqm(returns.ravel())
+    assert found.risk.mean == risk(returns.ravel())
+    for each in (found.mean, found.iqm, found.risk):
+        assert each.ci95[0] < each.mean < each.ci95[1]
+
+
+def test_with_one_training_the_interval_is_that_over_its_episodes():
+    returns = np.random.default_rng(3).normal(size=50)
+    one = stratified([returns], np.random.default_rng(1)).mean
+    assert one.ci95 == pytest.approx(bootstrap(returns, np.random.default_rng(2)).ci95, abs=0.02)
+
+
+def test_trainings_that_differ_widen_every_interval_by_as_much(rng):
+    alike, apart = np.full((3, 40), 5.0), np.repeat([[4.0], [5.0], [6.0]], 40, axis=1)
+    for each in vars(stratified(alike, rng)).values():
+        assert each.ci95 == (5, 5)
+    assert stratified(apart, rng).mean.ci95 == (4, 6)
+    assert stratified(apart, rng).risk.mean == 4
+    assert stratified(apart, rng).risk.ci95 == (4, 6)
+
+
+def test_episodes_that_all_trainings_share_do_not_count_once_for_each(rng):
+    # what is hard about an episode is the same for five trainings that are otherwise equal
+    hard = rng.normal(size=60)
+    one, five = (stratified([hard] * count, rng).mean.ci95 for count in (1, 5))
+    assert five == pytest.approx(one, abs=0.03)
+
+
+def test_the_interval_over_trainings_covers_the_true_mean_about_as_often_as_it_says(
+    rng, monkeypatch
+):
+    monkeypatch.setattr("spikedeploy.comparison.statistics._RESAMPLES", 1000)
+    hits = 0
+    for _ in range(60):
+        skill, hard = rng.normal(0, 1, (12, 1)), rng.normal(0, 1, (1, 30))
+        low, high = stratified(skill + hard + rng.normal(0, 1, (12, 30)), rng).mean.ci95
+        hits += low <= 0 <= high
+    assert 49 <= hits <= 60  # 95 % of 60, and less for few trainings: four standard deviations

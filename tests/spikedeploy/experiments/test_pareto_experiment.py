@@ -206,6 +206,19 @@ def test_the_page_says_what_it_was_made_with(results):
     assert "of at most 12 control steps" in text
 
 
+def test_rows_say_of_how_many_trainings_their_policy_is_and_keep_the_returns_of_karts(results):
+    teacher, *others = rows(results)
+    assert teacher["training_seeds"] is None
+    assert {row["training_seeds"] for row in others} == {1}
+    for row in rows(results):
+        if not row["refusal"]:
+            assert len(row["returns"]) == len(row["scores"])
+            assert np.mean(row["returns"]) == pytest.approx(row["return_mean"], rel=1e-5)
+    text = (results / "pareto.md").read_text()
+    assert "### Returns over training seeds and episodes" in text
+    assert "| training seeds | episodes | finished | return | IQM | risk |" in text
+
+
 def test_scores_of_karts_are_finishes(results):
     found = [score for row in rows(results) for score in row["scores"] or ()]
     assert found

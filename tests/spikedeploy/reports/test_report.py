@@ -4,8 +4,10 @@ import json
 import re
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
+from spikedeploy import envs
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
@@ -40,7 +42,9 @@ def row(policy, kind, chip=None, ratio=1.0, **changes):
         "policy": policy, "kind": kind, "chip": chip, "return_mean": 3000 * ratio,
         "ratio_to_float_ann": ratio, "ratio_to_reference": 0.99, "reference": "x",
         "difference_mean": -20.4, "difference_ci95": (-40.0, 1.0), "success_rate": 1.0,
-        "episodes": 4,
+        "episodes": 4, "training_seeds": None if kind in ("gait", "random") else 1,
+        "returns": [3000 * ratio + spread for spread in (-30, -10, 10, 30)],
+        "sops_per_inference": 48.4, "effective_macs": 18.0, "macs_dense": 90.0,
     }  # fmt: skip
     return {**plain, **changes}
 
@@ -106,15 +110,87 @@ def test_the_sentence_says_what_the_chip_keeps():
     )
 
 
-@pytest.mark.parametrize(
-    ("control", "verdict"),
-    [(0.97, "not shown to be needed"), (0.6, "the rest is what the network is worth")],
-)
-def test_the_sentence_doubts_a_network_that_a_control_equals(control, verdict):
-    found = summary([row("gait", "gait", ratio=0.5), row("linear", "control", ratio=control)])
-    assert found.startswith("The gait alone earns 50.0% of the float ANN's return")
-    assert f"the best control (linear) {control:.1%}" in found
-    assert verdict in found
+def test_the_sentence_says_what_the_controls_earn_and_nothing_of_what_a_network_is_worth():
+    rows = [row("sac", "ann"), row("gait", "gait", ratio=0.5), row("linear", "control", ratio=0.6)]
+    assert summary(rows).startswith(
+        "The gait alone earns 50.0% of the float ANN's return, the best control (linear) 60.0%. "
+    )
+
+
+def test_the_sentence_names_the_smallest_float_policy_of_equal_return():
+    found = summary([
+        row("sac", "ann", effective_macs=80_000.0),
+        row("popsan", "snn", "loihi1", 0.985),
+        row("gait", "gait", ratio=0.5),
+        row("linear", "control", ratio=0.99, effective_macs=None, macs_dense=1386.0),
+        row("bilinear", "control", ratio=0.9, effective_macs=72.0),
+    ])  # fmt: skip
+    assert (
+        "The smallest float policy not shown to earn less is linear: 1,386 MACs a control step, "
+        "to 48 synaptic operations and 18 MACs of popsan. Neuron updates" in found
+    )
+
+
+def test_the_smallest_is_by_macs_with_an_input_that_is_not_0_where_they_are_known():
+    sac = row("sac", "ann", effective_macs=500.0, macs_effective=700.0)
+    other = row("mlp", "ann", effective_macs=600.0)
+    assert "is mlp: 600 MACs" in summary([sac, other, row("popsan", "snn", "loihi1", 1.0)])
+
+
+def test_where_no_float_policy_earns_as_much_the_sentence_counts_them():
+    rows = [row("sac", "ann", ratio=0.97), row("linear", "control", ratio=0.9)]
+    found = summary([*rows, row("gait", "gait", ratio=0.5), row("popsan", "snn", "loihi1", 1.1)])
+    assert "None of the 2 float policies here earns as much." in found
+
+
+def test_a_script_that_earns_as_much_is_named_as_one():
+    rows = [row("sac", "ann", ratio=0.9), row("gait", "gait"), row("popsan", "snn", "loihi1")]
+    found = summary(rows)
+    assert "The one float policy here is shown to earn less. The script gait is not shown" in found
+
+
+def test_the_sentence_says_what_the_intervals_cover_while_each_row_is_of_one_training():
+    one = [row("sac", "ann"), row("linear", "control", ratio=0.6)]
+    assert summary(one).endswith(
+        "Intervals cover 4 episodes of one training each; other trainings differ: "
+        "results/pareto.md."
+    )
+    assert "trainings" not in summary([one[0], {**one[1], "training_seeds": 5}])
+
+
+def test_what_an_environments_returns_can_show_is_said_in_every_report(document, tmp_path, capsys):
+    document["env_remark"] = "Strolls are not comparable with runs."
+    report.write(document, tmp_path)
+    print_comparison(document)
+    assert document["env_remark"] in " ".join(capsys.readouterr().out.split())
+    for file in ("report.html", "report.md", "report.json"):
+        assert document["env_remark"] in (tmp_path / file).read_text(encoding="utf-8")
+
+
+def test_the_walkers_have_such_a_remark():
+    assert "cannot be compared with Spikerman's" in envs.spec("hexapod").remark
+    assert "peaked kernel" in envs.spec("hexapod-command").remark
+
+
+def test_rows_have_iqm_and_risk_with_intervals_beside_the_mean(document):
+    for found in document["rows"]:
+        low, high = found["risk_ci95"]
+        assert low == found["risk"] == min(found["returns"]) <= high <= max(found["returns"])
+        low, high = found["return_iqm_ci95"]
+        assert low <= found["return_iqm"] <= high
+        assert found["return_std"] == pytest.approx(np.std(found["returns"]))
+        assert len(found["successes"]) == found["episodes"]
+    seeds = {found["policy"]: found["training_seeds"] for found in document["rows"]}
+    assert seeds == {"sac": 1, "popsan": 1, "gait": None}
+
+
+def test_tables_of_reports_from_before_leave_iqm_and_risk_out(document):
+    first = next(iter(tables(document["rows"]).values()))
+    assert {"IQM", "risk"} <= {column.title for column in first}
+    new = ("return_iqm_ci95", "risk", "risk_ci95", "training_seeds", "return_std")
+    older = [{k: v for k, v in found.items() if k not in new} for found in document["rows"]]
+    first = next(iter(tables(older).values()))
+    assert not {"IQM", "risk"} & {column.title for column in first}
 
 
 def test_a_policy_alone_needs_no_sentence():
