@@ -93,7 +93,7 @@ def stratified(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
     each = np.asarray(values, np.float64)
     trainings, episodes = each.shape
     found = []
-    for drawn, picks in _draws(trainings, episodes, rng, shared=True):
+    for drawn, picks in _draws(trainings, episodes, rng):
         ordered = np.sort(each[drawn, picks].reshape(len(drawn), -1), axis=1)
         found.append((ordered.mean(-1), _middle(ordered), _worst(ordered)))
     sample = float(each.mean()), iqm(each), risk(each)
@@ -141,30 +141,27 @@ def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Gen
 def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
     """Mean of values (S, n) of S trainings in n episodes / mean of a reference (n,) in the same.
 
-    A resample draws trainings, then for each of them episodes, of it and of the reference; the
-    `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
+    A resample draws trainings, then episodes, the same for all of its trainings and the reference;
+    the `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
     """
     each, beside = np.asarray(values, np.float64), np.asarray(reference, np.float64)
     if not beside.any():
         return Estimate(math.nan, (math.nan, math.nan))
     trainings, episodes = each.shape
     ratios = []
-    for drawn, picks in _draws(trainings, episodes, rng, shared=False):
+    for drawn, picks in _draws(trainings, episodes, rng):
         with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
             ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
     return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
 
 
 def _draws(
-    trainings: int, episodes: int, rng: np.random.Generator, shared: bool
+    trainings: int, episodes: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Resamples of trainings (R, S, 1) and of episodes (R, S, n), or (R, 1, n) if all share them.
-
-    R at once, until there are enough.
-    """
+    """Resamples of trainings (R, S, 1), and of episodes (R, 1, n) that they share; R at once."""
     for _ in range(_RESAMPLES // _TOGETHER):
         drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
-        yield drawn, rng.integers(episodes, size=(_TOGETHER, 1 if shared else trainings, episodes))
+        yield drawn, rng.integers(episodes, size=(_TOGETHER, 1, episodes))
 
 
 def grouped_ratio(
