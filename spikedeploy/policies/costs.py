@@ -29,7 +29,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import nir
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +45,7 @@ from spikedeploy.runtime.metrics.energy_terms import (
     priced_terms,
     unpriced,
 )
-from spikedeploy.runtime.metrics.neurobench import dense_operations
+from spikedeploy.runtime.metrics.neurobench import is_identity
 
 # of networks without spikes
 FLOAT_TABLES = ("horowitz45", "horowitz45-int8")
@@ -229,28 +228,9 @@ def _input_spikes(ledger: Ledger, program: Program) -> int:
     return ledger.by_layer("spike_in")[first.name] - others
 
 
-def dense_products(graph: nir.NIRGraph) -> int:
-    """NeuroBench's Dense of a timestep, without identities into the output."""
-    outputs = set(graph.outputs)
-    last = {source for source, target in graph.edges if target in outputs}
-    weighted = [graph.nodes[name] for name in last if hasattr(graph.nodes[name], "weight")]
-    return dense_operations(graph) - sum(
-        int(node.weight.size) for node in weighted if _identity(node.weight)
-    )
-
-
-def _identity(weight: NDArray[Any]) -> bool:
-    """Whether a connection only hands on what arrives."""
-    return (
-        weight.ndim == 2
-        and weight.shape[0] == weight.shape[1]
-        and np.array_equal(weight, np.eye(len(weight)))
-    )
-
-
 def _readouts(program: Program) -> list[tuple[str, NDArray[np.float64]]]:
     """The layers that the host applies weights to, and those weights (N, act)."""
-    return [(of, weight) for of, weight in program.readouts if not _identity(weight)]
+    return [(of, weight) for of, weight in program.readouts if not is_identity(weight)]
 
 
 def readout_acs(ledger: Ledger, program: Program) -> float:

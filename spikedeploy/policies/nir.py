@@ -13,7 +13,6 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import (
     Costs,
     beside,
-    dense_products,
     message_energies,
     readout_acs,
     readout_macs,
@@ -32,7 +31,7 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.metrics.memory import packed_bytes
-from spikedeploy.runtime.metrics.neurobench import connection_sparsity, footprint
+from spikedeploy.runtime.metrics.neurobench import connection_sparsity, dense_products, footprint
 from spikedeploy.runtime.metrics.traffic import placed_messages
 
 Floats = NDArray[np.float64]
