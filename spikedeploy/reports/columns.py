@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 COST = "What does an inference cost?"
-WHERE = "Where does the energy go?"
+WHERE = "Where does the energy go? [nJ]"
 
 
 def label(row: Row) -> str:

@@ -38,7 +38,9 @@ def _term(name: str) -> Cell:
 
 
 def _joules(value: float) -> str:
-    return f"{scaled(value)}J" if value else "0"
+    """In nJ, three digits or all before the point."""
+    nano = 1e9 * value
+    return f"{nano:,.0f}" if nano >= 100 else f"{nano:.3g}"
 
 
 def _of_table(field: str) -> Cell:
@@ -56,6 +58,11 @@ def _total(row: Row) -> str:
     value = _of_table("energy_total_j")(row)
     unknown = row.get("energy_unknown", {}).get(_TABLE)
     return f"≥ {value}" if unknown and value != ABSENT else value
+
+
+def _unpriced(row: Row) -> str:
+    """The unknown terms."""
+    return ", ".join(row.get("energy_unknown", {}).get(_TABLE, ())) or ABSENT
 
 
 def _static(row: Row) -> str:
@@ -87,10 +94,6 @@ _WHERE = (
     ),
     Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
     Column("updates", "neurons with something to add up", _term("updates")),
-    Column("idle", "neurons that are only looked at", _term("idle")),
-    Column("messages", "packets between layers, and to the host", _term("messages")),
-    Column("spikes sent", "what a neuron pays for a spike", _term("spikes")),
-    Column("activations", "of float networks: units written and read", _term("activations")),
     Column(
         "encoder",
         "numbers to spikes; of float networks the reading of observations",
@@ -109,6 +112,7 @@ _WHERE = (
         "zeros; none where its other terms alone cost more",
         _level,
     ),
+    Column("no price", "terms that happen and that the table has no price for", _unpriced),
     Column("static", "the chip's static power over a control step, never added", _static),
 )
 

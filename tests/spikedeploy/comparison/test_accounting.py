@@ -15,7 +15,7 @@ from spikedeploy.runtime.metrics.energy_terms import ON_CHIP
 from tests import toy_stroll_env
 
 INT8 = "horowitz45-int8"
-WHERE = "Where does the energy go?"
+WHERE = "Where does the energy go? [nJ]"
 NEW = (
     "macs_effective", "energy_zero_skipping_j", "energy_terms_j", "energy_unknown",
     "energy_total_j", "static_energy_j", "messages_placed", "messages_placed_j",
@@ -83,9 +83,12 @@ def test_at_the_break_even_a_spiking_row_costs_what_the_ann_costs(rows):
 def test_the_table_marks_what_is_unknown(rows):
     columns = {column.title: column.cell for column in tables(rows)[WHERE]}
     spiking, ann = by_chip(rows, "loihi1"), by_chip(rows, None)
-    assert columns["encoder"](spiking) == columns["idle"](spiking) == "?"
-    assert columns["activations"](ann) == "?"
-    assert columns["skipping zeros"](ann).endswith("J")
+    assert columns["encoder"](spiking) == "?"
+    assert columns["no price"](spiking).endswith("spikes, encoder")
+    assert columns["no price"](ann) == "activations"
+    operations = ann["energy_terms_j"][INT8]["operations"]
+    assert float(columns["operations"](ann)) == pytest.approx(1e9 * operations, rel=0.01)
+    assert float(columns["skipping zeros"](ann)) < float(columns["operations"](ann))
     assert columns["skipping zeros"](spiking) == ABSENT
     assert columns["all known"](spiking).startswith("≥ ")
     assert columns["static"](spiking) == "2.08 mJ"
