@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 COST = "What does an inference cost?"
-WHERE = "Where does the energy go? [nJ]"
+WHERE = "Where does the energy go, in nJ?"
 
 
 def label(row: Row) -> str:

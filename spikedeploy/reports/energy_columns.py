@@ -103,7 +103,7 @@ _WHERE = (
     Column("resets", "states set to 0 between inferences", _term("resets")),
     Column(
         "all known",
-        "sum of the known terms; ≥ where some, marked ?, have no price",
+        "sum of the known terms; ≥ where some have no price",
         _total,
     ),
     Column(

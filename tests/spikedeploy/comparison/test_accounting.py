@@ -15,7 +15,7 @@ from spikedeploy.runtime.metrics.energy_terms import ON_CHIP
 from tests import toy_stroll_env
 
 INT8 = "horowitz45-int8"
-WHERE = "Where does the energy go? [nJ]"
+WHERE = "Where does the energy go, in nJ?"
 NEW = (
     "macs_effective", "energy_zero_skipping_j", "energy_terms_j", "energy_unknown",
     "energy_total_j", "static_energy_j", "messages_placed", "messages_placed_j",
