@@ -52,6 +52,7 @@ class EnergyTable:
     uncertainty: of energies.
     time_uncertainty: of times.
     upper_joules: [J] per event where two sources disagree; `joules` holds the lower figure.
+    included: terms (energy_terms) that are part of another price, and so have none of their own.
     """
 
     name: str
@@ -63,6 +64,7 @@ class EnergyTable:
     uncertainty: Uncertainty = _UNKNOWN
     time_uncertainty: Uncertainty = _UNKNOWN
     upper_joules: Mapping[str, float] = field(default_factory=dict)
+    included: tuple[str, ...] = ()
 
     @property
     def timed(self) -> bool:
@@ -90,6 +92,7 @@ _PICO = 1e-12
 _NANO = 1e-9
 
 _SERIAL = "one core, one event after another"
+_ALL_IN = ("updates", "idle", "messages", "spikes")  # where one number stands for everything
 
 _DAVIES2018 = EnergyTable(
     name="davies2018",
@@ -119,14 +122,15 @@ _DAVIES2018 = EnergyTable(
     time_uncertainty=Uncertainty(
         0.0, math.inf, f"{_SERIAL}, at the longest time of an operation and the shortest barrier"
     ),
+    included=("spikes",),  # a spike is its message
 )
 
 # every neuron is accessed in every timestep; an update and a spike cost extra
 _SANAFE = EnergyTable(
     name="sanafe",
     source="SANA-FE 2.2.9, arch/loihi.yaml (Boyle et al. 2025)",
-    provenance="fit to Nahuku silicon, model error <= 11.7 % in energy and 24.3 % in time; "
-    "dense synapses; no hops without a layout, one tile",
+    provenance="fit to Nahuku silicon, model error on its authors' benchmarks <= 11.7 % in energy "
+    "and 24.3 % in time; dense synapses; no hops without a layout, one tile",
     joules={
         "sop": 35.5 * _PICO,
         "bias_sop": 35.5 * _PICO,
@@ -147,10 +151,12 @@ _SANAFE = EnergyTable(
     },
     step=600 * _NANO,
     uncertainty=Uncertainty(
-        1 - 0.117, 1 + 0.117, "the error of the model on its authors' benchmarks, at most"
+        0.0, math.inf, "the error on its authors' benchmarks says nothing of other networks"
     ),
     time_uncertainty=Uncertainty(
-        0.0, 1 + 0.243, f"{_SERIAL}: no more than their model on one tile, whose error is 24.3 %"
+        0.0,
+        math.inf,
+        f"{_SERIAL}: no more than their model on one tile, which is untested on other networks",
     ),
 )
 
@@ -181,6 +187,7 @@ _TRUENORTH = EnergyTable(
         0.0, math.inf, "holds at the activity it was measured at: a quieter chip pays more an event"
     ),
     time_uncertainty=Uncertainty(1.0, 1.0, "a tick is 1 ms in real time, by design"),
+    included=(*_ALL_IN, "resets"),
 )
 
 ODIN = EnergyTable(
@@ -192,6 +199,7 @@ ODIN = EnergyTable(
     uncertainty=Uncertainty(
         8.43 / 12.7, 54 / 12.7, "8.43 pJ, one SOP more, to 54 pJ, all at biological rates"
     ),
+    included=_ALL_IN,
 )
 
 _RECKON = EnergyTable(
@@ -199,6 +207,7 @@ _RECKON = EnergyTable(
     source="the README of ReckOn: 5.3 pJ per SOP",
     provenance="measured, 28 nm, at 0.5 V",
     joules={"sop": 5.3 * _PICO, "bias_sop": 5.3 * _PICO},
+    included=_ALL_IN,
 )
 
 # software on a processor computes every neuron in every timestep, idle or not

@@ -189,6 +189,19 @@ def dense_operations(graph: nir.NIRGraph) -> int:
     return sum(_products(name, node) for name, node in graph.nodes.items() if _is_weighted(node))
 
 
+def dense_products(graph: nir.NIRGraph) -> int:
+    """The same without identities into the output, which connect and compute nothing."""
+    last = {source for source, target in graph.edges if target in graph.outputs}
+    weights = [graph.nodes[name].weight for name in last if _is_weighted(graph.nodes[name])]
+    return dense_operations(graph) - sum(int(w.size) for w in weights if is_identity(w))
+
+
+def is_identity(weight: NDArray[Any]) -> bool:
+    """Whether a matrix only hands on what arrives."""
+    square = weight.ndim == 2 and weight.shape[0] == weight.shape[1]
+    return square and np.array_equal(weight, np.eye(len(weight)))
+
+
 def _neuron_operations(program: Program) -> dict[str, int]:
     """Operations of an update in each layer; a neuron whose current does not last is Leaky."""
     reset = program.convention.reset

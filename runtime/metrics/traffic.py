@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.ledger import Ledger
 
 Counts = NDArray[np.int64]
 
@@ -59,6 +60,22 @@ def traffic(program: Program, spikes: Mapping[str, Counts], layout: Layout) -> T
         hop_x += int((packets * across).sum())
         hop_y += int((packets * along).sum())
     return Traffic(message, hop_x, hop_y)
+
+
+def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) -> float:
+    """Messages of an inference where layers take several cores, at most.
+
+    Every message to a layer, those of the bias axon too, goes to each of its cores, as if each had
+    synapses of every neuron; those to the host stay. Equal to the ledger's on one core a layer.
+
+    cores: of each layer; 1 where it is not named.
+    """
+    sent, spikes = ledger.by_layer("message"), ledger.by_layer("spike_in")
+    found = 0
+    for layer in program.layers:
+        inside = spikes[layer.name] + ledger.timesteps * (layer.bias_fan_out > 0)
+        found += sent[layer.name] + inside * (cores.get(layer.name, 1) - 1)
+    return found / max(ledger.inferences, 1)
 
 
 def total(parts: Iterable[Traffic]) -> Traffic:

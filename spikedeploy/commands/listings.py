@@ -72,18 +72,39 @@ def energy(
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the table of docs/energy.md.")
     ] = False,
+    break_even: Annotated[
+        bool, typer.Option("--break-even", help="Spike rates below which spiking costs less.")
+    ] = False,
 ) -> None:
     """List the energy tables: prices of events, sources, uncertainty."""
     from spikedeploy.console import print_json, print_table
     from spikedeploy.reports import listings
 
-    if json:
+    if break_even:
+        _break_even(json, markdown)
+    elif json:
         print_json(listings.price_list())
     elif markdown:
         typer.echo("\n".join(listings.energy_markdown()))
     else:
         print_table("Energy tables", listings.ENERGY_COLUMNS, listings.energy_rows())
         print_table("Where the numbers come from", ("table", "source"), listings.energy_sources())
+
+
+def _break_even(json: bool, markdown: bool) -> None:
+    """Print the break-even lines."""
+    from spikedeploy.console import print_json, print_table
+    from spikedeploy.reports import listings
+    from spikedeploy.runtime.metrics.break_even import YAN2024
+
+    if json:
+        print_json({"rates": listings.break_even_list(), "yan2024": YAN2024})
+    elif markdown:
+        typer.echo("\n".join(listings.break_even_markdown()))
+    else:
+        cells = listings.break_even_rows()
+        print_table("Break-even spike rates", listings.BREAK_EVEN_COLUMNS, cells)
+        typer.echo(listings.BREAK_EVEN_NOTE)
 
 
 def envs(json: Json = False) -> None:

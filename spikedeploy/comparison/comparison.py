@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
+from spikedeploy.comparison.accounting import accounted, break_even, static
 from spikedeploy.comparison.agreement import median_divergence, pooled_equality, pooled_rmse
 from spikedeploy.comparison.episodes import Episode
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import bootstrap, paired_difference, share, stratified
 from spikedeploy.policies import costs
-from spikedeploy.policies.costs import priced_by
+from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.interface import BASELINES
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.chips.damage import summed
@@ -91,7 +92,8 @@ class Comparison:
 
     def _costs(self, row: Row) -> dict[str, Any]:
         """Operations, memory and energy of an inference."""
-        found = costs.mean([e.costs for e in row.episodes], [e.steps for e in row.episodes])
+        found = _mean_costs(row)
+        ann = self.of_kind("ann") if row.entry.candidate.kind == "snn" else None
         tables = self.tables or _tables(row)
         energy, latency = _priced(found.energy_j, tables), _priced(found.latency_s, tables)
         return {
@@ -111,6 +113,9 @@ class Comparison:
             "latency_per_inference_s": {name: each.value for name, each in latency.items()},
             "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
             "saturations": found.saturations,
+            **accounted(found, tables),
+            "static_energy_j": static(row.entry.chip, self.env),
+            **break_even(found, _mean_costs(ann) if ann else None, tables),
         }
 
     def _performance(self, row: Row) -> dict[str, Any]:
@@ -198,6 +203,11 @@ def _score(row: Row, baseline: Row, ann: Row) -> float | None:
     return (row.mean - baseline.mean) / span if span > 0 else None
 
 
+def _mean_costs(row: Row) -> costs.Costs:
+    """Means over the inferences of all episodes."""
+    return costs.mean([e.costs for e in row.episodes], [e.steps for e in row.episodes])
+
+
 def _priced(
     prices: Mapping[str, EnergyEstimate], tables: Sequence[str]
 ) -> dict[str, EnergyEstimate]:
@@ -208,7 +218,7 @@ def _priced(
 def _tables(row: Row) -> tuple[str, ...]:
     """The energy tables of a row: those of its chip, or those that price a float network."""
     if row.entry.chip is None:
-        return tuple(row.episodes[0].costs.energy_j)
+        return FLOAT_TABLES
     return priced_by(chip_called(row.entry.chip))
 
 

@@ -6,6 +6,7 @@ and a line in `registry.FORMATS`.
 interface    Candidate (before loading), Player (loaded), and the Protocol of a format
 registry     the table of formats; find, open_policy and price
 costs        spikes, operations and energy of an inference
+host_terms   energy of what the host does for a spiking policy
 nir          NIR files: spiking policies, on an emulated chip or as their float twin
 onnx         ONNX files: float networks, on one thread
 run          run folders: the best checkpoint, in torch

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.costs import UNCOUNTED, Costs
 from spikedeploy.policies.interface import Candidate
 
 
@@ -45,4 +45,4 @@ def controller(
 
 def costs(controller: GapController, played: Rollout) -> Costs:
     """Not counted: it is a script, not a network."""
-    return Costs()
+    return UNCOUNTED

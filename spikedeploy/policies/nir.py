@@ -1,6 +1,7 @@
 """NIR files: spiking policies, on an emulated chip or as their float twin."""
 
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import Costs, spiking_costs
+from spikedeploy.policies.costs import (
+    Costs,
+    beside,
+    message_energies,
+    readout_acs,
+    readout_macs,
+    spiking_costs,
+)
+from spikedeploy.policies.host_terms import encoding, reading_out, resetting
 from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.metrics.memory import packed_bytes
-from spikedeploy.runtime.metrics.neurobench import connection_sparsity, footprint
+from spikedeploy.runtime.metrics.neurobench import connection_sparsity, dense_products, footprint
+from spikedeploy.runtime.metrics.traffic import placed_messages
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +42,7 @@ class NirController:
 
     chip     datasheet; None for the float twin
     graph    of the file
+    codec    likewise
     program  whose operations are counted; for the float twin the one of chip `ideal`
     remarks  of the compiler, on where the chip departs from the file
     """
@@ -44,7 +57,9 @@ class NirController:
         faults: Faults = NONE,
     ) -> None:
         artifact = load(path)
-        self.graph = artifact.graph
+        if artifact.codec is None:
+            raise ArtifactError(f"{path} has no codec, so it cannot drive a robot")
+        self._artifact, self.graph, self.codec = artifact, artifact.graph, artifact.codec
         self.chip = chip_called(chip)
         self._controller = SpikingController(
             artifact,
@@ -73,6 +88,15 @@ class NirController:
         if not self._controller.remembers:
             return self._controller.act_batch(observations)
         return np.stack([self._controller.act(observation) for observation in observations])
+
+    @cached_property
+    def cores(self) -> dict[str, int] | None:
+        """Layer -> cores that `check` gives to it; None where nothing is known of the chip's."""
+        if self.chip is None or self.chip.limits is None:
+            return None
+        found = design(self._artifact, self.chip, self.chip.limits).mapping
+        placed = {each.name: each.cores for each in found.placements if each.kind == "neurons"}
+        return placed if found.cores else None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -131,10 +155,28 @@ def controller(
 
 
 def costs(controller: NirController, played: Rollout) -> Costs:
-    """Costs from the ledger of the episode; memory of the file and of the weights on the chip."""
+    """Costs of the ledger of the episode, of the host beside it, and of the file and its size."""
+    ledger, program = controller.ledger, controller.program
+    graph, cores = controller.graph, controller.cores
+    found = spiking_costs(ledger, program, controller.chip)
+    placed = None if cores is None else placed_messages(ledger, program, cores)
     return replace(
-        spiking_costs(controller.ledger, controller.program, controller.chip),
-        footprint=footprint(controller.graph),
-        footprint_packed=packed_bytes(controller.program) if controller.chip else None,
-        connection_sparsity=connection_sparsity(controller.graph),
+        beside(found, _host_terms(controller, found)),
+        dense=float(dense_products(graph) * ledger.timesteps / ledger.inferences),
+        footprint=footprint(graph),
+        footprint_packed=packed_bytes(program) if controller.chip else None,
+        connection_sparsity=connection_sparsity(graph),
+        messages_placed=placed,
+        messages_placed_j={} if placed is None else message_energies(placed),
     )
+
+
+def _host_terms(controller: NirController, found: Costs) -> dict[str, dict[str, float | None]]:
+    """Terms [J] of each table besides those of the chip; None where nothing prices one."""
+    ledger, program = controller.ledger, controller.program
+    encoder = encoding(controller.codec, found.input_spikes or 0.0)
+    readout = reading_out(program, readout_acs(ledger, program), readout_macs(ledger, program))
+    return {
+        name: {"encoder": encoder, "readout": readout, "resets": resetting(program, table)}
+        for name, table in TABLES.items()
+    }

@@ -1,6 +1,7 @@
 """ONNX files: float networks, run by ONNX Runtime on one thread."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.costs import FLOAT_TABLES, UNCOUNTED, Costs
 from spikedeploy.policies.interface import Candidate, env_id
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metrics.energy import energy_table, mac_energy_estimate
+from spikedeploy.runtime.metrics.energy import TABLES, mac_energy, mac_energy_estimate
+from spikedeploy.runtime.metrics.energy_terms import added, reading
 from spikedeploy.trainers.onnx_session import session
 
 KINDS = ("ann", "control")
 HEADS = ("continuous", "discrete")
-ENERGY_TABLES = ("horowitz45", "horowitz45-int8")
 
 Floats = NDArray[np.float64]
 
@@ -74,6 +75,25 @@ class OnnxController:
             sum(((x != 0) @ fan_out).sum() for x, fan_out in operations) / len(observations)
         )
 
+    @property
+    def reads(self) -> int | None:
+        """Observations with a weight; None where the file computes features of them, or no list."""
+        if not self._presynaptic or _width(self.path, self._presynaptic[0]) != self.observed:
+            return None
+        return int(np.count_nonzero(self._fan_outs()[0]))
+
+    @property
+    def biases(self) -> int | None:
+        """Units that are used, each of which has a bias; None where the file cannot tell."""
+        if not self._presynaptic:
+            return None
+        return sum(int(np.count_nonzero(each)) for each in self._fan_outs()[1:]) + self.actions
+
+    @property
+    def layers(self) -> int:
+        """Weight matrices."""
+        return len(self._presynaptic)
+
     def _fan_outs(self) -> list[NDArray[np.int64]]:
         """Weights (M,) of each input of each matrix; pruned networks say how many are left."""
         if "fan_out" in self.metadata:
@@ -127,16 +147,39 @@ def controller(
 
 
 def costs(controller: OnnxController, played: Rollout) -> Costs:
-    """Multiply-accumulates, all of them and the effective ones, and the energy of all."""
-    macs = float(controller.metadata["macs"]) if "macs" in controller.metadata else None
-    if macs is None:
-        return Costs(effective_acs=0.0)
+    """Multiply-accumulates, all of them and the effective ones; the energies of both, and beside.
+
+    `energy_j` is that of all.
+    """
+    if "macs" not in controller.metadata:
+        return replace(UNCOUNTED, effective_acs=0.0)
+    dense = float(controller.metadata["macs"])
+    effective = controller.effective_macs(played.observation[:-1])
+    beside, unknown = _beside(controller)
+    tables = {name: TABLES[name] for name in FLOAT_TABLES}
+    terms = {n: {"operations": mac_energy(dense, t)} | beside for n, t in tables.items()}
     return Costs(
         effective_acs=0.0,
-        effective_macs=controller.effective_macs(played.observation[:-1]),
-        dense=macs,
-        energy_j={name: mac_energy_estimate(macs, energy_table(name)) for name in ENERGY_TABLES},
+        effective_macs=effective,
+        dense=dense,
+        energy_j={name: mac_energy_estimate(dense, table) for name, table in tables.items()},
+        energy_terms_j=terms,
+        energy_unknown={n: unknown if n in tables else ("operations", *unknown) for n in TABLES},
+        energy_zero_skipping_j={}
+        if effective is None
+        else {name: mac_energy(effective, table) for name, table in tables.items()},
     )
+
+
+def _beside(controller: OnnxController) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Terms [J] besides the operations, alike by every table; and the names of unknown ones."""
+    prices = {
+        "bias": None if controller.biases is None else added(controller.biases),
+        "encoder": None if controller.reads is None else reading(controller.reads),
+    }
+    known = {name: joules for name, joules in prices.items() if joules is not None}
+    moved = ("activations",) if controller.layers != 1 else ()
+    return known, (*(name for name in prices if name not in known), *moved)
 
 
 def _head(path: str | Path, metadata: dict[str, str]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import Costs
+from spikedeploy.policies.costs import UNCOUNTED, Costs
 from spikedeploy.policies.interface import FLOAT, Candidate, env_id
 from spikedeploy.policies.run_record import settings
 from spikedeploy.runtime.codec.xorshift import Xorshift
@@ -107,4 +107,4 @@ def controller(
 
 def costs(controller: TorchController, played: Rollout) -> Costs:
     """Not counted: costs are those of the exported file, which would be deployed."""
-    return Costs()
+    return UNCOUNTED

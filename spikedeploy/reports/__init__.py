@@ -2,6 +2,8 @@
 
 Nothing is computed here that is not in the data; the same tables serve terminal, HTML and Markdown.
 
+cells         one column of a table, and how its cells are written
+energy_columns  the columns about energy: by every table, and where it goes
 columns       the tables of a comparison, column by column
 report        a comparison as report.json, report.html and report.md
 markdown      lines of a table in Markdown
@@ -10,5 +12,5 @@ curves        the learning curve in a run's metrics
 terminal      what commands print of comparisons, emulations, drifts, files and traces
 check_tables  a network against the design rules: by chip, by layer, by rule
 drift_tables  drift by layer and by rounding
-listings      the chips side by side; the energy tables, their sources and their uncertainty
+listings      the chips side by side; the energy tables; the break-even lines
 """

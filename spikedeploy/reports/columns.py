@@ -1,26 +1,31 @@
 """The tables of a comparison, for terminal, HTML report and cards alike."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
+from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, bounded, number, price, scaled
+from spikedeploy.reports.energy_columns import prices, spent
 from spikedeploy.reports.markdown import markdown_table
 
-Row = Mapping[str, Any]
-Cell = Callable[[Row], str]
-ABSENT = "–"
+__all__ = [
+    "ABSENT",
+    "COST",
+    "Column",
+    "Row",
+    "bounded",
+    "difference",
+    "divergence",
+    "interval",
+    "label",
+    "markdown",
+    "price",
+    "scaled",
+    "score",
+    "tables",
+]
+
 COST = "What does an inference cost?"
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column: its head, its definition, and the text of a row's cell."""
-
-    title: str
-    meaning: str
-    cell: Cell
+WHERE = "Where does the energy go, in nJ?"
 
 
 def label(row: Row) -> str:
@@ -28,51 +33,6 @@ def label(row: Row) -> str:
     if not row["chip"]:
         return str(row["policy"])
     return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
-
-
-def _number(field: str, form: str) -> Cell:
-    """A cell that formats the field, or a dash where the row lacks it."""
-
-    def cell(row: Row) -> str:
-        value = row.get(field)
-        return ABSENT if value is None else format(value, form)
-
-    return cell
-
-
-def price(field: str, table: str, unit: str, interval: str) -> Cell:
-    """A cell with the estimate by an energy table, scaled by an SI prefix.
-
-    interval  field with the bounds; absent in older reports
-    """
-
-    def cell(row: Row) -> str:
-        value = row[field].get(table)
-        if value is None:
-            return ABSENT
-        low, high = row.get(interval, {}).get(table, (0, None))
-        return bounded(f"{scaled(value)}{unit}", value, low, high)
-
-    return cell
-
-
-def bounded(text: str, value: float, low: float, high: float | None) -> str:
-    """A number with its bounds: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
-    if high is None or math.isinf(high):
-        return f"≥ {text}" if low == value else text
-    if low == high:
-        return text
-    if math.isclose(value - low, high - value, rel_tol=1e-6):
-        return f"{text} ± {100 * (high - value) / value:.3g} %"
-    unit = text[-1]
-    return f"≤ {scaled(high)}{unit}" if low == 0 else f"{scaled(low)}{unit} to {scaled(high)}{unit}"
-
-
-def scaled(value: float) -> str:
-    """The number with an SI prefix, so that it is between 0.1 and 99: `13.03 µ`."""
-    prefixes = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
-    size = next((size for size in prefixes if value >= 0.1 * size), 1e-9)
-    return f"{value / size:.2f} {prefixes[size]}"
 
 
 def _estimate(field: str, between: str, sign: str = "") -> Cell:
@@ -142,14 +102,14 @@ _RETURNS = (
 )
 _WALK = (
     *_RETURNS,
-    Column("success", "episodes that succeed", _number("success_rate", ".0%")),
-    Column("of ANN", "mean return / that of the float ANN", _number("ratio_to_float_ann", ".1%")),
+    Column("success", "episodes that succeed", number("success_rate", ".0%")),
+    Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
-    *(Column(m.title, m.meaning, _number(m.name, m.form)) for m in WALKING),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in WALKING),
 )
 _DRIVE = (
     Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", _share),
-    *(Column(m.title, m.meaning, _number(m.name, m.form)) for m in DRIVING),
+    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
     *_RETURNS,
     Column("score", "normalised return: random actions are 0, the float ANN 100", score),
 )
@@ -157,14 +117,14 @@ _AGREEMENT = (
     Column(
         "reference",
         "whom the row is measured against: on a chip its float twin, else the float ANN",
-        _number("reference", ""),
+        number("reference", ""),
     ),
     Column(
         "difference",
         "paired difference of return on the same seeds, with its 95% bootstrap interval",
         difference,
     ),
-    Column("ratio", "mean return / that of the reference", _number("ratio_to_reference", ".1%")),
+    Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
     Column(
         "finished",
         "paired difference of the finish rate on the same seeds, in percentage points, with its "
@@ -174,15 +134,15 @@ _AGREEMENT = (
     Column(
         "same action",
         "share of equal actions, both asked on the observations that the reference recorded",
-        _number("actions_equal", ".1%"),
+        number("actions_equal", ".1%"),
     ),
-    Column("as ANN", "the same, with the float ANN", _number("actions_equal_to_ann", ".1%")),
+    Column("as ANN", "the same, with the float ANN", number("actions_equal_to_ann", ".1%")),
     Column(
         "action RMSE",
         "RMSE over all actions, both asked on the observations that the reference recorded",
-        _number("action_rmse", ".4f"),
+        number("action_rmse", ".4f"),
     ),
-    Column("to ANN", "the same, with the float ANN", _number("rmse_to_ann", ".4f")),
+    Column("to ANN", "the same, with the float ANN", number("rmse_to_ann", ".4f")),
     Column(
         "diverges",
         "median first control step at which an action differs from the reference's by more than "
@@ -191,39 +151,39 @@ _AGREEMENT = (
     ),
 )
 _OPERATIONS = (
-    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", _number("sparsity", ".1%")),
-    Column("spikes", "spikes of the spiking layers", _number("spikes_per_inference", ",.0f")),
-    Column("input", "spikes of the encoder", _number("input_spikes_per_inference", ",.0f")),
+    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", number("sparsity", ".1%")),
+    Column("spikes", "spikes of the spiking layers", number("spikes_per_inference", ",.0f")),
+    Column("input", "spikes of the encoder", number("input_spikes_per_inference", ",.0f")),
     Column(
         "SOPs",
         "synaptic operations: spikes × non-zero fan-out, from the encoder on",
-        _number("sops_per_inference", ",.0f"),
+        number("sops_per_inference", ",.0f"),
     ),
     Column(
         "+ bias",
         "synaptic operations of the always-on axon that carries the biases",
-        _number("bias_sops_per_inference", ",.0f"),
+        number("bias_sops_per_inference", ",.0f"),
     ),
     Column(
         "ACs",
         "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
         "readout included",
-        _number("effective_acs", ",.0f"),
+        number("effective_acs", ",.0f"),
     ),
     Column(
         "MACs",
         "NeuroBench Effective_MACs: the same where inputs are numbers",
-        _number("effective_macs", ",.0f"),
+        number("effective_macs", ",.0f"),
     ),
     Column(
         "dense",
         "NeuroBench Dense: all inputs × all weights, in all T timesteps",
-        _number("macs_dense", ",.0f"),
+        number("macs_dense", ",.0f"),
     ),
     Column(
         "sat.",
         "numbers that did not fit a register of the chip, in all episodes",
-        _number("saturations", ",.0f"),
+        number("saturations", ",.0f"),
     ),
 )
 
@@ -232,17 +192,17 @@ _SIZE = (
     Column(
         "bytes",
         "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
-        _number("footprint", ",.0f"),
+        number("footprint", ",.0f"),
     ),
     Column(
         "packed",
         "bytes of all weights and biases on the chip, in its widths",
-        _number("footprint_packed", ",.0f"),
+        number("footprint_packed", ",.0f"),
     ),
     Column(
         "zero weights",
         "NeuroBench ConnectionSparsity: weights of the file that are 0",
-        _number("connection_sparsity", ".1%"),
+        number("connection_sparsity", ".1%"),
     ),
 )
 
@@ -258,27 +218,10 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
         "Does it act like its reference?": _filled(_AGREEMENT, rows),
         "How large is the network?": _filled(_SIZE, rows),
         "What does an inference take?": _filled(_OPERATIONS, rows),
-        COST: _filled(_prices(rows), rows),
+        COST: _filled(prices(rows), rows),
+        WHERE: spent(rows),
     }
     return {title: [_NAME, *columns] for title, columns in found.items() if columns}
-
-
-def _prices(rows: Sequence[Row]) -> list[Column]:
-    """Energies and latencies by every table that some row has."""
-    energy, latency = "energy_per_inference_j", "latency_per_inference_s"
-    energies = [
-        Column(name, f"energy by table {name}", price(energy, name, "J", "energy_interval_j"))
-        for name in dict.fromkeys(name for row in rows for name in row[energy])
-    ]
-    latencies = [
-        Column(
-            f"{name} time",
-            f"time by table {name}, as if one core did everything",
-            price(latency, name, "s", "latency_interval_s"),
-        )
-        for name in dict.fromkeys(name for row in rows for name in row[latency])
-    ]
-    return [*energies, *latencies]
 
 
 def _filled(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:

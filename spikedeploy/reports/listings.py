@@ -1,10 +1,11 @@
-"""The chips side by side, and the energy tables: what the listings of commands show."""
+"""The chips side by side, the energy tables, break-even lines: what listings of commands show."""
 
 from collections.abc import Iterable
 from typing import Any
 
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
+from spikedeploy.runtime.metrics.break_even import BREAK_EVEN_TABLES, YAN2024, break_even_rate
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
     TABLES,
@@ -50,6 +51,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
                 "provenance": table.provenance,
                 "joules": dict(table.joules),
                 "most_joules": dict(table.upper_joules),
+                "included": list(table.included),
                 "uncertainty": _uncertain(table.uncertainty),
                 "seconds": dict(table.seconds),
                 "step_seconds": table.step,
@@ -127,3 +129,59 @@ def _uncertain(uncertainty: Uncertainty) -> dict[str, Any]:
         "is": uncertainty.describe(),
         "why": uncertainty.why,
     }
+
+
+_TIMESTEPS = (1, 5, 16)
+_FAN_INS = (None, 32, 128, 512)  # None leaves neuron updates out
+_ACTIVITIES = (1.0, 0.5)  # dense, and half of the inputs skipped
+BREAK_EVEN_COLUMNS = (
+    "table",
+    "T",
+    *(
+        kind if fan_in is None else f"{kind}, updates, fan-in {fan_in}"
+        for kind in ("dense", "skips half")
+        for fan_in in _FAN_INS
+    ),
+)
+BREAK_EVEN_NOTE = (
+    "Spikes per presynaptic neuron and timestep below which a spiking network costs less than a "
+    "float network of the same shape. Yan et al. (arXiv 2409.08290v4) find "
+    f"{100 * YAN2024:.1f} % at T = 5 in a model of their own, which has data movement, against a "
+    "quantised network of 3 bits."
+)
+
+
+def break_even_list() -> list[dict[str, Any]]:
+    """The lines as plain data; fan_in None is without neuron updates, activity 1 dense."""
+    return [
+        {
+            "table": name,
+            "timesteps": timesteps,
+            "activity": activity,
+            "fan_in": fan_in,
+            "rate": break_even_rate(TABLES[name], timesteps, fan_in, activity),
+        }
+        for name in BREAK_EVEN_TABLES
+        for timesteps in _TIMESTEPS
+        for activity in _ACTIVITIES
+        for fan_in in _FAN_INS
+    ]
+
+
+def break_even_rows() -> list[tuple[str, ...]]:
+    """A row of BREAK_EVEN_COLUMNS for each table and number of timesteps."""
+    rows: dict[tuple[str, int], list[str]] = {}
+    for line in break_even_list():
+        cells = rows.setdefault((line["table"], line["timesteps"]), [])
+        cells.append(_rate(line["rate"]))
+    return [(table, str(timesteps), *cells) for (table, timesteps), cells in rows.items()]
+
+
+def break_even_markdown() -> list[str]:
+    """The lines as a table of Markdown, for docs/energy.md."""
+    return markdown_table([BREAK_EVEN_COLUMNS, *break_even_rows()])
+
+
+def _rate(rate: float) -> str:
+    """In percent; a spiking network costs more at any rate, or less at any."""
+    return "never" if rate <= 0 else "always" if rate >= 1 else f"{100 * rate:.1f} %"

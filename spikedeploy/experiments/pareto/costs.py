@@ -7,25 +7,21 @@ traffic     messages and spikes, where a table prices them
 encoder     the delta encoder, or of a float network the reading of its observations
 constants   the constant of each readout, added by the host, or the biases of a float network
 
-A delta encoder takes for each observation that some synapse reads, and control step, a subtraction,
-a comparison and the read of its level, and for each event an addition and the write of the level;
-both kinds of policies read each observation that they use. Horowitz 2014, ISSCC, 45 nm: 0.1 pJ a
-32-bit integer addition, 10 pJ an access of 64 bits of an 8 KB SRAM, of which 16 bits are a quarter.
-No table of a chip has prices for what the host does, so these are the same in all.
-
-The normalisation of observations folds into thresholds of the encoder and into weights, and tanh or
-argmax is the same for all: neither is counted.
+What the host does is priced by runtime/metrics/energy_terms.py, alike beside all tables.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
-from spikedeploy.runtime.metrics.energy import multiplying
 from spikedeploy.runtime.metrics.energy_tables import TABLES
-
-_PICO = 1e-12
-_ADDITION = 0.1 * _PICO  # 32-bit integers; a comparison is a subtraction
-_ACCESS = 10 / 4 * _PICO  # 16 of 64 bits
+from spikedeploy.runtime.metrics.energy_terms import (
+    ACCESS,
+    ADDITION,
+    added,
+    chip_terms,
+    delta_encoder,
+    reading,
+)
 
 TERMS = ("operations", "updates", "traffic", "encoder", "constants")
 TOTALS = {
@@ -36,9 +32,20 @@ TOTALS = {
 INT8 = "horowitz45-int8"
 TABLE_NAMES = (INT8, "davies2018", "sanafe")
 
+# event of the ledger -> column of a row
+_COLUMNS = {
+    "sop": "operations",
+    "graded_sop": "graded_operations",
+    "bias_sop": "bias_operations",
+    "neuron_update": "neuron_updates",
+    "neuron_idle": "neuron_idle",
+    "message": "messages",
+    "spike_out": "spikes_out",
+}
+
 # two decays by a shift and a subtraction each, and the three additions of horowitz45-int8; states
 # of 16 bits, two read and written
-LEAN_UPDATE = 5 * _ADDITION + 4 * _ACCESS
+LEAN_UPDATE = 5 * ADDITION + 4 * ACCESS
 
 
 def spikes(row: Mapping[str, Any]) -> bool:
@@ -62,27 +69,24 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
     lean: neuron updates with states of 16 bits and decays by powers of two, derived; in tables of
         chips they cannot be chosen
     """
-    prices = TABLES[table].joules
-
-    def price(name: str) -> float:
-        return prices.get(name, 0.0)
-
-    host = TABLES[INT8].joules["sop"]  # an addition of a number that is fetched
-    constants = row["constants"] * host
-    reads = row["observations"] * _ACCESS
+    constants = added(row["constants"])
     if not spikes(row):
-        return _named(row["operations"] * price("mac"), 0.0, 0.0, reads, constants)
-    update = LEAN_UPDATE if lean else price("neuron_update")
-    observed = row["observations"] * (2 * _ADDITION + _ACCESS)
+        operations = row["operations"] * TABLES[table].joules.get("mac", 0.0)
+        return _named(operations, 0.0, 0.0, reading(row["observations"]), constants)
+    on_chip = chip_terms(_counts(row), TABLES[table])
+    updates = row["neuron_updates"] * LEAN_UPDATE if lean else on_chip["updates"]
     return _named(
-        row["operations"] * price("sop")
-        + (row.get("graded_operations") or 0.0) * multiplying(prices)
-        + row["bias_operations"] * price("bias_sop"),
-        row["neuron_updates"] * update + row["neuron_idle"] * price("neuron_idle"),
-        row["messages"] * price("message") + row["spikes_out"] * price("spike_out"),
-        reads + observed + row["events"] * (_ADDITION + _ACCESS),
+        on_chip["operations"] + on_chip["bias"],
+        updates + on_chip["idle"],
+        on_chip["messages"] + on_chip["spikes"],
+        delta_encoder(row["observations"], row["events"]),
         constants,
     )
+
+
+def _counts(row: Mapping[str, Any]) -> dict[str, float]:
+    """The counts of a row by the ledger's events."""
+    return {event: row.get(name) or 0.0 for event, name in _COLUMNS.items()}
 
 
 def _named(*values: float) -> dict[str, float]:

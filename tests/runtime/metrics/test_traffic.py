@@ -7,7 +7,15 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.metrics.traffic import Layout, Traffic, one_core_each, total, traffic
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.runtime.metrics.traffic import (
+    Layout,
+    Traffic,
+    one_core_each,
+    placed_messages,
+    total,
+    traffic,
+)
 from tests.programs import layer
 
 CHIP = chip("loihi1")
@@ -58,3 +66,14 @@ def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
 
 def test_the_traffic_of_several_inferences_is_their_sum():
     assert total([Traffic(1, 2, 3), Traffic(10, 20, 30)]) == Traffic(11, 22, 33)
+
+
+def test_a_message_goes_to_every_core_of_a_layer_and_to_the_host_once(network):
+    counts = np.zeros((1, 2, len(EVENTS)), np.int64)
+    # layer b sends two spikes to the host besides
+    for row, (spikes, sent) in enumerate([(11, 11), (13, 15)]):
+        counts[0, row, EVENTS.index("spike_in")] = spikes
+        counts[0, row, EVENTS.index("message")] = sent
+    found = Ledger(("a", "b"), (2, 1), counts, inferences=2, timesteps=10, steps=10)
+    assert placed_messages(found, network, {}) == (11 + 15) / 2 == found.per_inference("message")
+    assert placed_messages(found, network, {"a": 1, "b": 3}) == (11 + 15 + 2 * 13) / 2

@@ -51,7 +51,9 @@ def test_the_energy_tables_are_listed_with_their_sources(command):
     found = json.loads(command("energy", "--json")[1])
     by_name = {table["name"]: table for table in found["tables"]}
     assert "pre-silicon" in by_name["davies2018"]["provenance"]
-    assert by_name["sanafe"]["uncertainty"]["is"] == "± 11.7 %"
+    assert by_name["sanafe"]["uncertainty"]["is"] == "no bound known"
+    assert "11.7 %" in by_name["sanafe"]["provenance"]
+    assert by_name["truenorth"]["included"] == ["updates", "idle", "messages", "spikes", "resets"]
     assert [power["watts"] for power in found["static"]] == [0.104]
     out = command("energy")[1]
     assert "truenorth" in out
@@ -82,3 +84,20 @@ def test_compare_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_p
 def test_the_page_about_energy_shows_what_the_command_prints(command):
     page = (ROOT / "docs/energy.md").read_text(encoding="utf-8")
     assert command("energy", "--markdown")[1].strip() in page
+    assert command("energy", "--break-even", "--markdown")[1].strip() in page
+
+
+def test_break_even_lines_are_printed_and_listed(command):
+    found = json.loads(command("energy", "--break-even", "--json")[1])
+    assert found["yan2024"] == 0.057
+    (line,) = [
+        each
+        for each in found["rates"]
+        if (each["table"], each["timesteps"], each["activity"]) == ("horowitz45-int8", 5, 1)
+        and each["fan_in"] == 128
+    ]
+    # (1.55 / 5 - 26.5 / 128) / 1.35
+    assert line["rate"] == pytest.approx(0.0763, abs=1e-4)
+    out = " ".join(command("energy", "--break-even")[1].split())
+    assert "7.6 %" in out
+    assert "find 5.7 % at T = 5 in a model of their own" in out

@@ -15,6 +15,7 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
+from tests.paths import ROOT
 
 SPIKING = {
     "operations": 100.0, "bias_operations": 0.0, "neuron_updates": 10.0, "neuron_idle": 4.0,
@@ -194,3 +195,15 @@ def test_a_rival_with_reward_counts_and_is_named(tmp_path):
     best = best_pairing(found, "operations")
     assert (best.point, best.rival) == (found[1], found[3])
     assert "LIF, with reward at 60 (99.0% of the teacher) costs" in tables.sentences(found)[0]
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "results/pareto").glob("*.csv")), ids=lambda p: p.stem
+)
+def test_published_energies_follow_from_the_published_counts(path):
+    rows = records.read(path)
+    for row in rows:
+        for name, joules in energies(row).items():
+            # both are rounded to ten digits
+            assert row[name] == pytest.approx(joules, rel=1e-9)
+    assert sum(bool(energies(row)) for row in rows) > 10

@@ -1,20 +1,27 @@
 """What an inference costs, against counts made by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from spikedeploy import zoo
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import Costs, priced_by, spiking_costs
+from spikedeploy.policies.gap import costs as gap_costs
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.nir import costs as nir_costs
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.onnx import costs as onnx_costs
-from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.policies.run import costs as run_costs
+from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.metrics.energy import TABLES, EnergyEstimate, mac_energy
+from spikedeploy.runtime.metrics.energy_terms import ON_CHIP, TERMS
+from spikedeploy.runtime.metrics.neurobench import dense_operations
 from tests import toy_stroll_env
 
 OBSERVATIONS = np.random.default_rng(5).normal(size=(7, 3))
@@ -59,7 +66,8 @@ def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
     assert found.input_spikes == pytest.approx(inputs)
     assert found.sparsity == pytest.approx(1 - sum(spikes) / (neurons * timesteps))
     assert found.bias_sops == timesteps * (16 + 12 + 20)
-    assert found.dense == timesteps * (30 * 16 + 16 * 12 + 12 * 20 + 20 * 2)
+    dense = nir_costs(player, played(OBSERVATIONS)).dense
+    assert dense == timesteps * (30 * 16 + 16 * 12 + 12 * 20 + 20 * 2)
 
 
 def test_the_ledger_begins_anew_with_each_episode(snn):
@@ -120,6 +128,103 @@ def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
     found = onnx_costs(player, played(OBSERVATIONS))
     assert found.dense == 3 * 8 + 8 * 2
     assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])
+
+
+def test_a_float_network_has_both_costs_and_names_what_it_does_not_count(tmp_path):
+    player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
+    found = onnx_costs(player, played(OBSERVATIONS))
+    int8 = found.energy_terms_j["horowitz45-int8"]
+    # 40 products; 8 + 2 biases, each fetched and added; three observations read
+    assert pytest.approx({k: 1e12 * v for k, v in int8.items()}) == {
+        "operations": 40 * 1.55, "bias": 10 * 1.35, "encoder": 3 * 2.5,
+    }  # fmt: skip
+    assert found.total_j("horowitz45-int8") == sum(int8.values())
+    skipping = found.energy_zero_skipping_j["horowitz45-int8"]
+    assert skipping == pytest.approx(found.effective_macs * 1.55e-12)
+    assert skipping < int8["operations"]
+    assert found.energy_unknown["horowitz45-int8"] == ("activations",)
+    assert found.energy_unknown["davies2018"] == ("operations", "activations")
+
+
+def test_a_script_and_a_run_folder_say_that_they_are_not_counted():
+    found = costs.mean([run_costs(None, None), gap_costs(None, None)], [1, 2])
+    assert set(found.energy_unknown) == set(TABLES)
+    assert set(found.energy_unknown.values()) == {("operations",)}
+    assert found.energy_terms_j == {}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_terms_of_a_policy_on_chip_add_up_to_its_energy(name, snn):
+    player = NirController(str(snn), "loihi1")
+    player.replay(OBSERVATIONS)
+    found = nir_costs(player, played(OBSERVATIONS))
+    terms, unknown = found.energy_terms_j[name], found.energy_unknown[name]
+    on_chip = sum(joules for term, joules in terms.items() if term in ON_CHIP)
+    assert on_chip == pytest.approx(found.energy_j[name].value, rel=1e-12)
+    assert not set(terms) & set(unknown)
+    assert {*terms, *unknown, *TABLES[name].included} == {*TERMS} - {"activations"}
+    # Gaussians have no price; states begin at 0 in every inference, which tables of chips lack
+    assert "encoder" in unknown
+    assert ("resets" in unknown) == (name not in ("truenorth", "horowitz45", "horowitz45-int8"))
+    # the 20 output neurons have one weight each, two constants
+    assert terms["readout"] == pytest.approx((found.effective_acs - found.sops + 2) * 1.35e-12)
+
+
+def test_states_that_are_kept_are_not_reset(snn, tmp_path):
+    artifact = load(snn)
+    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    save(kept, tmp_path / "kept.nir")
+    resets = []
+    for path in (snn, tmp_path / "kept.nir"):
+        player = NirController(str(path), "loihi1")
+        player.replay(OBSERVATIONS)
+        terms = nir_costs(player, played(OBSERVATIONS)).energy_terms_j
+        resets.append(terms["horowitz45-int8"]["resets"])
+    # a current and a membrane of 16 + 12 + 20 neurons, 5 pJ a write
+    assert resets == pytest.approx([2 * 48 * 5e-12, 0])
+
+
+ON_SEVERAL_CORES = (
+    "hexapod/popsan.nir",
+    "hexapod-command/popsan.nir",
+    "hexapod-command/sparse.nir",
+)
+SHIPPED = [path for path in zoo.policies() if path.suffix == ".nir"]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=[zoo.called(str(p)) for p in SHIPPED])
+def test_shipped_policies_are_counted_as_neurobench_counts_their_file(path):
+    player = NirController(str(path), "loihi1")
+    player.act(np.zeros(player.codec.encoder.observed))
+    found = nir_costs(player, None)
+    action = player.graph.nodes.get("action")  # an identity in all that have one
+    dense = dense_operations(player.graph) - (action.weight.size if action else 0)
+    assert found.dense == dense * player.codec.timesteps
+    assert found.effective_macs == 0  # readouts hand membranes on, or add up spikes
+    if max(player.cores.values()) > 1:
+        # several cores take a message each: large layers, and one with decays of its own a neuron
+        assert zoo.called(str(path)) in ON_SEVERAL_CORES
+        assert found.messages < found.messages_placed < 6 * found.messages
+    else:
+        assert zoo.called(str(path)) not in ON_SEVERAL_CORES
+        assert found.messages_placed == found.messages
+    assert found.messages_placed_j["sanafe"] == pytest.approx(111e-12 * found.messages_placed)
+
+
+def test_the_mapping_is_that_of_check():
+    path = zoo.resolve("hexapod/popsan")
+    found = check_on(load(path), chip("loihi1")).mapping
+    cores = {each.name: each.cores for each in found.placements if each.kind == "neurons"}
+    assert NirController(str(path), "loihi1").cores == cores
+    assert NirController(str(path), "float").cores is None
+
+
+def test_a_term_that_one_episode_does_not_know_is_unknown_in_the_mean():
+    one = Costs(energy_terms_j={"a": {"x": 1.0, "y": 0.0}}, energy_unknown={"a": ()})
+    other = Costs(energy_terms_j={"a": {"x": 4.0}}, energy_unknown={"a": ("y",)})
+    found = costs.mean([one, other], weights=[2, 1])
+    assert found.energy_terms_j == {"a": {"x": pytest.approx(2.0)}}
+    assert found.energy_unknown == {"a": ("y",)}
 
 
 def test_means_are_weighted_by_inferences_and_saturations_are_summed():

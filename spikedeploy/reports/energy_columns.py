@@ -1,0 +1,123 @@
+"""The columns of a comparison that are about energy: by every table, and term by term by one."""
+
+from collections.abc import Sequence
+
+from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, price, scaled
+
+_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
+
+
+def prices(rows: Sequence[Row]) -> list[Column]:
+    """Energies and latencies by every table that some row has."""
+    energy, latency = "energy_per_inference_j", "latency_per_inference_s"
+    energies = [
+        Column(name, f"energy by table {name}", price(energy, name, "J", "energy_interval_j"))
+        for name in dict.fromkeys(name for row in rows for name in row[energy])
+    ]
+    latencies = [
+        Column(
+            f"{name} time",
+            f"time by table {name}, as if one core did everything",
+            price(latency, name, "s", "latency_interval_s"),
+        )
+        for name in dict.fromkeys(name for row in rows for name in row[latency])
+    ]
+    return [*energies, *latencies]
+
+
+def _term(name: str) -> Cell:
+    """A cell with a term by the one table, `?` where it is unknown."""
+
+    def cell(row: Row) -> str:
+        if name in row.get("energy_unknown", {}).get(_TABLE, ()):
+            return "?"
+        value = row.get("energy_terms_j", {}).get(_TABLE, {}).get(name)
+        return ABSENT if value is None else _joules(value)
+
+    return cell
+
+
+def _joules(value: float) -> str:
+    """In nJ, three digits or all before the point."""
+    nano = 1e9 * value
+    return f"{nano:,.0f}" if nano >= 100 else f"{nano:.3g}"
+
+
+def _of_table(field: str) -> Cell:
+    """A cell with the joules of the field by the one table."""
+
+    def cell(row: Row) -> str:
+        value = row.get(field, {}).get(_TABLE)
+        return ABSENT if value is None else _joules(value)
+
+    return cell
+
+
+def _total(row: Row) -> str:
+    """All known terms: at least so much, where some are unknown."""
+    value = _of_table("energy_total_j")(row)
+    unknown = row.get("energy_unknown", {}).get(_TABLE)
+    return f"≥ {value}" if unknown and value != ABSENT else value
+
+
+def _unpriced(row: Row) -> str:
+    """The unknown terms."""
+    return ", ".join(row.get("energy_unknown", {}).get(_TABLE, ())) or ABSENT
+
+
+def _static(row: Row) -> str:
+    found = row.get("static_energy_j", {})
+    return ", ".join(f"{scaled(value)}J" for value in found.values()) or ABSENT
+
+
+def _level(row: Row) -> str:
+    """Synaptic operations: against the dense float ANN, and against the one that skips zeros."""
+    fields = ("break_even_sops", "break_even_sops_zero_skipping")
+    found = [row.get(field, {}).get(_TABLE) for field in fields]
+    said = [
+        f"{max(value, 0):,.0f}" if value > 0 else "none" for value in found if value is not None
+    ]
+    return " / ".join(said) or ABSENT
+
+
+_WHERE = (
+    Column(
+        "operations",
+        f"by table {_TABLE}, in all columns: synaptic operations; of float networks all "
+        "multiply-accumulates",
+        _term("operations"),
+    ),
+    Column(
+        "skipping zeros",
+        "of float networks: multiply-accumulates with an input that is not 0, instead of all",
+        _of_table("energy_zero_skipping_j"),
+    ),
+    Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
+    Column("updates", "neurons with something to add up", _term("updates")),
+    Column(
+        "encoder",
+        "numbers to spikes; of float networks the reading of observations",
+        _term("encoder"),
+    ),
+    Column("readout", "weights and constants on the host", _term("readout")),
+    Column("resets", "states set to 0 between inferences", _term("resets")),
+    Column(
+        "all known",
+        "sum of the known terms; ≥ where some have no price",
+        _total,
+    ),
+    Column(
+        "level at",
+        "SOPs at which the spiking policy would cost as much as the float ANN, dense / skipping "
+        "zeros; none where its other terms alone cost more",
+        _level,
+    ),
+    Column("no price", "terms that happen and that the table has no price for", _unpriced),
+    Column("static", "the chip's static power over a control step, never added", _static),
+)
+
+
+def spent(rows: Sequence[Row]) -> list[Column]:
+    """The terms that some row pays, or does not know."""
+    said = {column.title: {column.cell(row) for row in rows} for column in _WHERE}
+    return [column for column in _WHERE if said[column.title] - {ABSENT, "0"}]
