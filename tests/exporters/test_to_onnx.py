@@ -33,6 +33,8 @@ FEATURES = [
     Features("phase", 6, [2, 3], []),
     Features("bilinear", 6, [2, 3], []),
     Features("bilinear", 6, [4, 1], [5, 0]),
+    Features("fourier", 6, [2, 3], [], [4]),
+    Features("fourier", 6, [4, 1], [5, 0], [3, 2]),
 ]
 
 
