@@ -100,12 +100,22 @@ def _products(graph: OnnxGraph, features: Features) -> str:
     """Add the waves times {1, scales} without the constant; return its name."""
     waves = graph.node("Concat", _waves(graph, features), "waves", axis=1)
     groups = [waves]
-    names = [f"command{k}" for k in range(1, len(features.command) + 1)]
-    names += [f"error{k}" for k in range(1, len(features.errors) + 1)]
-    for number, (index, name) in enumerate(zip(features.scales, names, strict=True), start=1):
-        scale = graph.column(index, name)
+    for number, scale in enumerate(_scales(graph, features), start=1):
         groups += [scale, graph.node("Mul", [scale, waves], f"modulated{number}")]
     return graph.node("Concat", groups, "features", axis=1)
+
+
+def _scales(graph: OnnxGraph, features: Features) -> list[str]:
+    """Add commands, errors and their products (B, 1); return their names."""
+    names = [f"command{k}" for k in range(1, len(features.command) + 1)]
+    names += [f"error{k}" for k in range(1, len(features.errors) + 1)]
+    found = {
+        column: graph.column(column, name)
+        for column, name in zip(features.scales, names, strict=True)
+    }
+    pairs = [(found[one], found[other]) for one, other in features.pairs]
+    products = [graph.node("Mul", pair, f"{pair[0]}_{pair[1]}") for pair in pairs]
+    return [*found.values(), *products]
 
 
 def _waves(graph: OnnxGraph, features: Features) -> list[str]:

@@ -63,6 +63,10 @@ _STUDENTS: dict[str, tuple[str, Settings]] = {
         "control: phase times command, open loop",
         {"kind": "mlp", "hidden": [], "features": "bilinear"},
     ),
+    "fourier": (
+        "control: three harmonics of the phase times command and errors, no hidden layer",
+        {"kind": "mlp", "hidden": [], "features": "fourier"},
+    ),
     **{
         f"mlp-{hidden[0]}": (
             f"control: MLP 77-{'-'.join(str(width) for width in hidden)}-18",

@@ -1,6 +1,7 @@
 """Features: the inputs of a float policy, all observations or those of a control."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations_with_replacement
 from typing import Any
 
 import torch
@@ -20,14 +21,15 @@ class Features(nn.Module):
 
     name: "all" for all observations; "phase" for sine and cosine of the gait's phase only;
         "bilinear" for {1, sin, cos, sin 2, cos 2} of the phase times {1, commands}, "fourier" for
-        {1, sin k, cos k; k = 1, 2, 3} of the phase times {1, commands, errors}, both without the
-        constant
+        {1, sin k, cos k; k = 1, 2, 3} of the phase times {1, commands, errors, products of two
+        commands, squares of errors}, both without the constant
     size: number of features F
     harmonics: of the phase in the products
     phase: columns of sine and cosine
     command: columns of the commands; none on a task without commands
     errors: columns of the errors of heading, turn rate, speed and side that "fourier" multiplies
     scales: those of commands and errors
+    pairs: columns of the two factors of each product and square
     """
 
     def __init__(
@@ -46,8 +48,11 @@ class Features(nn.Module):
             raise ConfigError(f"features '{name}' need the columns of sine and cosine of the phase")
         self.harmonics = _HARMONICS.get(name, 1)
         self.scales = self.command + self.errors
-        products = (1 + 2 * self.harmonics) * (1 + len(self.scales)) - 1
-        self.size = {"all": observations, "phase": 2}.get(name, products)
+        squares = [(error, error) for error in self.errors]
+        products = list(combinations_with_replacement(self.command, 2))
+        self.pairs = products + squares if name == "fourier" else []
+        waves, scales = 1 + 2 * self.harmonics, 1 + len(self.scales) + len(self.pairs)
+        self.size = {"all": observations, "phase": 2}.get(name, waves * scales - 1)
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return (B, F)."""
@@ -59,8 +64,12 @@ class Features(nn.Module):
     def _products(self, phase: Tensor, observation: Tensor) -> Tensor:
         one = torch.ones_like(phase[:, :1])
         waves = torch.cat([one, *_waves(phase, self.harmonics)], dim=1)
-        scales = torch.cat([one, observation[:, self.scales]], dim=1)
+        scales = torch.cat([one, observation[:, self.scales], *self._pairs(observation)], dim=1)
         return (scales[:, :, None] * waves[:, None, :]).flatten(1)[:, 1:]
+
+    def _pairs(self, observation: Tensor) -> list[Tensor]:
+        columns = observation.split(1, dim=1)
+        return [columns[one] * columns[other] for one, other in self.pairs]
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments that rebuild these features, for JSON."""
@@ -83,7 +92,6 @@ def _waves(phase: Tensor, harmonics: int) -> list[Tensor]:
 
 def features(name: str, observations: int, columns: Mapping[str, slice] | None = None) -> Features:
     """Return features by name; `columns` is the environment's OBSERVATION table."""
-
     table = columns or {}
 
     def of(*groups: str) -> list[int]:

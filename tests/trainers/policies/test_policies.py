@@ -143,24 +143,26 @@ def test_fourier_features_are_three_harmonics_times_commands_and_errors():
     phase, command, turn, speed = 0.7, (0.3, -2.0), 0.4, -0.6
     row = [speed, np.sin(phase), np.cos(phase), turn, *command]
     harmonics = [wave(k * phase) for k in (1, 2, 3) for wave in (np.sin, np.cos)]
-    expected = [a * b for a in (1.0, *command, turn, speed) for b in (1.0, *harmonics)][1:]
+    products = [command[0] ** 2, command[0] * command[1], command[1] ** 2, turn**2, speed**2]
+    scales = [1.0, *command, turn, speed, *products]
+    expected = [a * b for a in scales for b in (1.0, *harmonics)][1:]
     found = features("fourier", 6, FEEDBACK)
-    assert found.size == 34
+    assert found.size == 69
     seen = found(torch.tensor([row], dtype=torch.float64))
     np.testing.assert_allclose(seen[0], expected, atol=1e-15)
 
 
 @pytest.mark.parametrize(
-    ("task", "count"),
-    [("hexapod", ["heading", "speed", "lateral", "lateral_velocity"]),
-     ("hexapod-command", ["command", "turn_error", "speed_error"])],
+    ("task", "names", "size"),
+    [("hexapod", ["heading", "speed", "lateral", "lateral_velocity"], 62),
+     ("hexapod-command", ["command", "turn_error", "speed_error"], 69)],
 )  # fmt: skip
-def test_fourier_features_are_of_no_leg_states(task, count):
+def test_fourier_features_are_of_no_leg_states(task, names, size):
     table = envs.make(task).unwrapped.OBSERVATION
     found = features("fourier", 77, table)
-    columns = [k for name in count for k in range(77)[table[name]]]
+    columns = [k for name in names for k in range(77)[table[name]]]
     assert found.scales == columns
-    assert found.size == 34
+    assert found.size == size
     observation = torch.randn(4, 77)
     other = observation + 1.0
     kept = [*range(77)[table["phase"]], *columns]
