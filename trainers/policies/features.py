@@ -68,8 +68,7 @@ class Features(nn.Module):
         return (scales[:, :, None] * waves[:, None, :]).flatten(1)[:, 1:]
 
     def _pairs(self, observation: Tensor) -> list[Tensor]:
-        columns = observation.split(1, dim=1)
-        return [columns[one] * columns[other] for one, other in self.pairs]
+        return [observation[:, [one]] * observation[:, [other]] for one, other in self.pairs]
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments that rebuild these features, for JSON."""
