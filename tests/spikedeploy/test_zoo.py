@@ -76,6 +76,13 @@ def test_each_task_has_a_float_ann_a_spiking_policy_and_the_three_controls(env):
     }  # fmt: skip
 
 
+def test_the_command_task_has_every_float_control_in_its_line_up():
+    found = [entry.label for entry in line_up("hexapod-command", [], ["loihi1"])]
+    assert [label for label in found if label.startswith(("fourier", "linear", "mlp"))] == [
+        "fourier", "linear", "mlp-8", "mlp-16", "mlp-32", "mlp-64",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("env", ["kart-grid", "kart-gazebo", "kart-steer"])
 def test_each_kart_world_has_the_small_and_the_linear_driver_in_its_line_up(env):
     found = [entry.label for entry in line_up(env, [], ["loihi1"])]
