@@ -58,7 +58,7 @@ class MlpConfig(_Section):
 
     kind: Literal["mlp"] = "mlp"
     hidden: tuple[Positive, ...] = (512, 512)
-    features: Literal["all", "phase", "bilinear"] = "all"
+    features: Literal["all", "phase", "bilinear", "fourier"] = "all"
 
     @property
     def spiking_layers(self) -> int:

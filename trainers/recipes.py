@@ -47,8 +47,9 @@ _SMOKE_SAC: Settings = {
 }
 
 # -- distillation: for each task the float teacher is distilled into PopSANs of two widths and into
-# three controls, with the same states and updates, so that comparisons show what the spiking
-# network contributes. The teacher is given with --set teacher=PATH
+# controls from the gait's phase alone to an MLP with 64-64, all with the same states and updates,
+# so that comparisons name the smallest float policy of equal return. The teacher is given with
+# --set teacher=PATH
 
 _STUDENTS: dict[str, tuple[str, Settings]] = {
     "distill": ("PopSAN 77-770-512-512-180-18", {"kind": "popsan"}),
@@ -62,6 +63,17 @@ _STUDENTS: dict[str, tuple[str, Settings]] = {
         "control: phase times command, open loop",
         {"kind": "mlp", "hidden": [], "features": "bilinear"},
     ),
+    "fourier": (
+        "control: three harmonics of the phase times command and errors, no hidden layer",
+        {"kind": "mlp", "hidden": [], "features": "fourier"},
+    ),
+    **{
+        f"mlp-{hidden[0]}": (
+            f"control: MLP 77-{'-'.join(str(width) for width in hidden)}-18",
+            {"kind": "mlp", "hidden": hidden},
+        )
+        for hidden in ([8], [16], [32], [64, 64])
+    },
 }
 
 _TASKS: dict[str, tuple[str, Settings]] = {

@@ -11,12 +11,19 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults.request import NONE, Faults
 
+# of the shipped policies, in table order: the more a control sees and can compute, the later
 _CONTROLS = (
     "phase",
     "bilinear",
+    "fourier",
     "linear",
+    "mlp-8",
+    "mlp-16",
+    "mlp-32",
+    "mlp-64",
+    "pruned",
     "small",
-)  # of the shipped recipes, in table order
+)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from spikedeploy.trainers.versions import versions
 _KINDS = {
     "ann": "float network (ONNX)",
     "snn": "spiking network (NIR)",
-    "control": "control: a float policy that is kept simple, to see what a network is worth (ONNX)",
+    "control": "control: a small float policy, a rival of the spiking ones (ONNX)",
 }
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 # the setting of an algorithm that names another run, and settings that follow from that run

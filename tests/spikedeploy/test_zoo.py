@@ -76,6 +76,33 @@ def test_each_task_has_a_float_ann_a_spiking_policy_and_the_three_controls(env):
     }  # fmt: skip
 
 
+def test_the_command_task_has_every_float_control_in_its_line_up():
+    found = [entry.label for entry in line_up("hexapod-command", [], ["loihi1"])]
+    assert [label for label in found if label.startswith(("fourier", "linear", "mlp"))] == [
+        "fourier", "linear", "mlp-8", "mlp-16", "mlp-32", "mlp-64",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("env", ["kart-grid", "kart-gazebo", "kart-steer"])
+def test_each_kart_world_has_the_small_and_the_linear_driver_in_its_line_up(env):
+    found = [entry.label for entry in line_up(env, [], ["loihi1"])]
+    assert found[-2:] == ["linear", "small"]
+
+
+@pytest.mark.parametrize("env", ["hexapod", "hexapod-command"])
+def test_a_distilled_control_is_small_and_its_card_names_recipe_and_teacher(env):
+    teachers = {"hexapod": {"sac"}, "hexapod-command": {"sac", "smooth"}}[env]
+    for path in zoo.policies(env):
+        if find(str(path)).kind != "control":
+            continue
+        assert path.stat().st_size < 50_000
+        card = zoo.card(f"{env}/{path.stem}")
+        assert card["recipe"] == f"{env}-{path.stem}"
+        teacher = card["config"]["teacher"].removeprefix("spikedeploy/zoo/").removesuffix(".onnx")
+        assert teacher in {f"{env}/{name}" for name in teachers}
+        assert f'"{card["config"]["teacher"]}"' in path.with_suffix(".md").read_text("utf-8")
+
+
 @pytest.mark.parametrize("env", sorted({path.parent.name for path in SHIPPED}))
 def test_each_task_has_a_float_ann_that_others_are_measured_against(env):
     kinds = [find(str(path)).kind for path in zoo.policies(env)]

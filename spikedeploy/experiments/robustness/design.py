@@ -17,7 +17,8 @@ from spikedeploy.runtime.faults.request import fault
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
 UNDISTURBED, DISTURBANCE, FAULT = "undisturbed", "disturbance", "fault"
-_SMALL = ("small", "linear")  # float controls beside the float ANN
+# float controls beside the float ANN, as far as they are shipped, from the strongest on
+_SMALL = ("mlp-32", "pruned", "small", "linear")
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,15 @@ def test_the_line_up_of_what_is_shipped_ends_with_the_gait_and_the_controls(stro
     ]  # fmt: skip
 
 
+def test_controls_stand_in_the_order_of_what_they_see_and_compute(stroll):
+    for name in ("mlp-8", "mlp-64", "fourier", "small", "pruned", "mlp-16"):
+        toy_stroll_env.ann(stroll / f"{name}.onnx", hidden=(), kind="control", seed=len(name))
+    found = labels(line_up("stroll", (), ()))
+    assert found[found.index("gait") + 1 :] == [
+        "phase", "fourier", "linear", "mlp-8", "mlp-16", "mlp-64", "pruned", "small", "zigzag",
+    ]  # fmt: skip
+
+
 def test_a_chip_is_measured_against_its_float_twin_and_all_else_against_the_float_ann(stroll):
     references = {e.label: e.reference for e in line_up("stroll", (), ("loihi1",))}
     assert references["sac"] is None

@@ -23,7 +23,7 @@ from spikedeploy.trainers.distill.teachers import (
     teacher,
 )
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy
+from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
@@ -32,7 +32,17 @@ from tests.delta_policies import delta_policy
 from tests.networks import event_driven
 
 HEXAPOD = "spikedeploy/Hexapod-v0"
-STUDENTS = ("distill", "distill-256", "linear", "phase", "bilinear")
+CONTROLS = {
+    "phase": "phase",
+    "bilinear": "bilinear",
+    "fourier": "fourier",
+    "linear": "all",
+    "mlp-8": "all",
+    "mlp-16": "all",
+    "mlp-32": "all",
+    "mlp-64": "all",
+}
+STUDENTS = ("distill", "distill-256", *CONTROLS)
 
 
 @pytest.fixture(scope="module")
@@ -255,6 +265,24 @@ def test_students_and_controls_learn_from_the_same_data(task):
         budgets.add((found.env.name, found.iterations, found.states, found.updates, found.batch))
     assert len(budgets) == 1
     assert budgets.pop()[0] == task
+
+
+@pytest.mark.parametrize("task", ["hexapod", "hexapod-command"])
+def test_controls_go_from_the_phase_alone_to_a_network_with_two_hidden_layers(task):
+    table = envs.make(task).unwrapped.OBSERVATION
+    sizes = []
+    for name, seen in CONTROLS.items():
+        config = resolve(DistillConfig, f"{task}-{name}").policy
+        assert config.features == seen
+        sizes.append(from_config(config, 77, 18, columns=table).layers)
+    weights = [[tuple(layer.weight.shape) for layer in layers] for layers in sizes]
+    inputs = {"hexapod": 62, "hexapod-command": 69}[task]
+    assert weights[2:] == [
+        [(18, inputs)],
+        [(18, 77)],
+        *([(width, 77), (18, width)] for width in (8, 16, 32)),
+        [(64, 77), (64, 64), (18, 64)],
+    ]
 
 
 def test_a_shipped_policy_may_teach_by_its_name():

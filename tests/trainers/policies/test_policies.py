@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, build, from_config
@@ -95,9 +96,10 @@ def test_untrained_spiking_layers_spike_sparsely():
         MlpPolicy(6, 3, (8, 8), clip=2.0),
         MlpPolicy(6, 3, ()),
         MlpPolicy(6, 3, (), features("phase", 6, {"phase": slice(0, 2)})),
+        MlpPolicy(6, 3, (), features("fourier", 6, {"phase": slice(0, 2), "speed": slice(4, 5)})),
         PopsanPolicy(6, 3, **SMALL, surrogate="rectangular", threshold=0.7),
     ],
-    ids=["mlp", "linear", "phase", "popsan"],
+    ids=["mlp", "linear", "phase", "fourier", "popsan"],
 )
 def test_a_policy_is_rebuilt_from_its_spec_and_weights(policy):
     copy = build(json.loads(json.dumps(policy.spec())))
@@ -132,6 +134,40 @@ def test_bilinear_features_are_waves_times_commands():
     expected = [scale * wave for scale in (1.0, *command) for wave in waves][1:]
     found = features("bilinear", 6, COLUMNS)(torch.tensor([row], dtype=torch.float64))
     np.testing.assert_allclose(found[0], expected)
+
+
+FEEDBACK = COLUMNS | {"turn_error": slice(3, 4), "speed_error": slice(0, 1), "height": slice(0, 1)}
+
+
+def test_fourier_features_are_three_harmonics_times_commands_and_errors():
+    phase, command, turn, speed = 0.7, (0.3, -2.0), 0.4, -0.6
+    row = [speed, np.sin(phase), np.cos(phase), turn, *command]
+    harmonics = [wave(k * phase) for k in (1, 2, 3) for wave in (np.sin, np.cos)]
+    products = [command[0] ** 2, command[0] * command[1], command[1] ** 2, turn**2, speed**2]
+    scales = [1.0, *command, turn, speed, *products]
+    expected = [a * b for a in scales for b in (1.0, *harmonics)][1:]
+    found = features("fourier", 6, FEEDBACK)
+    assert found.size == 69
+    seen = found(torch.tensor([row], dtype=torch.float64))
+    np.testing.assert_allclose(seen[0], expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("task", "names", "size"),
+    [("hexapod", ["heading", "speed", "lateral", "lateral_velocity"], 62),
+     ("hexapod-command", ["command", "turn_error", "speed_error"], 69)],
+)  # fmt: skip
+def test_fourier_features_are_of_no_leg_states(task, names, size):
+    table = envs.make(task).unwrapped.OBSERVATION
+    found = features("fourier", 77, table)
+    columns = [k for name in names for k in range(77)[table[name]]]
+    assert found.scales == columns
+    assert found.size == size
+    observation = torch.randn(4, 77)
+    other = observation + 1.0
+    kept = [*range(77)[table["phase"]], *columns]
+    other[:, kept] = observation[:, kept]
+    assert torch.equal(found(observation), found(other))
 
 
 def test_features_without_a_phase_are_refused():
