@@ -22,8 +22,8 @@ robustness    the robustness experiment: return under disturbances and faults
 # what runs it, and what makes its design of the options that were given
 EXPERIMENTS = {
     "kart": (
-        "spikedeploy.experiments.kart:experiment",
-        "spikedeploy.experiments.kart_design:asked",
+        "spikedeploy.experiments.kart.experiment:experiment",
+        "spikedeploy.experiments.kart.design:asked",
     ),
     "pareto": (
         "spikedeploy.experiments.pareto.experiment:experiment",

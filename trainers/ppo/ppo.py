@@ -21,6 +21,7 @@ class Ppo(EnvRunner[PpoConfig]):
     """One run of proximal policy optimisation.
 
     iterations: batches collected and learned from so far
+    held: latest validations in a row in which at least `stop_at_greedy` of the episodes finished
     """
 
     Config = PpoConfig
@@ -43,7 +44,7 @@ class Ppo(EnvRunner[PpoConfig]):
         "eval_gates",
         "eval_speed",
     )
-    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes")
+    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes", "held")
     learner: PpoLearner
 
     def __init__(self, config: PpoConfig, run: RunFolder) -> None:
@@ -63,7 +64,7 @@ class Ppo(EnvRunner[PpoConfig]):
             self._envs.head,
         )
         self.learner = PpoLearner(config, self.policy)
-        self.iterations = 0
+        self.iterations = self.held = 0
         self._learned: dict[str, float] = {}
         self._log: EpisodeLog | None = None
         self._ghosts: GhostLog | None = None
@@ -82,9 +83,14 @@ class Ppo(EnvRunner[PpoConfig]):
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are taken, or as many episodes finished as were asked for."""
-        enough = 0 < self._config.stop_at_finishes <= self.finishes
-        return enough or super().finished
+        """Whether all steps are taken, or as much was reached as was asked for."""
+        return self._config.reached(self.finishes, self.held) or super().finished
+
+    def _validate(self) -> dict[str, float]:
+        row = super()._validate()
+        enough = row.get("eval_finish", 0.0) >= self._config.stop_at_greedy
+        self.held = self.held + 1 if enough else 0
+        return row
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         before = self.env_steps
@@ -128,7 +134,7 @@ class Ppo(EnvRunner[PpoConfig]):
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
-        self.iterations = state["iterations"]
+        self.iterations, self.held = state["iterations"], state.get("held", 0)
         if self._log:
             self._log.finishes = state["finishes"]
             self._log.rewind(self.env_steps)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.experiments.finishes import Steps, finished_by
-from spikedeploy.experiments.kart_design import NETWORKS, PEERS, WORLDS, ExperimentDesign
-from spikedeploy.experiments.kart_records import COUNT
+from spikedeploy.experiments.kart.design import NETWORKS, PEERS, WORLDS, ExperimentDesign
+from spikedeploy.experiments.kart.records import COUNT
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.finishes import steps_to
-from spikedeploy.experiments.kart_design import ExperimentDesign
+from spikedeploy.experiments.kart.design import ExperimentDesign
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.files import replacing
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, PEERS, WORLDS, ExperimentDesign
-from spikedeploy.experiments.kart_plot import draw
-from spikedeploy.experiments.kart_records import COUNT, NTH, Record, driving, learning, write_csv
-from spikedeploy.experiments.kart_tables import (
+from spikedeploy.experiments.kart.design import CONTROLS, NETWORKS, PEERS, WORLDS, ExperimentDesign
+from spikedeploy.experiments.kart.plot import draw
+from spikedeploy.experiments.kart.records import COUNT, NTH, Record, driving, learning, write_csv
+from spikedeploy.experiments.kart.tables import (
     chip_table,
     driving_table,
     learning_table,

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
-from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, PEERS, WORLDS
-from spikedeploy.experiments.kart_records import COUNT, NTH, Record
+from spikedeploy.experiments.kart.design import CONTROLS, NETWORKS, PEERS, WORLDS
+from spikedeploy.experiments.kart.records import COUNT, NTH, Record
 from spikedeploy.policies.interface import FLOAT
 from spikedeploy.reports.columns import ABSENT, scaled
 from spikedeploy.reports.markdown import markdown_table

@@ -11,8 +11,8 @@ from spikedeploy.console import console
 from spikedeploy.experiments import workers
 from spikedeploy.experiments.evaluation import BuiltInEvaluation
 from spikedeploy.experiments.finishes import progress_of
-from spikedeploy.experiments.kart_design import ExperimentDesign
-from spikedeploy.experiments.kart_page import write
+from spikedeploy.experiments.kart.design import ExperimentDesign
+from spikedeploy.experiments.kart.page import write
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
 from spikedeploy.files import check_folder
