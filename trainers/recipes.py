@@ -167,6 +167,7 @@ def _classic(env: str, name: str) -> Settings:
         "entropy": {"start": entropy, "end": entropy},
         "temperature": {"end": 1.0},
         "target_kl": 0.0,
+        "running_total": True,
     }
 
 

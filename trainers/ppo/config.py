@@ -40,6 +40,8 @@ class PpoConfig(RunConfig):
     stop_at_finishes: finished episodes after which training ends; 0 for no limit
     stop_at_greedy: share of validation episodes that must finish, twice in a row, for training to
         end; 0 for no limit. With both limits it ends when both are reached
+    running_total: whether every step pays the sum of its episode's rewards so far, as the
+        environments of kart-simulator do; returns in logs stay those of the environment
     ghosts: whether training episodes are saved for `replay`, in environments with poses
     """
 
@@ -65,6 +67,7 @@ class PpoConfig(RunConfig):
     rate_target: Share = 0.2
     stop_at_finishes: Count = 0
     stop_at_greedy: Share = 0.0
+    running_total: bool = False
     ghosts: bool = True
     checkpoint_every: Positive = 50_000
 

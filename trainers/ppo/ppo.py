@@ -3,7 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.trainers.env_batch import Steps
@@ -65,6 +67,7 @@ class Ppo(EnvRunner[PpoConfig]):
         )
         self.learner = PpoLearner(config, self.policy)
         self.iterations = self.held = 0
+        self._totals = np.zeros(len(self._envs))
         self._learned: dict[str, float] = {}
         self._log: EpisodeLog | None = None
         self._ghosts: GhostLog | None = None
@@ -110,7 +113,10 @@ class Ppo(EnvRunner[PpoConfig]):
             observation = torch.from_numpy(self._envs.observation).float()
             encoded, drawn, log_probability = self.learner.explore(observation)
             steps = self._envs.step(self.learner.head.action(drawn).numpy())
-            transitions.append(_transition(observation, steps, encoded, drawn, log_probability))
+            paid = self._paid(steps)
+            transitions.append(
+                _transition(observation, steps, paid, encoded, drawn, log_probability)
+            )
             if log:
                 log.add(steps, self.env_steps)
             if self._ghosts:
@@ -118,6 +124,15 @@ class Ppo(EnvRunner[PpoConfig]):
             self.env_steps += len(self._envs)
         self._update_normaliser(transitions)
         return transitions
+
+    def _paid(self, steps: Steps) -> NDArray[np.float64]:
+        """Return the rewards (B,) to learn from: of the step, or of the episode so far."""
+        if not self._config.running_total:
+            return steps.reward
+        self._totals += steps.reward
+        paid = self._totals.copy()
+        self._totals[steps.terminated | steps.truncated] = 0.0
+        return paid
 
     def _update_normaliser(self, transitions: list[Transition]) -> None:
         """Add the observations to the normaliser, unless it is frozen."""
@@ -143,7 +158,12 @@ class Ppo(EnvRunner[PpoConfig]):
 
 
 def _transition(
-    observation: Tensor, steps: Steps, encoded: Tensor, drawn: Tensor, log_probability: Tensor
+    observation: Tensor,
+    steps: Steps,
+    paid: NDArray[np.float64],
+    encoded: Tensor,
+    drawn: Tensor,
+    log_probability: Tensor,
 ) -> Transition:
     return Transition(
         encoded=encoded,
@@ -151,7 +171,7 @@ def _transition(
         following=torch.from_numpy(steps.following).float(),
         drawn=drawn,
         log_probability=log_probability,
-        reward=torch.from_numpy(steps.reward).float(),
+        reward=torch.from_numpy(paid).float(),
         terminated=torch.from_numpy(steps.terminated),
         ended=torch.from_numpy(steps.terminated | steps.truncated),
     )

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
 
@@ -9,9 +10,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from spikedeploy.console import console
 from spikedeploy.experiments import workers
-from spikedeploy.experiments.evaluation import BuiltInEvaluation
 from spikedeploy.experiments.finishes import progress_of
-from spikedeploy.experiments.kart.design import ExperimentDesign
+from spikedeploy.experiments.kart.design import ExperimentDesign, Part
+from spikedeploy.experiments.kart.heldout import TrackEvaluation
 from spikedeploy.experiments.kart.page import write
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
@@ -101,7 +102,7 @@ def experiment(
 ) -> Outcome:
     """Run the missing parts of the experiment.
 
-    only     prefixes of the names of parts; empty for all
+    only     beginnings of the names of parts, in which * stands for anything; empty for all
     count    processes in parallel; None for one on each core
     results  folder of kart.md and kart/
     train    False only writes the page
@@ -135,19 +136,24 @@ def _check(trial: Trial) -> None:
         raise ConfigError(f"{trial.name}: {error}") from error
 
 
-def _chosen(design: ExperimentDesign, only: Sequence[str]) -> list[BuiltInEvaluation | Trial]:
-    """The parts whose names have one of the prefixes."""
+def _chosen(design: ExperimentDesign, only: Sequence[str]) -> list[Part]:
+    """The parts whose names begin so; `*-classic-snn` are those of three worlds."""
     for beginning in only:
-        if not any(part.name.startswith(beginning) for part in design.parts):
+        if not any(fnmatchcase(part.name, f"{beginning}*") for part in design.parts):
             known = dict.fromkeys(
                 part.name.rpartition("-s")[0] or part.name for part in design.trials()
             )
             raise ConfigError(
                 f"no part of the experiment begins with {beginning!r}; known: {', '.join(known)}"
             )
-    return [p for p in design.parts if not only or p.name.startswith(tuple(only))]
+    return [
+        part
+        for part in design.parts
+        if not only or any(fnmatchcase(part.name, f"{beginning}*") for beginning in only)
+    ]
 
 
-def _job(part: BuiltInEvaluation | Trial, design: ExperimentDesign) -> Job:
+def _job(part: Part, design: ExperimentDesign) -> Job:
     log = Path(design.folder) / "logs" / f"{part.name}.log"
-    return Job(part.name, f"{type(part).__module__}:perform", log, part.arguments())
+    after = [part.of.name] if isinstance(part, TrackEvaluation) else []
+    return Job(part.name, f"{type(part).__module__}:perform", log, part.arguments(), after)
