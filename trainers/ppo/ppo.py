@@ -67,7 +67,7 @@ class Ppo(EnvRunner[PpoConfig]):
         )
         self.learner = PpoLearner(config, self.policy)
         self.iterations = self.held = 0
-        self._totals = np.zeros(len(self._envs))
+        self._totals: NDArray[np.float64] = np.zeros(len(self._envs))  # of the running episodes
         self._learned: dict[str, float] = {}
         self._log: EpisodeLog | None = None
         self._ghosts: GhostLog | None = None
@@ -130,7 +130,7 @@ class Ppo(EnvRunner[PpoConfig]):
         if not self._config.running_total:
             return steps.reward
         self._totals += steps.reward
-        paid = self._totals.copy()
+        paid: NDArray[np.float64] = self._totals.copy()
         self._totals[steps.terminated | steps.truncated] = 0.0
         return paid
 

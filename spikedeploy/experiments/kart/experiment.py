@@ -1,4 +1,4 @@
-"""The kart experiment: runs the missing parts, shows their progress, writes its page after each."""
+"""The kart experiment: runs the missing parts, shows their progress, writes its page."""
 
 import time
 from collections.abc import Sequence
@@ -22,6 +22,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines where there is no terminal
+_PAGE_EVERY = 120.0  # [s] between two pages, which read all results
 
 
 class _ExperimentProgress:
@@ -114,13 +115,16 @@ def experiment(
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
     failed: dict[str, str] = {}
+    written = [time.monotonic()]
     with _ExperimentProgress(design.folder, len(jobs)) as progress:
 
         def ended(end: JobEnd) -> None:
             progress.end(end)
             if end.failed:
                 failed[end.job.name] = end.last_line
-            write(design, results)
+            if time.monotonic() - written[-1] > _PAGE_EVERY:
+                write(design, results)
+                written.append(time.monotonic())
 
         whole = workers.run(jobs, count or cores(), ended, progress.update)
     files = write(design, results)

@@ -19,18 +19,19 @@ Record = dict[str, Any]
 
 def learning(design: ExperimentDesign) -> list[Record]:
     """A record for each complete training: steps to the first and 300th finish, and greedily."""
-    return [
-        {
-            **_identity(trial),
-            "env_steps": trial.counters["env_steps"],
-            "finishes": len(trial.finishes),
-            FIRST: steps_to(1, trial.finishes),
-            NTH: steps_to(COUNT, trial.finishes),
-            HELD: trial.steps_to_greedy(GREEDY),
-        }
-        for trial in design.trials()
-        if trial.trained
-    ]
+    return [_learned(trial) for trial in design.trials() if trial.trained]
+
+
+def _learned(trial: Trial) -> Record:
+    finishes = trial.finishes
+    return {
+        **_identity(trial),
+        "env_steps": trial.counters["env_steps"],
+        "finishes": len(finishes),
+        FIRST: steps_to(1, finishes),
+        NTH: steps_to(COUNT, finishes),
+        HELD: trial.steps_to_greedy(GREEDY),
+    }
 
 
 def driving(design: ExperimentDesign) -> list[Record]:
