@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.ppo.config import HOLDS
 
 Steps = NDArray[np.float64]
 
@@ -28,14 +29,16 @@ def steps_to(count: int, steps: Steps) -> float:
 def steps_to_greedy(share: float, metrics: Path) -> float:
     """Environment steps to the first validation in which `share` of the greedy episodes finish.
 
-    It counts only if the next validation says so, too, or if there is none; infinite without.
+    It counts only if the next validation says so, too, or if there is none. Infinite where none is.
     """
     if not metrics.is_file():
         return math.inf
     found = [row for row in read(metrics) if "eval_finish" in row]
     enough = [row["eval_finish"] >= share for row in found]
-    holds = [now and then for now, then in zip(enough, [*enough[1:], True], strict=True)]
-    return found[holds.index(True)]["env_steps"] if any(holds) else math.inf
+    for place, row in enumerate(found):
+        if all(enough[place : place + HOLDS]):
+            return row["env_steps"]
+    return math.inf
 
 
 def finished_by(steps: Steps, grid: Steps) -> NDArray[np.int64]:
