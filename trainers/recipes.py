@@ -173,7 +173,12 @@ def _classic(env: str, name: str) -> Settings:
 
 # a new corridor each episode, observed without what belongs to one track: its box, its directions
 _CORRIDOR: Settings = {
-    "env": {"options": {"track": "corridor-8", "observe": ["lidar", "velocity"]}}
+    "env": {"options": {"track": "corridor-8", "observe": ["lidar", "velocity"]}},
+    # episodes are short, so that two thirds of the default schedule are enough
+    "steps": 200_000,
+    "actor_rate": {"finish": 200_000},
+    "entropy": {"finish": 150_000},
+    "temperature": {"begin": 80_000, "finish": 150_000},
 }
 
 _KARTS: dict[str, tuple[str, Settings]] = {
