@@ -175,7 +175,7 @@ def experiment(
         typer.Option(
             min=0,
             help="kart: finishes that end a training; 0 spends the whole budget.",
-            show_default="0; classic preset 300, once greedy episodes finish",
+            show_default="0; classic preset 300",
         ),
     ] = None,
     set_: Annotated[

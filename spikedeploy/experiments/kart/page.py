@@ -12,11 +12,8 @@ from spikedeploy.experiments.kart.design import (
     DEFAULT,
     GREEDY,
     LEARNING,
-    NETWORKS,
-    WORLDS,
     ExperimentDesign,
     preset_of,
-    recipe,
 )
 from spikedeploy.experiments.kart.heldout import UNSEEN
 from spikedeploy.experiments.kart.heldout_table import heldout_table
@@ -28,6 +25,7 @@ from spikedeploy.experiments.kart.verdicts import (
     heldout_verdicts,
     learning_verdicts,
 )
+from spikedeploy.experiments.trial import Trial
 from spikedeploy.files import write_text
 from spikedeploy.trainers.ppo.config import HOLDS
 from spikedeploy.trainers.versions import own
@@ -74,10 +72,10 @@ _PRESETS = {
 Dynamics, track, starts and what counts as a finish are kart-simulator's; the reward, the
 observation (rays straight ahead, all of the motion) and PPO's settings are ours. So the steps show
 what a user of this project gets, not which of these differences is worth how much.""",
-    CLASSIC: f"""\
+    CLASSIC: """\
 kart-simulator's observation, reward, terminations, networks and settings of PPO; what still differs
-is listed in [docs/karts.md](../docs/karts.md). A training ends with {COUNT} finishes and {HOLDS}
-validations in a row of greedy {GREEDY:.0%}, or with its budget.""",
+is listed in [docs/karts.md](../docs/karts.md). A training that ends early, as said at the end of
+this page, was not watched for greedy driving any longer than that.""",
 }
 _DRIVING = """\
 Greedy episodes from {episodes} starts that no training saw, for each trained policy; medians over
@@ -137,20 +135,10 @@ def _missing(design: ExperimentDesign) -> list[str]:
 def _facts(design: ExperimentDesign) -> list[str]:
     """What is needed to reproduce the experiment."""
     trained = design.trials()
-    budgets = {trial.recipe: trial.config.steps for trial in trained}
     return [
         f"- spikedeploy {own()}; run folders in `{design.folder}`",
         f"- training seeds 0 to {design.seeds - 1}; of controls 0 to {design.controls - 1}",
-        *(
-            f"- {preset}: a training may take "
-            + ", ".join(
-                f"{budgets[name]:,} ({name})"
-                for name in (recipe(preset, world, each) for world in WORLDS for each in NETWORKS)
-                if name in budgets
-            )
-            + " environment steps"
-            for preset in (*LEARNING, CORRIDOR)
-        ),
+        *(_end(trained, preset) for preset in (*LEARNING, CORRIDOR)),
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(
             f"- ✗ {trial.name} was trained with other settings than its recipe has now: "
@@ -161,3 +149,18 @@ def _facts(design: ExperimentDesign) -> list[str]:
         "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
         "[tracks.csv](kart/tracks.csv), [finishes.csv](kart/finishes.csv)",
     ]
+
+
+def _end(trials: Sequence[Trial], preset: str) -> str:
+    """When the trainings of a preset end."""
+    own = [trial for trial in trials if preset_of(trial) == preset]
+    configs = {trial.config.env.name: trial.config for trial in own}
+    budgets = ", ".join(f"{config.steps:,} ({world})" for world, config in configs.items())
+    config = own[0].config
+    limits = []
+    if config.stop_at_finishes:
+        limits.append(f"{config.stop_at_finishes} finishes")
+    if config.stop_at_greedy:
+        limits.append(f"{HOLDS} validations in a row of greedy {config.stop_at_greedy:.0%}")
+    early = f" {' and '.join(limits)}, or" if limits else ""
+    return f"- {preset}: a training ends with{early} its budget of environment steps: {budgets}"

@@ -124,10 +124,10 @@ def test_every_world_is_seen_early_and_what_the_page_begins_with_comes_first(des
     assert [drive.name for drive in design.built_in()] == [f"{w}-random" for w in WORLDS]
 
 
-def test_only_the_classic_preset_ends_when_its_metrics_are_reached(design):
+def test_only_the_classic_preset_ends_when_its_own_metric_is_reached(design):
     ends = {trial.name: trial.config for trial in design.trials()}
     classic, default = ends["kart-grid-classic-snn-s0"], ends["kart-grid-snn-s0"]
-    assert (classic.stop_at_finishes, classic.stop_at_greedy) == (300, 0.95)
+    assert (classic.stop_at_finishes, classic.stop_at_greedy) == (300, 0)
     assert (default.stop_at_finishes, default.stop_at_greedy) == (0, 0)
     # shares in steps of 5 %, so that 95 % is one of them
     assert {(c.validation.every, c.validation.episodes) for c in ends.values()} == {(10_000, 20)}
@@ -255,6 +255,15 @@ def test_the_page_says_plainly_what_was_not_reached(design, pretend, tmp_path):
     assert f"- ✓ {where}: the SNN reaches 100.0% [100%, 100%] of the ANN in steps to greedy" in page
     assert f"- ✓ {where}: chip and float twin differ by up to 1 points" in page
     assert "- ✗ classic, kart-grid, snn: 300 finishes after 599k" in page
+
+
+def test_the_page_says_when_trainings_end(design, pretend, tmp_path):
+    page = experiment(design, (), 2, tmp_path, train=False).files[0].read_text()
+    assert "- default: a training ends with its budget of environment steps: 300,000 (kart-" in page
+    assert "- classic: a training ends with 300 finishes, or its budget" in page
+    longer = ExperimentDesign(1, 1, design.folder, overrides=("stop_at_greedy=0.95",))
+    page = experiment(longer, (), 2, tmp_path, train=False).files[0].read_text()
+    assert "300 finishes and 2 validations in a row of greedy 95%, or its budget" in page
 
 
 def test_the_page_says_who_finishes_on_other_tracks(design, pretend, tmp_path):
