@@ -141,7 +141,75 @@ _SMOKE_PPO: Settings = {
     "validation": {"every": 128, "episodes": 1, "limit": 20},
 }
 
+# kart-simulator's settings of PPO for its own presets, as far as ours has them (docs/karts.md).
+# Learning rate and entropy of its spiking networks where they are not those of its float ones
+_CLASSIC: dict[str, tuple[Settings, Settings]] = {
+    "kart-grid": (
+        {"steps": 500_000, "horizon": 224, "minibatch": 32, "epochs": 9, "gamma": 0.9717,
+         "trace": 0.9665, "rate": 1.74e-3, "entropy": 9.93e-3},
+        {"timesteps": 50},
+    ),
+    "kart-gazebo": (
+        {"steps": 600_000, "horizon": 160, "minibatch": 20, "epochs": 9, "gamma": 0.97237,
+         "trace": 0.94459, "rate": 9.75693e-4, "entropy": 1.32582e-3},
+        {"timesteps": 100, "rate": 9.75693e-3, "entropy": 1.32582e-4},
+    ),
+    "kart-steer": (
+        {"steps": 1_000_000, "horizon": 256, "minibatch": 51, "epochs": 7, "gamma": 0.963,
+         "trace": 0.9644, "rate": 1.78e-4, "entropy": 4.79e-3},
+        {"timesteps": 32},
+    ),
+}  # fmt: skip
+
+
+def _classic(env: str, name: str) -> Settings:
+    """Return the settings of a policy on kart-simulator's observation and reward."""
+    settings, spiking = _CLASSIC[env]
+    policy = _POLICIES[name][1]
+    if name == "snn":
+        policy = {**policy, "coding": "bernoulli", "timesteps": spiking["timesteps"]}
+        settings = {**settings, **{k: v for k, v in spiking.items() if k in settings}}
+    rate, entropy = settings["rate"], settings["entropy"]
+    return {
+        **{key: value for key, value in settings.items() if key not in ("rate", "entropy")},
+        "env": {"name": env, "options": {"preset": "classic"}},
+        "policy": policy,
+        "actor_rate": {"start": rate, "end": 0.0, "finish": settings["steps"]},
+        "critic_rate": rate,
+        "entropy": {"start": entropy, "end": entropy},
+        "temperature": {"end": 1.0},
+        "target_kl": 0.0,
+        "running_total": True,
+    }
+
+
+# a new corridor each episode, observed without what belongs to one track: its box, its directions
+_CORRIDOR: Settings = {
+    "env": {"options": {"track": "corridor-8", "observe": ["lidar", "velocity"]}},
+    # episodes are short, so that two thirds of the default schedule are enough
+    "steps": 200_000,
+    "actor_rate": {"finish": 200_000},
+    "entropy": {"finish": 150_000},
+    "temperature": {"begin": 80_000, "finish": 150_000},
+}
+
 _KARTS: dict[str, tuple[str, Settings]] = {
+    **{
+        f"{env}-classic-{name}": (
+            f"{summary}, to race {env} as kart-simulator has it",
+            _classic(env, name),
+        )
+        for env in KART_ENVS
+        for name, (summary, _) in _POLICIES.items()
+    },
+    **{
+        f"{env}-corridor-{name}": (
+            f"{summary}, to race {env} in corridors drawn at random",
+            merged(_CORRIDOR, {"env": {"name": env}, "policy": policy}),
+        )
+        for env in KART_ENVS
+        for name, (summary, policy) in _POLICIES.items()
+    },
     **{
         f"{env}-{name}": (f"{summary}, to race {env}", {"env": {"name": env}, "policy": policy})
         for env in KART_ENVS

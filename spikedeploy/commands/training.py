@@ -154,13 +154,13 @@ def experiment(
         typer.Option(min=1, help="Trainings of each network.", show_default="kart 5, pareto 3"),
     ] = None,
     controls: Annotated[
-        int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="3")
+        int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="5")
     ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Parts by prefix of their names: kart-grid, kart-grid-snn-s0.",
+            help="Parts by prefix of their names: kart-grid, kart-grid-snn-s0; kart: *-classic.",
             show_default="all",
         ),
     ] = None,
@@ -175,7 +175,7 @@ def experiment(
         typer.Option(
             min=0,
             help="kart: finishes that end a training; 0 spends the whole budget.",
-            show_default="0",
+            show_default="0; classic preset 300",
         ),
     ] = None,
     set_: Annotated[
@@ -227,7 +227,7 @@ def experiment(
         bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
     ] = True,
     quick: Annotated[
-        bool, typer.Option("--quick", help="pareto, robustness: trainings and episodes of seconds.")
+        bool, typer.Option("--quick", help="Trainings and episodes of seconds, a first look.")
     ] = False,
     json: Json = False,
 ) -> None:

@@ -9,12 +9,7 @@ workers       jobs in processes of their own, some at a time
 worker        the program that such a process runs
 stored_row    a row of results that is kept until what made it changes
 csv_rows      rows of results as CSV, and read again
-kart          the kart experiment: which parts are missing, done in order, with progress
-kart_design   its trainings and controls, and kart-simulator's own figures
-kart_records  its results as records and CSV
-kart_tables   its results as Markdown tables
-kart_plot     finishes against environment steps
-kart_page     results/kart.md
+kart          the kart experiment: how soon networks learn to drive, and how well they do
 pareto        the pareto experiment: return against operations and energy
 robustness    the robustness experiment: return under disturbances and faults
 """
@@ -22,8 +17,8 @@ robustness    the robustness experiment: return under disturbances and faults
 # what runs it, and what makes its design of the options that were given
 EXPERIMENTS = {
     "kart": (
-        "spikedeploy.experiments.kart:experiment",
-        "spikedeploy.experiments.kart_design:asked",
+        "spikedeploy.experiments.kart.experiment:experiment",
+        "spikedeploy.experiments.kart.design:asked",
     ),
     "pareto": (
         "spikedeploy.experiments.pareto.experiment:experiment",

@@ -1,4 +1,4 @@
-"""Environment steps at which episodes of a training finished."""
+"""Environment steps at which episodes of a training, or of its validations, finished."""
 
 import math
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.ppo.config import HOLDS
 
 Steps = NDArray[np.float64]
 
@@ -23,6 +24,21 @@ def finishes(episodes: Path) -> Steps:
 def steps_to(count: int, steps: Steps) -> float:
     """Environment steps to the finish number `count`; infinite if it was never reached."""
     return float(steps[count - 1]) if len(steps) >= count else math.inf
+
+
+def steps_to_greedy(share: float, metrics: Path) -> float:
+    """Environment steps to the first validation in which `share` of the greedy episodes finish.
+
+    It counts only if the next validation says so, too, or if there is none. Infinite where none is.
+    """
+    if not metrics.is_file():
+        return math.inf
+    found = [row for row in read(metrics) if "eval_finish" in row]
+    enough = [row["eval_finish"] >= share for row in found]
+    for place, row in enumerate(found):
+        if all(enough[place : place + HOLDS]):
+            return row["env_steps"]
+    return math.inf
 
 
 def finished_by(steps: Steps, grid: Steps) -> NDArray[np.int64]:

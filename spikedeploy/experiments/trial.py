@@ -7,6 +7,7 @@ when the process ends.
 """
 
 import json
+import math
 import re
 import shutil
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.evaluation import evaluate
-from spikedeploy.experiments.finishes import Steps, finishes
+from spikedeploy.experiments.finishes import Steps, finishes, steps_to_greedy
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.trainers.ppo.config import PpoConfig
@@ -97,17 +98,21 @@ class Trial:
 
     @property
     def trained(self) -> bool:
-        """Whether enough episodes have finished, or the budget is spent."""
+        """Whether all limits of the training are reached, or the budget is spent."""
         counters, config = self.counters, self.config
         if not counters:
             return False
-        enough = 0 < config.stop_at_finishes <= counters["finishes"]
+        enough = config.reached(counters["finishes"], counters.get("held", 0))
         return enough or bool(counters["env_steps"] >= config.steps)
 
     @property
     def finishes(self) -> Steps:
         """Environment steps at the end of each finished episode of training."""
         return finishes(self.run / "episodes.csv") if self.run else finishes(Path())
+
+    def steps_to_greedy(self, share: float) -> float:
+        """Environment steps until this share of greedy validation episodes finished, and held."""
+        return steps_to_greedy(share, self.run / "metrics.csv") if self.run else math.inf
 
     @property
     def evaluation(self) -> dict[str, Any] | None:

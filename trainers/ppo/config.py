@@ -15,6 +15,8 @@ from spikedeploy.trainers.config import (
     ValidationConfig,
 )
 
+HOLDS = 2  # validations in a row, so that greedy driving that swings is no success
+
 
 class PpoConfig(RunConfig):
     """Proximal policy optimisation with a clipped surrogate (Schulman et al. 2017).
@@ -36,6 +38,10 @@ class PpoConfig(RunConfig):
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
     stop_at_finishes: finished episodes after which training ends; 0 for no limit
+    stop_at_greedy: share of validation episodes that must finish, twice in a row, for training to
+        end; 0 for no limit. With both limits it ends when both are reached
+    running_total: whether every step pays the sum of its episode's rewards so far, as the
+        environments of kart-simulator do; returns in logs stay those of the environment
     ghosts: whether training episodes are saved for `replay`, in environments with poses
     """
 
@@ -60,6 +66,8 @@ class PpoConfig(RunConfig):
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.2
     stop_at_finishes: Count = 0
+    stop_at_greedy: Share = 0.0
+    running_total: bool = False
     ghosts: bool = True
     checkpoint_every: Positive = 50_000
 
@@ -68,3 +76,16 @@ class PpoConfig(RunConfig):
         if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
             raise ValueError("ppo learns from all observations: distil policies that observe less")
         return self
+
+    def reached(self, finishes: int, held: int) -> bool:
+        """Return whether training may end before its last step: every limit that is set is reached.
+
+        finishes: finished episodes of training
+        held: latest validations in a row with at least `stop_at_greedy`
+        """
+        limits = []
+        if self.stop_at_finishes:
+            limits.append(finishes >= self.stop_at_finishes)
+        if self.stop_at_greedy:
+            limits.append(held >= HOLDS)
+        return bool(limits) and all(limits)

@@ -3,7 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.trainers.env_batch import Steps
@@ -21,6 +23,7 @@ class Ppo(EnvRunner[PpoConfig]):
     """One run of proximal policy optimisation.
 
     iterations: batches collected and learned from so far
+    held: latest validations in a row in which at least `stop_at_greedy` of the episodes finished
     """
 
     Config = PpoConfig
@@ -43,7 +46,7 @@ class Ppo(EnvRunner[PpoConfig]):
         "eval_gates",
         "eval_speed",
     )
-    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes")
+    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes", "held")
     learner: PpoLearner
 
     def __init__(self, config: PpoConfig, run: RunFolder) -> None:
@@ -63,7 +66,8 @@ class Ppo(EnvRunner[PpoConfig]):
             self._envs.head,
         )
         self.learner = PpoLearner(config, self.policy)
-        self.iterations = 0
+        self.iterations = self.held = 0
+        self._totals: NDArray[np.float64] = np.zeros(len(self._envs))  # of the running episodes
         self._learned: dict[str, float] = {}
         self._log: EpisodeLog | None = None
         self._ghosts: GhostLog | None = None
@@ -82,9 +86,14 @@ class Ppo(EnvRunner[PpoConfig]):
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are taken, or as many episodes finished as were asked for."""
-        enough = 0 < self._config.stop_at_finishes <= self.finishes
-        return enough or super().finished
+        """Whether all steps are taken, or as much was reached as was asked for."""
+        return self._config.reached(self.finishes, self.held) or super().finished
+
+    def _validate(self) -> dict[str, float]:
+        row = super()._validate()
+        enough = row.get("eval_finish", 0.0) >= self._config.stop_at_greedy
+        self.held = self.held + 1 if enough else 0
+        return row
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         before = self.env_steps
@@ -104,7 +113,10 @@ class Ppo(EnvRunner[PpoConfig]):
             observation = torch.from_numpy(self._envs.observation).float()
             encoded, drawn, log_probability = self.learner.explore(observation)
             steps = self._envs.step(self.learner.head.action(drawn).numpy())
-            transitions.append(_transition(observation, steps, encoded, drawn, log_probability))
+            paid = self._paid(steps)
+            transitions.append(
+                _transition(observation, steps, paid, encoded, drawn, log_probability)
+            )
             if log:
                 log.add(steps, self.env_steps)
             if self._ghosts:
@@ -112,6 +124,15 @@ class Ppo(EnvRunner[PpoConfig]):
             self.env_steps += len(self._envs)
         self._update_normaliser(transitions)
         return transitions
+
+    def _paid(self, steps: Steps) -> NDArray[np.float64]:
+        """Return the rewards (B,) to learn from: of the step, or of the episode so far."""
+        if not self._config.running_total:
+            return steps.reward
+        self._totals += steps.reward
+        paid: NDArray[np.float64] = self._totals.copy()
+        self._totals[steps.terminated | steps.truncated] = 0.0
+        return paid
 
     def _update_normaliser(self, transitions: list[Transition]) -> None:
         """Add the observations to the normaliser, unless it is frozen."""
@@ -128,7 +149,7 @@ class Ppo(EnvRunner[PpoConfig]):
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
-        self.iterations = state["iterations"]
+        self.iterations, self.held = state["iterations"], state.get("held", 0)
         if self._log:
             self._log.finishes = state["finishes"]
             self._log.rewind(self.env_steps)
@@ -137,7 +158,12 @@ class Ppo(EnvRunner[PpoConfig]):
 
 
 def _transition(
-    observation: Tensor, steps: Steps, encoded: Tensor, drawn: Tensor, log_probability: Tensor
+    observation: Tensor,
+    steps: Steps,
+    paid: NDArray[np.float64],
+    encoded: Tensor,
+    drawn: Tensor,
+    log_probability: Tensor,
 ) -> Transition:
     return Transition(
         encoded=encoded,
@@ -145,7 +171,7 @@ def _transition(
         following=torch.from_numpy(steps.following).float(),
         drawn=drawn,
         log_probability=log_probability,
-        reward=torch.from_numpy(steps.reward).float(),
+        reward=torch.from_numpy(paid).float(),
         terminated=torch.from_numpy(steps.terminated),
         ended=torch.from_numpy(steps.terminated | steps.truncated),
     )

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from spikedeploy.experiments import evaluation, trial
-from spikedeploy.experiments.finishes import finished_by, finishes, progress_of, steps_to
+from spikedeploy.experiments.finishes import (
+    finished_by,
+    finishes,
+    progress_of,
+    steps_to,
+    steps_to_greedy,
+)
 from spikedeploy.experiments.trial import Trial, perform
 from spikedeploy.policies.registry import find
 from spikedeploy.trainers.metrics import read
@@ -143,6 +149,38 @@ def test_finishes_are_read_to_the_step(tmp_path):
     assert np.isinf(steps_to(3, steps))
     assert finished_by(steps, np.array([19.0, 20.0, 35.0])).tolist() == [0, 1, 2]
     assert finishes(tmp_path / "nothing.csv").size == 0
+
+
+@pytest.mark.parametrize(
+    ("shares", "reached"),
+    [
+        ((0.0, 0.95, 1.0, 0.0), 20),
+        ((0.95, 0.9, 0.95, 0.95), 30),  # the first did not hold
+        ((0.0, 0.9, 0.0, 0.95), 40),  # the last one has none after it
+        ((0.95, 0.9, 0.95, 0.9), np.inf),
+        ((), np.inf),
+    ],
+)
+def test_greedy_episodes_must_finish_in_two_validations(tmp_path, shares, reached):
+    file = tmp_path / "metrics.csv"
+    rows = "".join(f"{k}0,{share}\n{k}5,\n" for k, share in enumerate(shares, 1))
+    file.write_text("env_steps,eval_finish\n" + rows)
+    assert steps_to_greedy(0.95, file) == reached
+    assert steps_to_greedy(0.95, tmp_path / "nothing.csv") == np.inf
+
+
+def test_both_limits_must_be_reached_where_both_are_set(tmp_path):
+    both = make(tmp_path, overrides=(*QUICK, "stop_at_finishes=4", "stop_at_greedy=0.95"))
+    perform(**make(tmp_path, overrides=QUICK).arguments())
+    last = both.run / "checkpoints/last.json"
+    for counters, trained in (
+        ({"finishes": 4, "held": 1}, False),
+        ({"finishes": 3, "held": 2}, False),
+        ({"finishes": 4, "held": 2}, True),
+        ({"finishes": 4}, False),  # of a run before there was such a limit
+    ):
+        last.write_text(json.dumps({"env_steps": 512, **counters}))
+        assert both.trained == trained
 
 
 def test_the_progress_of_a_training_is_its_last_line(tmp_path):

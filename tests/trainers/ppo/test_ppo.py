@@ -1,3 +1,4 @@
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,49 @@ def test_training_ends_at_the_requested_number_of_finishes(tmp_path, world):
     assert "eval_return" in last  # the last policy is judged, too
     state, _ = RunFolder(run).load("last")
     assert state["finished"]
+
+
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
+def test_training_ends_once_greedy_episodes_finish_twice_in_a_row(tmp_path, world):
+    settings = [*QUICK, *SPIKING, "validation.every=512", "stop_at_greedy=0.5"]
+    run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
+    shares = [row["eval_finish"] for row in read(run / "metrics.csv") if "eval_finish" in row]
+    state, _ = RunFolder(run).load("last")
+    assert state["finished"]
+    if state["env_steps"] < 4096:
+        assert [share >= 0.5 for share in shares[-2:]] == [True, True]
+        assert state["held"] == 2
+    held = [now and then for now, then in pairwise(share >= 0.5 for share in shares[:-1])]
+    assert not any(held)  # it did not go on after that
+
+
+@pytest.mark.parametrize(
+    ("limits", "ends"),
+    [
+        ({}, (False, False, False)),
+        ({"stop_at_finishes": 5}, (True, False, True)),
+        ({"stop_at_greedy": 0.95}, (False, True, True)),
+        ({"stop_at_finishes": 5, "stop_at_greedy": 0.95}, (False, False, True)),
+    ],
+)
+def test_training_ends_when_every_limit_that_is_set_is_reached(limits, ends):
+    config = PpoConfig(algorithm="ppo", recipe="smoke-kart", **limits)
+    assert (config.reached(5, 1), config.reached(4, 2), config.reached(5, 2)) == ends
+
+
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
+def test_a_running_total_pays_the_sum_of_the_episode_so_far(tmp_path, world):
+    def rewards(*more):
+        config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, *more])
+        ppo = Ppo(config, RunFolder.create(tmp_path, config))
+        return [transition.reward for transition in ppo.collect()]
+
+    steps, sums = rewards(), rewards("running_total=true")
+    # both draw the same actions; episodes of all copies last ten steps
+    for first in (0, 10):
+        torch.testing.assert_close(
+            torch.stack(sums[first : first + 10]), torch.stack(steps[first : first + 10]).cumsum(0)
+        )
 
 
 def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():

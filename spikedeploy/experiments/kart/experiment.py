@@ -1,7 +1,8 @@
-"""The kart experiment: runs the missing parts, shows their progress, writes its page after each."""
+"""The kart experiment: runs the missing parts, shows their progress, writes its page."""
 
 import time
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
 
@@ -9,10 +10,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from spikedeploy.console import console
 from spikedeploy.experiments import workers
-from spikedeploy.experiments.evaluation import BuiltInEvaluation
 from spikedeploy.experiments.finishes import progress_of
-from spikedeploy.experiments.kart_design import ExperimentDesign
-from spikedeploy.experiments.kart_page import write
+from spikedeploy.experiments.kart.design import ExperimentDesign, Part
+from spikedeploy.experiments.kart.heldout import TrackEvaluation
+from spikedeploy.experiments.kart.page import write
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
 from spikedeploy.files import check_folder
@@ -21,6 +22,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines where there is no terminal
+_PAGE_EVERY = 120.0  # [s] between two pages, which read all results
 
 
 class _ExperimentProgress:
@@ -101,7 +103,7 @@ def experiment(
 ) -> Outcome:
     """Run the missing parts of the experiment.
 
-    only     prefixes of the names of parts; empty for all
+    only     beginnings of the names of parts, in which * stands for anything; empty for all
     count    processes in parallel; None for one on each core
     results  folder of kart.md and kart/
     train    False only writes the page
@@ -113,13 +115,16 @@ def experiment(
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
     failed: dict[str, str] = {}
+    written = [time.monotonic()]
     with _ExperimentProgress(design.folder, len(jobs)) as progress:
 
         def ended(end: JobEnd) -> None:
             progress.end(end)
             if end.failed:
                 failed[end.job.name] = end.last_line
-            write(design, results)
+            if time.monotonic() - written[-1] > _PAGE_EVERY:
+                write(design, results)
+                written.append(time.monotonic())
 
         whole = workers.run(jobs, count or cores(), ended, progress.update)
     files = write(design, results)
@@ -135,19 +140,24 @@ def _check(trial: Trial) -> None:
         raise ConfigError(f"{trial.name}: {error}") from error
 
 
-def _chosen(design: ExperimentDesign, only: Sequence[str]) -> list[BuiltInEvaluation | Trial]:
-    """The parts whose names have one of the prefixes."""
+def _chosen(design: ExperimentDesign, only: Sequence[str]) -> list[Part]:
+    """The parts whose names begin so; `*-classic-snn` are those of three worlds."""
     for beginning in only:
-        if not any(part.name.startswith(beginning) for part in design.parts):
+        if not any(fnmatchcase(part.name, f"{beginning}*") for part in design.parts):
             known = dict.fromkeys(
                 part.name.rpartition("-s")[0] or part.name for part in design.trials()
             )
             raise ConfigError(
                 f"no part of the experiment begins with {beginning!r}; known: {', '.join(known)}"
             )
-    return [p for p in design.parts if not only or p.name.startswith(tuple(only))]
+    return [
+        part
+        for part in design.parts
+        if not only or any(fnmatchcase(part.name, f"{beginning}*") for beginning in only)
+    ]
 
 
-def _job(part: BuiltInEvaluation | Trial, design: ExperimentDesign) -> Job:
+def _job(part: Part, design: ExperimentDesign) -> Job:
     log = Path(design.folder) / "logs" / f"{part.name}.log"
-    return Job(part.name, f"{type(part).__module__}:perform", log, part.arguments())
+    after = [part.of.name] if isinstance(part, TrackEvaluation) else []
+    return Job(part.name, f"{type(part).__module__}:perform", log, part.arguments(), after)

@@ -1,4 +1,4 @@
-"""Finishes against environment steps: a panel for each world, median and range of the trainings."""
+"""Finishes against environment steps: a panel for each preset and world, median and range."""
 
 import math
 from collections.abc import Sequence
@@ -9,8 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.experiments.finishes import Steps, finished_by
-from spikedeploy.experiments.kart_design import NETWORKS, PEERS, WORLDS, ExperimentDesign
-from spikedeploy.experiments.kart_records import COUNT
+from spikedeploy.experiments.kart.design import (
+    COUNT,
+    LEARNING,
+    NETWORKS,
+    PEERS,
+    WORLDS,
+    ExperimentDesign,
+    recipe,
+)
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 
 if TYPE_CHECKING:
@@ -25,32 +32,33 @@ def draw(design: ExperimentDesign, path: Path) -> Path:
     """Write the picture of all complete trainings of the two networks."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 4.0), layout="constrained")
-    panels = figure.subplots(1, len(WORLDS), sharey=True)
-    for world, axes in zip(WORLDS, panels, strict=True):
-        _panel(axes, design, world)
-    panels[0].set_ylabel(f"finished episodes of training, up to {COUNT}")
-    named = {name: line for axes in panels for line, name in zip(*_legend(axes), strict=True)}
+    figure = Figure(figsize=(11, 7.0), layout="constrained")
+    panels = figure.subplots(len(LEARNING), len(WORLDS), sharey=True, squeeze=False)
+    for preset, row in zip(LEARNING, panels, strict=True):
+        for world, axes in zip(WORLDS, row, strict=True):
+            _panel(axes, design, preset, world)
+        row[0].set_ylabel(f"finished episodes of training, up to {COUNT}")
+    named = {name: line for axes in panels.flat for line, name in zip(*_legend(axes), strict=True)}
     figure.legend(
         named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
     )
     return save(figure, path)
 
 
-def _panel(axes: "Axes", design: ExperimentDesign, world: str) -> None:
+def _panel(axes: "Axes", design: ExperimentDesign, preset: str, world: str) -> None:
     from matplotlib.ticker import EngFormatter
 
-    for place, policy in enumerate(NETWORKS):
-        trials = [t for t in design.trials() if t.recipe == f"{world}-{policy}" and t.trained]
+    for policy in NETWORKS:
+        name = recipe(preset, world, policy)
+        trials = [t for t in design.trials() if t.recipe == name and t.trained]
         lengths = [float(trial.counters["env_steps"]) for trial in trials]
         if trials:
             _curve(axes, [trial.finishes for trial in trials], lengths, policy)
-        peer = 1000 * PEERS[world].nth[place]
         axes.plot(
-            peer, COUNT, "x", color=_COLOURS[policy], clip_on=False, zorder=5,
-            label=f"kart-simulator's {policy.upper()}",
+            1000 * PEERS[world].nth[policy], COUNT, "x", color=_COLOURS[policy], clip_on=False,
+            zorder=5, label=f"kart-simulator's {policy.upper()}",
         )  # fmt: skip
-    axes.set_title(world, loc="left", fontsize=11, pad=10)
+    axes.set_title(f"{world}, {preset}", loc="left", fontsize=11, pad=10)
     axes.set_xlabel("environment steps")
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.set_ylim(0, COUNT)

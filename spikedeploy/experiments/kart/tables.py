@@ -1,13 +1,13 @@
-"""Results of the kart experiment as Markdown tables."""
+"""Learning, driving and the chip as Markdown tables, of one preset each."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
-from spikedeploy.experiments.kart_design import CONTROLS, NETWORKS, PEERS, WORLDS
-from spikedeploy.experiments.kart_records import COUNT, NTH, Record
+from spikedeploy.experiments.kart.design import COUNT, GREEDY, PEERS, POLICIES, WORLDS
+from spikedeploy.experiments.kart.records import FIRST, HELD, NTH, Record
 from spikedeploy.policies.interface import FLOAT
 from spikedeploy.reports.columns import ABSENT, scaled
 from spikedeploy.reports.markdown import markdown_table
@@ -24,28 +24,37 @@ def on_chip(rows: Iterable[Record], world: str) -> list[Record]:
     return [row for row in of(rows, world, "snn") if row["chip"] != FLOAT]
 
 
-def learning_table(rows: Sequence[Record], budgets: Mapping[tuple[str, str], int]) -> list[str]:
-    """Markdown: steps to the first and to the 300th finish, beside kart-simulator's."""
-    heads = ["first finish", f"{COUNT} finishes", "% of ANN"]
-    lines = [["world", "policy", "seeds", *heads, *(f"kart-simulator: {head}" for head in heads)]]
+def learning_table(rows: Sequence[Record]) -> list[str]:
+    """Markdown: steps to the first and to the 300th finish, and until greedy episodes finish."""
+    own = ["first finish", f"{COUNT} finishes", "% of ANN"]
+    heads = [*own, f"greedy {GREEDY:.0%}", "% of ANN"]
+    lines = [["world", "policy", "seeds", *heads, *(f"kart-simulator: {head}" for head in own)]]
     for world in WORLDS:
-        for place, policy in enumerate(NETWORKS):
-            found, peer = of(rows, world, policy), PEERS[world]
-            spiking, budget = policy == "snn", budgets[world, policy]
+        for policy in POLICIES:
+            found = of(rows, world, policy)
             lines.append(
                 [
                     world,
                     policy,
                     f"{len(found)}",
-                    steps([row["first_finish"] for row in found], budget),
-                    steps([row[NTH] for row in found], budget),
-                    percent_of_ann(rows, world) if spiking else ABSENT,
-                    f"{peer.first[place]}k",
-                    f"{peer.nth[place]}k",
-                    f"{peer.share:.1%}" if spiking else ABSENT,
+                    steps(found, FIRST),
+                    steps(found, NTH),
+                    percent_of_ann(rows, world, policy, NTH),
+                    steps(found, HELD),
+                    percent_of_ann(rows, world, policy, HELD),
+                    *_peer(world, policy),
                 ]
             )
     return markdown_table(lines)
+
+
+def _peer(world: str, policy: str) -> list[str]:
+    """kart-simulator's steps to the first and 300th finish, and its SNN's share of its ANN."""
+    peer = PEERS[world]
+    if policy not in peer.first:
+        return 3 * [ABSENT]
+    share = f"{peer.share:.1%}" if policy == "snn" else ABSENT
+    return [f"{peer.first[policy]}k", f"{peer.nth[policy]}k", share]
 
 
 def driving_table(rows: Sequence[Record]) -> list[str]:
@@ -95,35 +104,45 @@ def _beside(row: Record, twin: Record) -> list[str]:
     ]
 
 
-def steps(values: Sequence[float], budget: int) -> str:
-    """Median [least, most] in thousands: `251k [240k, > 500k]`, where 500k is the budget."""
-
-    def text(value: float) -> str:
-        return f"{value / 1000:,.0f}k" if math.isfinite(value) else f"> {budget / 1000:,.0f}k"
-
+def steps(rows: Sequence[Record], field: str) -> str:
+    """Median [least, most] in thousands: `251k [240k, > 500k]`, where one ended at 500k without."""
+    values = [row[field] for row in rows]
     if not values:
         return ABSENT
+    ended = min((row["env_steps"] for row in rows if math.isinf(row[field])), default=0)
+
+    def text(value: float) -> str:
+        known = math.isfinite(value)
+        return f"{value / 1000:,.0f}k" if known else f"> {ended / 1000:,.0f}k"
+
     return f"{text(float(np.median(values)))} [{text(min(values))}, {text(max(values))}]"
 
 
-def share(rows: Sequence[Record], world: str) -> Estimate | None:
-    """Median steps of the ANN / median steps of the SNN; None where a median was not reached.
+def share(
+    rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
+) -> Estimate | None:
+    """Median steps of the ANN / median steps of a policy; None where a median was not reached.
 
     The interval is NaN where single trainings did not reach it.
     """
-    ann, snn = ([row[NTH] for row in of(rows, world, policy)] for policy in NETWORKS)
-    if not ann or not snn or not all(math.isfinite(np.median(each)) for each in (ann, snn)):
+    ann, own = ([row[field] for row in of(rows, world, each)] for each in ("ann", policy))
+    if not ann or not own or not all(math.isfinite(np.median(each)) for each in (ann, own)):
         return None
-    if not np.isfinite([*ann, *snn]).all():
-        return Estimate(float(np.median(ann) / np.median(snn)), (math.nan, math.nan))
-    return ratio_of_medians(ann, snn, np.random.default_rng(0))
+    if not np.isfinite([*ann, *own]).all():
+        return Estimate(float(np.median(ann) / np.median(own)), (math.nan, math.nan))
+    return ratio_of_medians(ann, own, np.random.default_rng(0))
 
 
-def percent_of_ann(rows: Sequence[Record], world: str) -> str:
-    """`share` in percent, with its interval."""
-    found = share(rows, world)
-    if found is None:
-        return ABSENT
+def percent_of_ann(
+    rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
+) -> str:
+    """`share` in percent, with its interval; a dash for the ANN itself."""
+    found = share(rows, world, policy, field)
+    return ABSENT if policy == "ann" or found is None else percent(found)
+
+
+def percent(found: Estimate) -> str:
+    """`97.4% [95%, 102%]`; without an interval where there is none."""
     low, high = found.ci95
     known = "" if math.isnan(low) else f" [{low:.0%}, {high:.0%}]"
     return f"{found.mean:.1%}{known}"
@@ -132,7 +151,7 @@ def percent_of_ann(rows: Sequence[Record], world: str) -> str:
 def _drivers(rows: Sequence[Record], world: str) -> list[tuple[str, list[Record]]]:
     """Label -> rows: networks, then controls, then built-in policies."""
     found: dict[str, list[Record]] = {}
-    order = [*NETWORKS, *CONTROLS]
+    order = list(POLICIES)
     here = [row for row in rows if row["world"] == world]
     here.sort(key=lambda row: order.index(row["policy"]) if row["policy"] in order else len(order))
     for row in here:

@@ -5,29 +5,33 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from spikedeploy.experiments.evaluation import BuiltInEvaluation
 from spikedeploy.experiments.finishes import steps_to
-from spikedeploy.experiments.kart_design import ExperimentDesign
+from spikedeploy.experiments.kart.design import COUNT, DEFAULT, GREEDY, ExperimentDesign, preset_of
+from spikedeploy.experiments.kart.heldout import UNSEEN
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.files import replacing
 
-COUNT = 300  # of finishes, as kart-simulator's table has it
-NTH = f"finish_{COUNT}"
+FIRST, NTH = "first_finish", f"finish_{COUNT}"
+HELD = f"greedy_{GREEDY:.0%}".removesuffix("%")
 Record = dict[str, Any]
 
 
 def learning(design: ExperimentDesign) -> list[Record]:
-    """A record for each complete training: steps to the first and to the 300th finish."""
-    return [
-        {
-            **_identity(trial),
-            "env_steps": trial.counters["env_steps"],
-            "finishes": len(trial.finishes),
-            "first_finish": steps_to(1, trial.finishes),
-            NTH: steps_to(COUNT, trial.finishes),
-        }
-        for trial in design.trials()
-        if trial.trained
-    ]
+    """A record for each complete training: steps to the first and 300th finish, and greedily."""
+    return [_learned(trial) for trial in design.trials() if trial.trained]
+
+
+def _learned(trial: Trial) -> Record:
+    finishes = trial.finishes
+    return {
+        **_identity(trial),
+        "env_steps": trial.counters["env_steps"],
+        "finishes": len(finishes),
+        FIRST: steps_to(1, finishes),
+        NTH: steps_to(COUNT, finishes),
+        HELD: trial.steps_to_greedy(GREEDY),
+    }
 
 
 def driving(design: ExperimentDesign) -> list[Record]:
@@ -40,7 +44,7 @@ def driving(design: ExperimentDesign) -> list[Record]:
             found += [facts | _driven(row) for row in evaluation["rows"]]
     for part in design.built_in():
         if part.evaluation:
-            facts = {"world": part.env, "policy": part.policy, "seed": None, "parameters": None}
+            facts = {**_script(part), "parameters": None}
             found += [facts | _driven(row) for row in part.evaluation["rows"]]
     return found
 
@@ -70,9 +74,32 @@ def _driven(row: Mapping[str, Any]) -> Record:
     return {field: row.get(field) for field in _FIELDS} | prices
 
 
+def heldout(design: ExperimentDesign) -> list[Record]:
+    """A record for each driver and track; `finished` (n,) of its starts."""
+    found = []
+    for part in design.on_tracks():
+        identity = _identity(part.of) if isinstance(part.of, Trial) else _script(part.of)
+        chip = part.of.chip if isinstance(part.of, Trial) and identity["policy"] == "snn" else None
+        found += [
+            {
+                **identity,
+                "chip": chip,
+                "track": track,
+                "unseen": track in UNSEEN,
+                "finished": finished,
+            }
+            for track, finished in (part.finished or {}).items()
+        ]
+    return found
+
+
+def _script(part: BuiltInEvaluation) -> Record:
+    return {"world": part.env, "preset": DEFAULT, "policy": part.policy, "seed": None}
+
+
 def _identity(trial: Trial) -> Record:
-    world = trial.config.env.name
-    return {"world": world, "policy": trial.recipe.removeprefix(f"{world}-"), "seed": trial.seed}
+    world, policy = trial.config.env.name, trial.recipe.rpartition("-")[2]
+    return {"world": world, "preset": preset_of(trial), "policy": policy, "seed": trial.seed}
 
 
 def write_csv(rows: Sequence[Record], path: Path) -> Path:
@@ -86,4 +113,6 @@ def write_csv(rows: Sequence[Record], path: Path) -> Path:
 
 
 def _cell(value: object) -> object:
+    if isinstance(value, list):
+        return "".join(map(str, value))  # 1 for an episode that finished, 0 for one that did not
     return f"{value:.10g}" if isinstance(value, float) else value

@@ -1,0 +1,166 @@
+"""The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from spikedeploy.experiments.kart.design import (
+    CLASSIC,
+    CORRIDOR,
+    COUNT,
+    DEFAULT,
+    GREEDY,
+    LEARNING,
+    ExperimentDesign,
+    preset_of,
+)
+from spikedeploy.experiments.kart.heldout import UNSEEN
+from spikedeploy.experiments.kart.heldout_table import heldout_table
+from spikedeploy.experiments.kart.plot import draw
+from spikedeploy.experiments.kart.records import Record, driving, heldout, learning, write_csv
+from spikedeploy.experiments.kart.tables import chip_table, driving_table, learning_table
+from spikedeploy.experiments.kart.verdicts import (
+    chip_verdicts,
+    heldout_verdicts,
+    learning_verdicts,
+)
+from spikedeploy.experiments.trial import Trial
+from spikedeploy.files import write_text
+from spikedeploy.trainers.ppo.config import HOLDS
+from spikedeploy.trainers.versions import own
+
+
+def write(design: ExperimentDesign, results: Path) -> list[Path]:
+    """Write page, tables and picture of the complete parts; return the files."""
+    learned, driven, tracks = learning(design), driving(design), heldout(design)
+    folder = results / "kart"
+    files = [
+        write_csv(learned, folder / "learning.csv"),
+        write_csv(driven, folder / "driving.csv"),
+        write_csv(tracks, folder / "tracks.csv"),
+        write_csv(_finishes(design), folder / "finishes.csv"),
+        draw(design, folder / "finishes.png"),
+    ]
+    return [write_text(results / "kart.md", _page(design, learned, driven, tracks)), *files]
+
+
+def _finishes(design: ExperimentDesign) -> list[Record]:
+    """One row for each finish of each complete training, up to COUNT."""
+    return [
+        {"recipe": t.recipe, "seed": t.seed, "finish": n, "env_steps": steps}
+        for t in design.trials()
+        if t.trained and preset_of(t) in LEARNING
+        for n, steps in enumerate(map(int, t.finishes[:COUNT]), start=1)
+    ]
+
+
+_LEARNING = f"""\
+Environment steps, those of all copies of the world together; medians over the training seeds
+[least, most], "> 300k" where a training ended at 300k steps without. Two metrics:
+
+- the first and the {COUNT}th finished episode of training, whose actions are drawn and whose starts
+  are random. It is kart-simulator's own, and mostly counts laps once a policy finishes at all;
+- greedy {GREEDY:.0%}: the first validation (20 greedy episodes, every 10,000 steps, seeds 5,000 to
+  5,019) in which {GREEDY:.0%} finish, if the next one says so, too, or if there is none.
+
+"% of ANN" is the ANN's steps over those of the policy (more is sooner), with a 95% bootstrap
+interval over training seeds; without an interval where a training did not get there, "–" where half
+of them did not. kart-simulator's figures are of single, best runs, read off once a batch."""
+_PRESETS = {
+    DEFAULT: """\
+Dynamics, track, starts and what counts as a finish are kart-simulator's; the reward, the
+observation (rays straight ahead, all of the motion) and PPO's settings are ours. So the steps show
+what a user of this project gets, not which of these differences is worth how much.""",
+    CLASSIC: """\
+kart-simulator's observation, reward, terminations, networks and settings of PPO; what still differs
+is listed in [docs/karts.md](../docs/karts.md). A training that ends early, as said at the end of
+this page, was not watched for greedy driving any longer than that.""",
+}
+_DRIVING = """\
+Greedy episodes from {episodes} starts that no training saw, for each trained policy; medians over
+the trainings [least, most]. `float` is the float twin of the spiking network, `{chip}` the same
+file in the emulated chip's integers. Controls: `small` is a float network of the spiking one's
+size, `linear` has no hidden layer; both learn by the same rules within the same budget. `gap` is a
+script that follows the gap in the LIDAR, `random` draws its actions."""
+_CHIP = """\
+The same starts, the same file; points of the finish rate, and the share of equal actions on the
+observations that the twin recorded."""
+_TRACKS = f"""\
+The share of starts that finish, greedily, on tracks that a policy was not trained on, with a 95%
+interval over trainings and starts (of a script, and where all trainings agree in every start:
+Wilson's, over starts). `corridor-8` policies learned in corridors of eight cells that are drawn
+anew in each episode, and observe only LIDAR and velocity; their starts here draw corridors that no
+training saw. `big_S` policies are those of the default preset. Spiking policies run on the chip.
+Trained on neither: {", ".join(UNSEEN)}. Parameters of `gap` were tuned on big_S."""
+
+
+def _page(
+    design: ExperimentDesign,
+    learned: Sequence[Record],
+    driven: Sequence[Record],
+    tracks: Sequence[Record],
+) -> str:
+    """The page."""
+    parts = ["# Karts: float and spiking networks, learned from scratch", f"    {_command()}"]
+    parts += _missing(design)
+    said = [*learning_verdicts(learned), *chip_verdicts(driven), *heldout_verdicts(tracks)]
+    parts += ["\n".join(said), "## How soon they finish", _LEARNING]
+    for preset in LEARNING:
+        own = [row for row in learned if row["preset"] == preset]
+        parts += [f"### {preset} preset", _PRESETS[preset], "\n".join(learning_table(own))]
+    parts += ["![finishes against environment steps](kart/finishes.png)"]
+    parts += ["## How well they drive", _DRIVING.format(**vars(design))]
+    for preset in LEARNING:
+        own = [row for row in driven if row["preset"] == preset]
+        parts += [f"### {preset} preset, driving", "\n".join(driving_table(own))]
+    parts += ["## The chip beside its float twin", _CHIP]
+    for preset in LEARNING:
+        own = [row for row in driven if row["preset"] == preset]
+        parts += [f"### {preset} preset, on the chip", "\n".join(chip_table(own))]
+    parts += ["## Tracks that were not trained on", _TRACKS, "\n".join(heldout_table(tracks))]
+    parts += ["## How this was made", "\n".join(_facts(design))]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _command() -> str:
+    return shlex.join(["spikedeploy", *sys.argv[1:]])
+
+
+def _missing(design: ExperimentDesign) -> list[str]:
+    done, of_all = sum(part.done for part in design.parts), len(design.parts)
+    return [f"**{done} of {of_all} parts are complete.**"] if done < of_all else []
+
+
+def _facts(design: ExperimentDesign) -> list[str]:
+    """What is needed to reproduce the experiment."""
+    trained = design.trials()
+    return [
+        f"- spikedeploy {own()}; run folders in `{design.folder}`",
+        f"- training seeds 0 to {design.seeds - 1}; of controls 0 to {design.controls - 1}",
+        *(_end(trained, preset) for preset in (*LEARNING, CORRIDOR)),
+        *(f"- `--set {setting}`" for setting in design.overrides),
+        *(
+            f"- ✗ {trial.name} was trained with other settings than its recipe has now: "
+            + ", ".join(trial.changed_settings)
+            for trial in trained
+            if trial.changed_settings
+        ),
+        "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
+        "[tracks.csv](kart/tracks.csv), [finishes.csv](kart/finishes.csv)",
+    ]
+
+
+def _end(trials: Sequence[Trial], preset: str) -> str:
+    """When the trainings of a preset end."""
+    own = [trial for trial in trials if preset_of(trial) == preset]
+    configs = {trial.config.env.name: trial.config for trial in own}
+    budgets = ", ".join(f"{config.steps:,} ({world})" for world, config in configs.items())
+    config = own[0].config
+    limits = []
+    if config.stop_at_finishes:
+        limits.append(f"{config.stop_at_finishes} finishes")
+    if config.stop_at_greedy:
+        limits.append(f"{HOLDS} validations in a row of greedy {config.stop_at_greedy:.0%}")
+    early = f" {' and '.join(limits)}, or" if limits else ""
+    return f"- {preset}: a training ends with{early} its budget of environment steps: {budgets}"

@@ -1,0 +1,92 @@
+"""Sentences of the kart page: each target, whether it was reached, and the numbers."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from spikedeploy.comparison.statistics import Estimate
+from spikedeploy.experiments.kart.design import COUNT, GREEDY, LEARNING, NETWORKS, PEERS, WORLDS
+from spikedeploy.experiments.kart.heldout_table import on_unseen, ratio_of_means
+from spikedeploy.experiments.kart.records import HELD, NTH, Record
+from spikedeploy.experiments.kart.tables import of, on_chip, percent, share
+
+_NEAR = 0.95  # of the ANN: what an SNN is asked to reach
+_POINTS = 2  # of the finish rate that the chip may differ from the float twin
+
+
+def learning_verdicts(learned: Sequence[Record]) -> list[str]:
+    """Steps beside kart-simulator's, and the SNN beside the ANN, for each preset and world."""
+    lines = []
+    for preset in LEARNING:
+        rows = [row for row in learned if row["preset"] == preset]
+        for world in WORLDS:
+            for policy in NETWORKS:
+                lines += _finishes(rows, f"{preset}, {world}", world, policy)
+            for field, what in ((NTH, f"{COUNT} finishes"), (HELD, f"greedy {GREEDY:.0%}")):
+                found = share(rows, world, "snn", field)
+                lines += _near(found, f"{preset}, {world}", f"in steps to {what}")
+    return lines
+
+
+def _finishes(rows: Sequence[Record], where: str, world: str, policy: str) -> list[str]:
+    found = [row[NTH] for row in of(rows, world, policy)]
+    if not found:
+        return []
+    limit, median = 1000 * PEERS[world].nth[policy], float(np.median(found))
+    known = math.isfinite(median)
+    text = f"{median / 1000:,.0f}k steps" if known else "more steps than it was trained"
+    said = (
+        f"{where}, {policy}: {COUNT} finishes after {text} (median), "
+        f"kart-simulator {limit / 1000:,.0f}k"
+    )
+    return [_verdict(median <= limit, said)]
+
+
+def _near(found: Estimate | None, where: str, what: str) -> list[str]:
+    """Whether the SNN comes near the ANN; its interval says whether that can be told."""
+    if found is None:
+        return []
+    text = f"{where}: the SNN reaches {percent(found)} of the ANN {what} (asked for {_NEAR:.0%})"
+    low, high = found.ci95
+    within = low <= 1.0 <= high  # False where there is no interval
+    return [_verdict(found.mean >= _NEAR, text + ("; 100% is in the interval" if within else ""))]
+
+
+def chip_verdicts(driven: Sequence[Record]) -> list[str]:
+    """Chip beside float twin, for each preset and world."""
+    lines = []
+    for preset in LEARNING:
+        rows = [row for row in driven if row["preset"] == preset]
+        for world in WORLDS:
+            apart = [abs(100 * row["success_difference_mean"]) for row in on_chip(rows, world)]
+            if apart:
+                text = f"chip and float twin differ by up to {max(apart):.0f} points"
+                lines.append(_verdict(max(apart) <= _POINTS, f"{preset}, {world}: {text}"))
+    return lines
+
+
+def heldout_verdicts(rows: Sequence[Record]) -> list[str]:
+    """On tracks that nothing was trained on: networks beside the script, the SNN beside the ANN."""
+    lines = []
+    for world in WORLDS:
+        shares = {policy: on_unseen(rows, world, policy) for policy in NETWORKS}
+        script = [
+            np.mean(row["finished"])
+            for row in rows
+            if (row["world"], row["policy"], row["unseen"]) == (world, "gap", True)
+        ]
+        for policy, found in shares.items():
+            if found.size and script:
+                text = (
+                    f"held-out tracks, {world}: {policy} finishes {found.mean():.0%} of the starts "
+                    f"(mean over tracks and trainings), the gap follower {np.mean(script):.0%}"
+                )
+                lines.append(_verdict(bool(found.mean() > np.mean(script)), text))
+        ratio = ratio_of_means(shares["snn"], shares["ann"])
+        lines += _near(ratio, f"held-out tracks, {world}", "in finished starts")
+    return lines
+
+
+def _verdict(reached: bool, text: str) -> str:
+    return f"- {'✓' if reached else '✗'} {text}"
