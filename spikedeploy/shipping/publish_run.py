@@ -181,7 +181,7 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
         return
     run = find_start(settings[setting], source.parent).path
     yield from _before(run)
-    yield _training(run) | {"run": run.name, "gives": setting}
+    yield _training(run, settings.get("start_checkpoint")) | {"run": run.name, "gives": setting}
 
 
 def _overrides(source: Path) -> list[str]:

@@ -23,6 +23,8 @@ class SparsePpoConfig(RunConfig):
 
     start: run folder of a sparse recipe: a path, or a name in the folder that this run is in.
         Policy, masks, teacher, budget, chip, rounding and sharpness are those of its configuration
+    start_checkpoint: which of its policies: "best" is the best at its budget, "ops-480" the best of
+        those pruned to 480 operations, which then are the budget
     iterations: number of times that episodes are played and learned from; `validation.every` and
         `checkpoint_every` count them
     warm_up: iterations at the beginning in which only the critic learns
@@ -48,6 +50,7 @@ class SparsePpoConfig(RunConfig):
 
     policy: PolicyConfig = DeltaSnnConfig()
     start: str = ""
+    start_checkpoint: str = "best"
     iterations: Positive = 60
     warm_up: Count = 2
     episodes: Positive = 8

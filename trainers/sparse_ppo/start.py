@@ -12,6 +12,8 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 
+LEVEL = "ops-"  # names of the checkpoints of the levels of pruning
+
 
 def find_start(start: str, runs: Path) -> RunFolder:
     """Return the run that `start` of a run in the folder `runs` names.
@@ -32,7 +34,7 @@ def stored_start(start: RunFolder, runs: Path) -> str:
 
 
 def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, SparseConfig, Policy]:
-    """Return the run to start from, its configuration and its best policy."""
+    """Return the run to start from, its configuration with the budget of the policy, the policy."""
     if not config.start:
         raise ConfigError(
             f"{config.recipe} needs a finished run: --set start=RUN, where RUN is the run folder "
@@ -49,15 +51,29 @@ def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, Spar
             f"start: {config.start} was trained in {source.env.name}, not in {config.env.name}. "
             "Take the recipe of its task."
         )
-    if not run.checkpoint("best").is_file():
-        raise ConfigError(
-            f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
-            "continue it with --resume."
-        )
-    policy = run.policy("best")
+    level = config.start_checkpoint
+    if not run.checkpoint(level).is_file():
+        raise ConfigError(_no_policy(config, run))
+    policy = run.policy(level)
     if isinstance(policy, DeltaMlpPolicy):
         raise ConfigError(
             f"start: {config.start} has sigma-delta neurons, with which PPO cannot go on. "
             "Give a run with LIF neurons or of a float network."
         )
+    if level.startswith(LEVEL):
+        source = source.model_copy(update={"budget": float(level.removeprefix(LEVEL))})
     return run, source, policy
+
+
+def _no_policy(config: SparsePpoConfig, run: RunFolder) -> str:
+    level = config.start_checkpoint
+    if level == "best":
+        return (
+            f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
+            "continue it with --resume."
+        )
+    found = sorted(path.stem for path in run.checkpoint(level).parent.glob(f"{LEVEL}*.safetensors"))
+    return (
+        f"start_checkpoint: {config.start} has no policy {level!r}. It has "
+        f"{', '.join(found) or 'none of any level yet'}."
+    )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.pareto.training import Training
-from spikedeploy.experiments.pareto.tuning import RewardTraining
+from spikedeploy.experiments.pareto.tuning import BEST, RewardTraining
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 
@@ -29,6 +29,9 @@ LABELS = {
 }
 # shipped policies beside the teacher, where that is another one
 REFERENCES = {"hexapod-command": "hexapod-command/sac"}
+# earlier levels of pruning from which rivals go on with reward too: at their budgets they are below
+# the spiking networks
+EARLIER = {("hexapod-command", "small-mlp"): ("ops-300",)}
 _CHIPS = ("ideal", "loihi2", "xylo-a3")  # beside loihi1, on which all levels are evaluated
 _GRADED_CHIP = "loihi2"  # graded spikes run on it and on ideal
 _BITS = (6, 5, 4, 3, 2)
@@ -112,7 +115,14 @@ class ParetoDesign:
         recipe, settings = f"{self.env}-sparse-tuned", self.tuned_overrides
         students = [f"{self.env}-{student}" for student in (*SPIKING, *FLOAT)]
         trainings = [each for each in self.trainings() if each.recipe in students]
-        return [RewardTraining(recipe, training, settings) for training in trainings]
+        return [
+            RewardTraining(recipe, training, settings, level)
+            for training in trainings
+            for level in (BEST, *self._earlier(training.recipe))
+        ]
+
+    def _earlier(self, recipe: str) -> Sequence[str]:
+        return () if self.quick else EARLIER.get((self.env, student_of(recipe, self.env)), ())
 
     def everything(self) -> list[Training | RewardTraining]:
         """Trainings of both kinds: within a seed first those by imitation."""

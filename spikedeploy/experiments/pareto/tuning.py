@@ -6,7 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.experiments.pareto.training import Training, changed, complete, preferred
+from spikedeploy.experiments.pareto.training import (
+    Training,
+    changed,
+    complete,
+    operations_of,
+    preferred,
+)
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder
@@ -14,6 +20,7 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.sparse_ppo.start import find_start
 
+BEST = "best"  # the checkpoint at the budget of a training by imitation
 _OWN = ("start=", "policy.")  # settings that follow from the training before
 
 
@@ -22,13 +29,15 @@ class RewardTraining:
     """A training with reward.
 
     recipe     of trainers.recipes, trained by the sparse-ppo algorithm
-    start      the training whose best policy goes on
+    start      the training whose policy goes on
     overrides  settings as `--set` takes them
+    level      checkpoint of the policy: the best at the budget, or of an earlier level of pruning
     """
 
     recipe: str
     start: Training
     overrides: Sequence[str]
+    level: str = BEST
 
     trained_by = "reward"
     unit = "iterations"
@@ -50,9 +59,10 @@ class RewardTraining:
 
     @property
     def name(self) -> str:
-        """`hexapod-tuned-small-mlp-s0`."""
+        """`hexapod-tuned-small-mlp-s0`, `hexapod-tuned-small-mlp-ops-180-s0`."""
         env = self.recipe.removesuffix("-sparse-tuned")
-        return f"{env}-tuned-{self.start.name.removeprefix(f'{env}-')}"
+        level = "" if self.level == BEST else f"-{self.level}"
+        return f"{env}-tuned-{self.student.removeprefix(f'{env}-')}{level}-s{self.seed}"
 
     @property
     def donor(self) -> Training:
@@ -70,6 +80,8 @@ class RewardTraining:
             settings = json.loads(file.read_text(encoding="utf-8"))
             if (settings.get("recipe"), settings.get("seed")) != (self.recipe, self.seed):
                 continue
+            if settings.get("start_checkpoint", BEST) != self.level:
+                continue
             if _origin(settings["start"], Path(self.folder)) == (self.student, self.seed):
                 yield file.parent
 
@@ -86,10 +98,12 @@ class RewardTraining:
     @property
     def levels(self) -> list[str]:
         """Name of the checkpoint that is evaluated."""
-        return ["best"]
+        return [BEST]
 
     def operations_of(self, level: str) -> float:
-        """Operations that a checkpoint aims at: the budget of the training before."""
+        """Operations that a checkpoint aims at: those of the policy at the start."""
+        if self.level != BEST:
+            return operations_of(self.level)
         if self.run is None:
             raise ConfigError(f"{self.name} has no run folder")
         start = find_start(self.config(self.run).start, Path(self.folder))
@@ -107,6 +121,7 @@ class RewardTraining:
     def planned(self, more: Sequence[str]) -> SparsePpoConfig:
         """The configuration of a new run, with more settings."""
         settings = [*self.overrides, *more]
+        settings += [] if self.level == BEST else [f"start_checkpoint={self.level}"]
         return resolve(SparsePpoConfig, self.recipe, overrides=settings, seed=self.seed)
 
     def beginning(self) -> list[str]:
@@ -117,7 +132,8 @@ class RewardTraining:
                 f"{self.name} goes on from {self.start.name}, which is not trained yet. "
                 f"Run the experiment without --only, or with --only {self.start.name} first."
             )
-        return [f"start={json.dumps(str(run))}"]
+        level = [] if self.level == BEST else [f"start_checkpoint={self.level}"]
+        return [f"start={json.dumps(str(run))}", *level]
 
     def arguments(self) -> dict[str, Any]:
         """The fields as arguments of `perform`."""
@@ -145,6 +161,6 @@ def _origin(start: str, runs: Path) -> tuple[str, int] | None:
     return settings["recipe"], settings["seed"]
 
 
-def perform(recipe: str, start: dict[str, Any], overrides: Sequence[str]) -> bool:
+def perform(recipe: str, start: dict[str, Any], overrides: Sequence[str], level: str) -> bool:
     """Complete the training with these fields; False if it was interrupted."""
-    return complete(RewardTraining(recipe, Training(**start), overrides))
+    return complete(RewardTraining(recipe, Training(**start), overrides, level))

@@ -17,7 +17,7 @@ from spikedeploy.trainers.sparse.pool import WalkPool
 from spikedeploy.trainers.sparse.rounding import rounding_offsets
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.sparse_ppo.learner import SparsePpoLearner
-from spikedeploy.trainers.sparse_ppo.start import find_start, stored_start
+from spikedeploy.trainers.sparse_ppo.start import find_start, starting_point, stored_start
 from spikedeploy.trainers.sparse_ppo.trials import tiles
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
@@ -70,6 +70,22 @@ def test_it_trains_from_the_command_line_and_never_ends_below_its_start(start, t
     assert record["eval_operations"] <= max(400, begin["eval_operations"]) + 1e-6
     # the folder says which policy is in it, and exporters find it there
     assert RunFolder(run).settings()["policy"] == RunFolder(start).settings()["policy"]
+
+
+def test_it_can_start_at_an_earlier_level_of_pruning(start, tmp_path):
+    overrides = [f"start={start}", "start_checkpoint=ops-500"]
+    run = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
+    config = RunFolder(run).config(SparsePpoConfig)
+    found, source, policy = starting_point(config, tmp_path)
+    assert (found.path, source.budget) == (start, 500)
+    earlier, best = load_policy(start, "ops-500"), load_policy(start)
+    for name, mask in earlier.state_dict().items():
+        if name.endswith("mask"):
+            assert torch.equal(policy.state_dict()[name], mask)
+            assert torch.equal(load_policy(run, "last").state_dict()[name], mask)
+    synapses = [sum(int(m.sum()) for n, m in each.state_dict().items() if n.endswith("mask"))
+                for each in (earlier, best)]  # fmt: skip
+    assert synapses[0] > synapses[1]
 
 
 def test_masks_stay_as_they_are_while_weights_learn(start, tmp_path):
@@ -229,6 +245,10 @@ def test_the_learning_rate_follows_the_divergence(played):
         ([], "smoke-sparse-tuned needs a finished run: --set start=RUN"),
         (["start=nowhere"], "'nowhere' is no run folder"),
         (["start={start}", "env.name=hexapod-command"], "trained in hexapod, not in hexapod-comm"),
+        (
+            ["start={start}", "start_checkpoint=ops-9"],
+            "no policy 'ops-9'. It has ops-400, ops-5",
+        ),
         (["start={start}", "burn_in=9"], "window: 16 is less than twice burn_in"),
     ],
 )
