@@ -66,9 +66,9 @@ class Rollout:
         return float(self.reward.sum())
 
     @property
-    def success(self) -> bool:
-        """Whether the last step's info says success."""
-        return bool(self.info["success"][-1])
+    def success(self) -> bool | None:
+        """Whether the last step's info says success; None where it does not say."""
+        return bool(self.info["success"][-1]) if "success" in self.info else None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .npz file atomically."""
@@ -164,7 +164,8 @@ class EpisodeRecorder:
             terminated=self._terminated,
             truncated=self._truncated or not self._terminated,
             info={
-                name: np.array([numbers[name] for numbers in self._infos])
+                # infos of other people's environments may lack a number at some steps
+                name: np.array([numbers.get(name, np.nan) for numbers in self._infos])
                 for name in self._infos[-1]
             },
             options=_options_of(self._env),
