@@ -133,6 +133,11 @@ class EpisodeRecorder:
         return len(self._actions)
 
     @property
+    def reward(self) -> float:
+        """Of the latest step."""
+        return self._rewards[-1]
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended."""
         return self._terminated or self._truncated

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 
 from spikedeploy import envs
+from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.errors import ConfigError
 
 
@@ -24,6 +25,15 @@ def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.En
             f"{spec.short} has no option {wrong[1]!r}; the docstring of "
             f"{spec.target.replace(':', '.')} lists those that it has"
         ) from error
+
+
+def confirm(found: str, named: str | None, source: str) -> None:
+    """Refuse module:Class that a file names, unless the user names it: its code would be run."""
+    if is_target(found) and found != named:
+        raise ConfigError(
+            f"{source} was made for {found}, whose code is not run because a file names it: name "
+            f"it yourself, with --env {found}"
+        )
 
 
 def parse_options(

@@ -75,7 +75,7 @@ def run(
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
-    from spikedeploy.shipping.exported_run import runnable
+    from spikedeploy.shipping.exported_run import runnable, trained_in
 
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
@@ -83,7 +83,7 @@ def run(
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     comparison = run_policy(
         runnable(policy),
-        env,
+        env or trained_in(policy),
         chip,
         numbers,
         video,

@@ -12,9 +12,8 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import summarise
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
-from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import disturbed_by, make_env
+from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -81,11 +80,7 @@ def run_policy(
 def _made_for(candidate: Candidate) -> str:
     if candidate.env is None:
         raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
-    if is_target(candidate.env):
-        raise ConfigError(
-            f"{candidate.path} was made for {candidate.env}, whose code is not run because a file "
-            f"names it: name it yourself, with --env {candidate.env}"
-        )
+    confirm(candidate.env, None, candidate.path)
     return candidate.env
 
 

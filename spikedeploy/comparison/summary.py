@@ -157,12 +157,12 @@ def _earns(row: Row) -> str:
     low, high = row["return_ci95"]
     less, more = row["difference_ci95"]
     share = row["ratio_to_reference"]
-    kept = "" if share is None else f"{share:.1%} of its float twin's, "
-    succeeded = "" if row["success_rate"] is None else f" and succeeds in {_share(row)} of them"
+    kept = "" if share is None else f"{share:.1%} of its float twin's return, "
+    succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
     return (
-        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} in {row['episodes']} "
-        f"episodes (95% interval {low:,.4g} to {high:,.4g}; {kept}"
-        f"{row['difference_mean']:+,.3g} to the twin, {less:+,.3g} to {more:+,.3g}){succeeded}."
+        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} (95% interval "
+        f"{low:,.4g} to {high:,.4g}; {kept}{row['difference_mean']:+,.3g} to the twin, 95% "
+        f"interval {less:+,.3g} to {more:+,.3g}) in {row['episodes']} episodes{succeeded}."
     )
 
 
@@ -178,7 +178,8 @@ def _covered(rows: Sequence[Row]) -> str:
     trained = _trained(rows)
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""
+    measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
     return (
         f"Intervals cover {trained[0]['episodes']} episodes of one training each; other trainings "
-        "differ: results/pareto.md."
+        f"differ{measured}"
     )

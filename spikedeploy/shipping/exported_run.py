@@ -30,6 +30,13 @@ def runnable(reference: str) -> str:
     return str(file)
 
 
+def trained_in(reference: str) -> str | None:
+    """Name of the environment that a run folder was trained in; None for any other reference."""
+    if reference in BUILT_IN or not _is_run(reference):
+        return None
+    return str(run_record.settings(RunFolder.find(reference).path)["env"]["name"])
+
+
 def _is_run(reference: str) -> bool:
     if reference == "last":
         return True
