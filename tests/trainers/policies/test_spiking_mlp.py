@@ -95,3 +95,13 @@ def test_a_policy_is_rebuilt_from_its_checkpoint(coding, head):
 def test_untrained_layers_spike():
     rates = policy().latent(torch.rand(200, 6) * 2 - 1).rates
     assert all(0.05 < rate < 0.5 for rate in rates)
+
+
+@pytest.mark.parametrize("coding", ["regular", "population"])
+def test_the_reach_of_a_code_is_built_anew_and_is_one_in_old_checkpoints(coding):
+    policy = SpikingMlpPolicy(3, 2, hidden=(4,), coding=coding, reach=2.5)
+    again = build(policy.spec())
+    of = "high" if coding == "regular" else "mean"
+    assert float(getattr(again.encoder, of).max()) == 2.5
+    old = {key: value for key, value in policy.spec().items() if key != "reach"}
+    assert float(getattr(build(old).encoder, of).max()) == 1.0
