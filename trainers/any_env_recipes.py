@@ -77,7 +77,7 @@ ANY_ENV_RECIPES: dict[str, Recipe] = {
         (
             "distill-snn",
             "distill",
-            "any ENV: 64-64 LIF neurons from a teacher, --set teacher=RUN",
+            "any ENV with continuous actions: 64-64 LIF neurons, --set teacher=RUN",
             _DISTILL,
             _SPIKING_MLP,
         ),
