@@ -153,7 +153,8 @@ def test_infos_keep_their_numbers_alone():
     ("name", "period"), [("Pendulum-v1", 0.05), ("CartPole-v1", 0.02), (REACH, 0.025)]
 )
 def test_the_control_period_is_the_environments(name, period):
-    assert envs.make(name).unwrapped.CONTROL_DT == pytest.approx(period)
+    found = envs.make(name).unwrapped.CONTROL_DT
+    assert found == pytest.approx(period)
 
 
 def test_a_time_limit_can_be_given():
@@ -162,7 +163,7 @@ def test_a_time_limit_can_be_given():
 
 def test_an_episode_without_an_end_is_refused(monkeypatch):
     monkeypatch.setattr("spikedeploy.envs.adapted._LONGEST", 5)
-    with pytest.raises(EnvError, match="did not end in 5 steps.*max_episode_steps"):
+    with pytest.raises(EnvError, match=r"did not end in 5 steps.*max_episode_steps"):
         rollout(envs.make(REACH), Middle(), seed=0)
 
 
