@@ -1,7 +1,8 @@
 """Environments: gymnasium environments that policies are trained and compared in.
 
 A hexapod on MuJoCo and karts on pymunk, and what records their episodes. ENVS is the table of
-environments; `make` builds one by its short name or gymnasium id.
+environments; `make` builds one by its short name or gymnasium id, and likewise those of other
+people: any id that is registered with gymnasium, and targets such as my_module:MyEnv.
 
 hexapod/           a walking robot on rough ground, with and without velocity commands
 kart/              three kinds of kart on tracks, with a LIDAR and a scripted driver
@@ -10,6 +11,8 @@ rollout.py         one episode of a controller, recorded and saved
 ghosts.py          compact records of kart episodes, a whole training in small files
 ghost_recorder.py  collects ghosts from environments that are stepped side by side
 archive.py         .npz files, written atomically
+foreign.py         environments of other people, by registered id or module:Class
+adapted.py         those as policies expect them: scaled actions, vectors, success
 errors.py          EnvError
 
 A new environment is one file and one line in ENVS.
@@ -18,7 +21,6 @@ A new environment is one file and one line in ENVS.
 from __future__ import annotations
 
 import ctypes
-import difflib
 import os
 import sys
 from collections.abc import Sequence
@@ -58,6 +60,7 @@ class EnvSpec:
     summary   one line
     controls  built-in baselines of every comparison; the first is the zero of its score
     remark    what its returns can and cannot show, for reports
+    foreign   whether it is of other people, and not in ENVS
     """
 
     short: str
@@ -66,11 +69,12 @@ class EnvSpec:
     summary: str
     controls: tuple[str, ...] = ()
     remark: str = ""
+    foreign: bool = False
 
     @property
     def world(self) -> str:
-        """Folder of the environment: "hexapod", "kart"."""
-        return self.target.partition(":")[0].split(".")[-2]
+        """Folder of the environment: "hexapod", "kart"; of a foreign one its name."""
+        return self.short if self.foreign else self.target.partition(":")[0].split(".")[-2]
 
 
 ENVS: dict[str, EnvSpec] = {
@@ -121,27 +125,58 @@ ENVS: dict[str, EnvSpec] = {
 
 
 def spec(name: str) -> EnvSpec:
-    """Return the entry of a short name or id."""
+    """Return the entry of a short name, a registered id or a target; nothing is imported."""
     for entry in ENVS.values():
         if name in (entry.short, entry.id):
             return entry
-    known = [text for entry in ENVS.values() for text in (entry.short, entry.id)]
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(ENVS)}"
+    from spikedeploy.envs.foreign import entry_point, nearest
+
+    target = entry_point(name)
+    if target is not None:
+        return EnvSpec(name, name, target, f"{target}, not of ours", ("random",), foreign=True)
+    close = nearest(name, (text for entry in ENVS.values() for text in (entry.short, entry.id)))
+    hint = (
+        f"did you mean {close!r}?"
+        if close
+        else f"known: {', '.join(ENVS)}, the ids of gymnasium, and module:Class of your own"
+    )
     raise EnvError(f"unknown environment {name!r}; {hint}")
 
 
-def make(name: str, *, disturb: Sequence[str] = (), **options: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
-    """Build the environment of a short name or id, with options.
+def make(
+    name: str,
+    *,
+    disturb: Sequence[str] = (),
+    success: str | None = None,
+    **options: Any,  # noqa: ANN401
+) -> gymnasium.Env[Any, Any]:
+    """Build the environment of a short name, id or target, with options.
 
     disturb  disturbances such as "noise:2" or "payload=0.4", see envs.disturbances
+    success  key of the step infos that says success, of an environment that is not ours
     """
     entry = spec(name)
+    if entry.foreign:
+        return _foreign(name, disturb, success, options)
+    if success is not None:
+        raise EnvError(f"{entry.short} defines success itself: leave --success out")
     if not disturb:
         return gymnasium.make(entry.id, **options)
     from spikedeploy.envs.disturbances.disturbed import disturbed
 
     return disturbed(entry.id, entry.target, entry.world, disturb, options)
+
+
+def _foreign(
+    name: str, disturb: Sequence[str], success: str | None, options: dict[str, Any]
+) -> gymnasium.Env[Any, Any]:
+    if disturb:
+        raise EnvError(
+            f"--disturb {disturb[0]}: disturbances are of {', '.join(ENVS)}; {name} has none"
+        )
+    from spikedeploy.envs.foreign import make_foreign
+
+    return make_foreign(name, options, success)
 
 
 def register() -> None:

@@ -66,9 +66,9 @@ class Rollout:
         return float(self.reward.sum())
 
     @property
-    def success(self) -> bool:
-        """Whether the last step's info says success."""
-        return bool(self.info["success"][-1])
+    def success(self) -> bool | None:
+        """Whether the last step's info says success; None where it does not say."""
+        return bool(self.info["success"][-1]) if "success" in self.info else None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .npz file atomically."""
@@ -133,6 +133,11 @@ class EpisodeRecorder:
         return len(self._actions)
 
     @property
+    def reward(self) -> float:
+        """Of the latest step."""
+        return self._rewards[-1]
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended."""
         return self._terminated or self._truncated
@@ -164,7 +169,8 @@ class EpisodeRecorder:
             terminated=self._terminated,
             truncated=self._truncated or not self._terminated,
             info={
-                name: np.array([numbers[name] for numbers in self._infos])
+                # infos of other people's environments may lack a number at some steps
+                name: np.array([numbers.get(name, np.nan) for numbers in self._infos])
                 for name in self._infos[-1]
             },
             options=_options_of(self._env),

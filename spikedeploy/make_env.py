@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 
 from spikedeploy import envs
+from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.errors import ConfigError
 
 
@@ -26,12 +27,23 @@ def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.En
         ) from error
 
 
-def parse_options(settings: Iterable[str], disturb: Iterable[str] = ()) -> dict[str, Any]:
+def confirm(found: str, named: str | None, source: str) -> None:
+    """Refuse module:Class that a file names, unless the user names it: its code would be run."""
+    if is_target(found) and found != named:
+        raise ConfigError(
+            f"{source} was made for {found}, whose code is not run because a file names it: name "
+            f"it yourself, with --env {found}"
+        )
+
+
+def parse_options(
+    settings: Iterable[str], disturb: Iterable[str] = (), success: str | None = None
+) -> dict[str, Any]:
     """Options from texts such as `track=small_S`; values are JSON, or else plain text.
 
     `lidar.noise=5` sets one of a group of options.
 
-    disturb  disturbances, as envs.make takes them
+    disturb, success  as envs.make takes them
     """
     options: dict[str, Any] = {}
     for text in settings:
@@ -45,6 +57,8 @@ def parse_options(settings: Iterable[str], disturb: Iterable[str] = ()) -> dict[
             if not isinstance(place, dict):
                 raise ConfigError(f"--set {text}: {group!r} was given as a whole already")
         place[last] = _value(value)
+    if success is not None:
+        options["success"] = success
     disturbances = list(disturb)
     return {**options, "disturb": disturbances} if disturbances else options
 

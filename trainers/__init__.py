@@ -13,6 +13,7 @@ train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
 recipe.py        what a recipe is
 recipes.py       table of recipes
+any_env_recipes.py  those of any environment, which the command line names
 sparse_recipes.py  those of sparse policies, their rivals, and PPO after imitation
 config.py        models of the configuration
 resolve.py       recipe, TOML file and overrides combined into a configuration

@@ -88,14 +88,16 @@ class PopsanConfig(_Section):
 class SpikingMlpConfig(_Section):
     """Layers of LIF neurons and a linear readout of their firing rates, as in kart-simulator.
 
-    coding: "regular" and "bernoulli" are rate codes for values in [-1, 1], with evenly spaced or
-        random spikes; "population" is PopSAN's code, `populations` neurons for each value
+    coding: "regular" and "bernoulli" are rate codes for values in [-reach, reach], with evenly
+        spaced or random spikes; "population" is PopSAN's code, `populations` neurons for each
+        value, whose fields are spread over that range at first
     """
 
     kind: Literal["spiking-mlp"] = "spiking-mlp"
     hidden: tuple[Positive, ...] = Field(default=(64, 64), min_length=1)
     coding: Literal["regular", "bernoulli", "population"] = "regular"
     populations: Positive = 4
+    reach: Rate = 1.0
     timesteps: Positive = 16
     beta: Share = 0.9
     threshold: Rate = 0.7

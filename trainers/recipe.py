@@ -16,11 +16,13 @@ class Recipe:
     algorithm: key of `trainers.ALGORITHMS`
     summary: one line
     settings: nested settings that differ from the algorithm's defaults
+    any_env: whether the command line names the environment
     """
 
     algorithm: str
     summary: str
     settings: Mapping[str, Any]
+    any_env: bool = False
 
 
 def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings:

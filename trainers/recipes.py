@@ -1,5 +1,6 @@
 """The table of recipes: those of SAC, distillation and PPO, and what other folders add."""
 
+from spikedeploy.trainers.any_env_recipes import ANY_ENV_RECIPES
 from spikedeploy.trainers.recipe import KART_ENVS, Recipe, Settings, merged
 from spikedeploy.trainers.sparse_recipes import SPARSE_RECIPES
 
@@ -252,4 +253,5 @@ RECIPES: dict[str, Recipe] = {
     **{name: Recipe("distill", summary, settings) for name, (summary, settings) in DISTILL.items()},
     **{name: Recipe("ppo", summary, settings) for name, (summary, settings) in _KARTS.items()},
     **SPARSE_RECIPES,
+    **ANY_ENV_RECIPES,
 }

@@ -36,6 +36,8 @@ def resolve(
     if "policy" in entry.settings:
         del defaults["policy"]  # another kind of policy has other settings
     base = validated(model, merged(defaults, entry.settings), f"recipe {recipe}")
+    if entry.any_env:
+        base = _stretched(base, amended(base, file=file, overrides=overrides))
     return amended(base, file=file, overrides=overrides)
 
 
@@ -46,6 +48,17 @@ def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str]
         settings = _overlaid(settings, _renamed(_read_toml(file)), str(file))
     for text in overrides:
         settings = _overlaid(settings, _renamed(parse_override(text)), f"--set {text}")
+    return validated(type(base), settings, f"recipe {base.recipe}")
+
+
+def _stretched(base: C, asked: C) -> C:
+    """Return the base with every schedule stretched to the length that is asked for."""
+    settings = base.model_dump(mode="json")
+    share = getattr(asked, "steps", 1) / settings.get("steps", 1)
+    for value in settings.values():
+        for end in ("begin", "finish"):
+            if isinstance(value, dict) and end in value:
+                value[end] = round(value[end] * share)
     return validated(type(base), settings, f"recipe {base.recipe}")
 
 

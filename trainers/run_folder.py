@@ -10,6 +10,7 @@
 """
 
 import json
+import re
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -23,6 +24,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.config import C, RunConfig
 from spikedeploy.trainers.policies import Policy, build
+from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import validated
 from spikedeploy.trainers.versions import versions
 
@@ -42,7 +44,7 @@ class RunFolder:
     def create(cls, runs: str | Path, config: RunConfig) -> "RunFolder":
         """Return a new folder with configuration and versions."""
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-        name = f"{config.recipe}-s{config.seed}-{stamp}"
+        name = f"{_title(config)}-s{config.seed}-{stamp}"
         run = cls(_unused(Path(runs) / name))
         (run.path / "checkpoints").mkdir(parents=True)
         run.write_config(config)
@@ -133,6 +135,14 @@ def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "ru
     if name is None:
         name = "best" if folder.checkpoint("best").is_file() else "last"
     return folder.policy(name)
+
+
+def _title(config: RunConfig) -> str:
+    """Return the recipe; of one for any environment with that, in letters that a path may have."""
+    entry = RECIPES.get(config.recipe)
+    if entry is None or not entry.any_env:
+        return config.recipe
+    return f"{config.recipe}-{re.sub(r'[^A-Za-z0-9.-]+', '-', config.env.name)}"
 
 
 def _unused(path: Path) -> Path:

@@ -3,6 +3,7 @@
 An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 """
 
+import json
 import shutil
 import signal
 import threading
@@ -15,6 +16,7 @@ from typing import Any
 
 import torch
 
+from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.atomic import replacing
@@ -36,6 +38,7 @@ def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it
 def train(
     recipe: str,
     *,
+    env: str | None = None,
     config_file: str | Path | None = None,
     overrides: Iterable[str] = (),
     budget: str | None = None,
@@ -48,13 +51,16 @@ def train(
 
     A resumed run keeps its configuration and seed, changed by the file and the overrides.
 
+    env: environment of a recipe for any; short name, registered id or module:Class
     budget: operations of a control step, of a sparse recipe: "sops=480", "macs=500"
     """
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
     kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe")].algorithm)
+    overrides = [*_named(recipe, env), *overrides]
     if resume is None:
         config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
         config = config if budget is None else with_budget(config, budget)
+        _check_env(config)
         run = RunFolder.create(runs, config)
         with _removed_if_refused(run):
             _learn(kind(config, run), config, run, quiet)
@@ -62,6 +68,8 @@ def train(
         run = RunFolder.find(resume, runs, recipe)
         if (recipe_of_run := run.settings()["recipe"]) != recipe:
             raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
+        if env not in (None, there := run.settings()["env"]["name"]):
+            raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
         config = amended(run.config(kind.Config), file=config_file, overrides=overrides)
         config = config if budget is None else with_budget(config, budget)
         _check_metrics(run, kind, config)
@@ -69,6 +77,30 @@ def train(
             runner = kind(config, run)
         _learn(runner, config, run, quiet)
     return run.path
+
+
+def _named(recipe: str, env: str | None) -> list[str]:
+    """Return the override that names the environment of a recipe for any."""
+    if env is None:
+        return []
+    if not RECIPES[recipe].any_env:
+        theirs = RECIPES[recipe].settings.get("env", {}).get("name")
+        some = ", ".join(name for name, entry in RECIPES.items() if entry.any_env)
+        if theirs != env:
+            raise ConfigError(
+                f"{recipe} is made for {theirs}, not for {env}; recipes for any environment: {some}"
+            )
+    return [f"env.name={json.dumps(env)}"]
+
+
+def _check_env(config: RunConfig) -> None:
+    """Refuse an environment that is unknown, or was not named."""
+    if not config.env.name:
+        raise ConfigError(
+            f"{config.recipe} trains in any environment: name one, as in "
+            f"`spikedeploy train CartPole-v1 --recipe {config.recipe}`"
+        )
+    envs.spec(config.env.name)
 
 
 @contextmanager

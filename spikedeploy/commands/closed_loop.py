@@ -14,11 +14,13 @@ from spikedeploy.commands.options import (
     Headroom,
     Json,
     LimitsOption,
+    Metrics,
     PolicyChip,
     Quantise,
     Rounding,
     Seed,
     Specimen,
+    Success,
     Thresholds,
     WeightShift,
     Workers,
@@ -31,7 +33,11 @@ def run(
         str, typer.Argument(metavar="FILE", help="A .onnx or .nir file, run folder, shipped name.")
     ],
     env: Annotated[
-        str | None, typer.Option(help="Environment.", show_default="the one it was made for")
+        str | None,
+        typer.Option(
+            help="Environment: short name, id of gymnasium, or module:Class.",
+            show_default="the one it was made for",
+        ),
     ] = None,
     chip: PolicyChip = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
@@ -41,6 +47,8 @@ def run(
         typer.Option("--sampled", help="Draw actions by their probability, not the likeliest."),
     ] = False,
     set_: EnvOptions = None,
+    success: Success = None,
+    metric: Metrics = None,
     disturb: Disturb = None,
     fault: FaultsOption = None,
     specimen: Specimen = 0,
@@ -60,27 +68,31 @@ def run(
     from dataclasses import replace
 
     from spikedeploy.comparison.closed_loop import run_policy
+    from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
+    from spikedeploy.shipping.exported_run import runnable, trained_in
 
     tables = checked_table_names(energy or ())
+    metrics = checked_metrics(metric or ())
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     comparison = run_policy(
-        policy,
-        env,
+        runnable(policy),
+        env or trained_in(policy),
         chip,
         numbers,
         video,
         sampled,
-        parse_options(set_ or (), disturb or ()),
+        parse_options(set_ or (), disturb or (), success),
         limits == "on",
         rounded,
         faults(fault or (), specimen),
+        metrics,
     )
     document = report.document(replace(comparison, tables=tables))
     if json:
@@ -92,7 +104,13 @@ def run(
 
 
 def compare(
-    env: Annotated[str, typer.Argument(metavar="ENV", help="Environment; `envs` lists them.")],
+    env: Annotated[
+        str,
+        typer.Argument(
+            metavar="ENV",
+            help="Environment; `envs` lists ours; or an id of gymnasium, or module:Class.",
+        ),
+    ],
     files: Annotated[
         list[str] | None,
         typer.Argument(
@@ -106,6 +124,8 @@ def compare(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions = None,
+    success: Success = None,
+    metric: Metrics = None,
     disturb: Disturb = None,
     fault: FaultsOption = None,
     specimen: Specimen = 0,
@@ -127,6 +147,7 @@ def compare(
     from dataclasses import replace
 
     from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.comparison.rounds import compare_policies
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
@@ -135,13 +156,17 @@ def compare(
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
+    from spikedeploy.shipping.exported_run import runnable
 
     tables = checked_table_names(energy or ())
+    metrics = checked_metrics(metric or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     broken = faults(fault or (), specimen)
-    entries = line_up(env, files or (), listed(chips), limits == "on", rounded, broken)
-    options = parse_options(set_ or (), disturb or ())
-    comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
+    policies = [runnable(file) for file in files or ()]
+    entries = line_up(env, policies, listed(chips), limits == "on", rounded, broken)
+    options = parse_options(set_ or (), disturb or (), success)
+    numbers = range(seed, seed + episodes)
+    comparison = compare_policies(env, entries, numbers, workers, options, metrics)
     document = report.document(replace(comparison, tables=tables))
     if output:
         report.write(document, output)

@@ -28,17 +28,26 @@ def reproduce(
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Only the first seeds.", show_default="all recorded")
     ] = None,
+    env: Annotated[
+        str | None,
+        typer.Option(
+            metavar="module:Class",
+            help="Environment of your own that a record names, whose code may be run.",
+        ),
+    ] = None,
     workers: Workers = None,
     json: Json = False,
 ) -> None:
     """Evaluate policies again as recorded; say equal or the first difference, and exit 1 then."""
     from spikedeploy import zoo
     from spikedeploy.console import print_json
+    from spikedeploy.make_env import confirm
     from spikedeploy.shipping import reproduce as again
     from spikedeploy.shipping.recorded_evaluation import recorded
 
     evaluations = [recorded(name, settings) for name in names or zoo.names()]
     for evaluation in evaluations:  # before hours of others
+        confirm(evaluation.env, env, evaluation.name)
         again.check_episodes(evaluation, episodes or 1)
     found = []
     for evaluation in evaluations:
@@ -64,7 +73,7 @@ def settings(command: str) -> "Settings":
         raise ConfigError(f"the report's command is {command!r}, and not `spikedeploy compare`")
     given = _parsed(command, [word for word in words if word])
     return Settings(
-        parse_options(given["set_"] or (), given["disturb"] or ()),
+        parse_options(given["set_"] or (), given["disturb"] or (), given["success"]),
         quantisation(
             given["quantise"],
             given["rounding"],
@@ -74,6 +83,7 @@ def settings(command: str) -> "Settings":
         ),
         faults(given["fault"] or (), given["specimen"]),
         tuple(given["energy"] or ()),
+        tuple(given["metric"] or ()),
     )
 
 

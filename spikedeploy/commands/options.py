@@ -39,6 +39,22 @@ EnvOptions = Annotated[
         "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
     ),
 ]
+Success = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KEY",
+        help="Key of the step infos that says success, of an environment that is not ours.",
+        show_default="its registered reward threshold",
+    ),
+]
+Metrics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--metric",
+        metavar="NAME:mean|last|max",
+        help="A number of the step infos as a column, as in x_velocity:mean, may be repeated.",
+    ),
+]
 Disturb = Annotated[
     list[str] | None,
     typer.Option(

@@ -19,9 +19,22 @@ Checkpoint = Annotated[
 
 
 def train(
-    recipe: Annotated[
-        str, typer.Argument(metavar="RECIPE", help="Name of a recipe; `recipes` lists them.")
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="RECIPE|ENV",
+            help="Name of a recipe; `recipes` lists them. With --recipe an environment: short "
+            "name, id of gymnasium, or module:Class.",
+        ),
     ],
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Recipe for any environment: ppo-mlp, ppo-snn, sac-mlp, sac-popsan, distill-snn.",
+            show_default="the first argument",
+        ),
+    ] = None,
     config: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="TOML file with settings.")
     ] = None,
@@ -61,7 +74,8 @@ def train(
     from spikedeploy.trainers.train import train as learn
 
     run = learn(
-        recipe,
+        recipe or what,
+        env=what if recipe else None,
         config_file=config,
         overrides=set_ or (),
         budget=budget,

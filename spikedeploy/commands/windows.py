@@ -10,7 +10,13 @@ from spikedeploy.commands.options import EnvOptions, Json, PolicyChip, Seed
 
 
 def play(
-    env: Annotated[str, typer.Argument(metavar="ENV", help="Environment; `envs` lists them.")],
+    env: Annotated[
+        str,
+        typer.Argument(
+            metavar="ENV",
+            help="Environment; `envs` lists ours; or an id of gymnasium, or module:Class.",
+        ),
+    ],
     track: Annotated[
         str | None,
         typer.Option(help="Track of a kart: a name, or a .json file.", show_default="big_S"),
@@ -32,7 +38,9 @@ def play(
     from spikedeploy.make_env import parse_options
     from spikedeploy.play.drive_app import DriveApp, open_session
     from spikedeploy.play.window import show
+    from spikedeploy.shipping.exported_run import runnable
 
+    policy = policy and runnable(policy)
     options = parse_options(set_ or ()) | ({} if track is None else {"track": track})
     drive = open_session(env, options, policy, chip, seed, record)
     show(DriveApp(drive, env))

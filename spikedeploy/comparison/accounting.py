@@ -32,16 +32,21 @@ def _of(found: Mapping[str, Any], tables: Iterable[str]) -> dict[str, Any]:
     return {name: found[name] for name in tables if name in found}
 
 
-def static(chip: str | None, env: str) -> dict[str, float]:
-    """Measurement -> energy [J] of the chip's static power in a control step; never added."""
+def static(chip: str | None, env: str, period: float | None = None) -> dict[str, float]:
+    """Measurement -> energy [J] of the chip's static power in a control step; never added.
+
+    period  of a control step [s] where it is known, else as the environment's class says
+    """
     called = chip_called(chip) if chip else None
     power = STATIC.get(called.name) if called else None
-    period = control_period(env) if power else None
+    period = period or (control_period(env) if power else None)
     return {power.name: static_energy(period, power)} if power and period else {}
 
 
 def control_period(env: str) -> float | None:
-    """Time of a control step [s], as the environment's class says; None where it does not."""
+    """Time of a control step [s], as the class of one of ours says; None where it does not."""
+    if envs.spec(env).foreign:
+        return None
     module, _, name = envs.spec(env).target.partition(":")
     world = getattr(import_module(module), name)
     rate = world.metadata.get("render_fps")

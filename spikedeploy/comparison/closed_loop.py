@@ -7,18 +7,21 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import summarise
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import disturbed_by, make_env
+from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.video import Frame, Pace, captioned, mp4
+
+_UNKNOWN = 1 / 30  # [s] control step of a video where an environment does not say
 
 
 def run_policy(
@@ -32,6 +35,7 @@ def run_policy(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
     faults: Faults = NONE,
+    metrics: Sequence[str] = (),
 ) -> Comparison:
     """One row: the policy on every seed.
 
@@ -45,6 +49,7 @@ def run_policy(
     limits     refuse what breaks a design rule of the chip
     quantisation  of a spiking policy on a chip
     faults     of that chip
+    metrics    of the step infos, `name:mean|last|max`
     """
     candidate = replace(find(reference), limits=limits, quantisation=quantisation, faults=faults)
     entry = Entry(candidate, chip or _default_chip(candidate))
@@ -54,23 +59,28 @@ def run_policy(
             "policy on a chip."
         )
     mode = "rgb_array" if video else None
-    world: Any = make_env(env or _made_for(candidate), options, render_mode=mode)
+    name = env or _made_for(candidate)
+    foreign = envs.spec(name).foreign
+    world: Any = make_env(name, options, render_mode=mode)
     player = open_policy(candidate, entry.chip, world, sampled)
-    pace = Pace.of(world.unwrapped.CONTROL_DT)
+    period = world.unwrapped.CONTROL_DT
+    pace = Pace.of(period or _UNKNOWN)
     episodes = []
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds:
             with _film(video if seed == seeds[0] else None, pace.fps, entry.label) as on_frame:
                 played = rollout(world, player, seed, on_frame, pace.every)
-            episodes.append(summarise(candidate, player, played))
+            episodes.append(summarise(candidate, player, played, {}, metrics, foreign))
             done()
     world.close()
-    return Comparison(played.env_id, seeds, [Row(entry, episodes)], disturb=disturbed_by(options))
+    rows, disturb = [Row(entry, episodes)], disturbed_by(options)
+    return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period if foreign else None)
 
 
 def _made_for(candidate: Candidate) -> str:
     if candidate.env is None:
         raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
+    confirm(candidate.env, None, candidate.path)
     return candidate.env
 
 

@@ -39,8 +39,8 @@ class Row:
 
     @property
     def successes(self) -> list[bool]:
-        """Whether each episode succeeded (n,)."""
-        return [episode.success for episode in self.episodes]
+        """Whether each episode succeeded (n,); empty where the environment does not say."""
+        return [episode.success for episode in self.episodes if episode.success is not None]
 
     @property
     def mean(self) -> float:
@@ -62,6 +62,8 @@ class Comparison:
     rows   in the order of the line-up
     tables energy tables to price by; empty for those of each row's chip
     disturb  disturbances of the world
+    foreign  whether the environment is not ours
+    period   time of a control step [s] of one that is not ours, where it says so
     """
 
     env: str
@@ -69,6 +71,8 @@ class Comparison:
     rows: Sequence[Row]
     tables: Sequence[str] = ()
     disturb: Sequence[str] = ()
+    foreign: bool = False
+    period: float | None = None
 
     def row(self, entry: Entry | None) -> Row | None:
         """The row of an entry."""
@@ -87,6 +91,8 @@ class Comparison:
             | self._costs(row)
             | _metrics(row)
             | _faults(row)
+            | _measured(row)
+            | ({"foreign": True} if self.foreign else {})
             for row in self.rows
         ]
 
@@ -114,14 +120,15 @@ class Comparison:
             "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
             "saturations": found.saturations,
             **accounted(found, tables),
-            "static_energy_j": static(row.entry.chip, self.env),
+            "static_energy_j": static(row.entry.chip, self.env, self.period),
             **break_even(found, _mean_costs(ann) if ann else None, tables),
         }
 
     def _performance(self, row: Row) -> dict[str, Any]:
         """Returns and successes, alone and beside the float ANN and the baseline."""
         ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
-        estimate, succeeded = bootstrap(row.returns, _rng()), share(row.successes)
+        estimate = bootstrap(row.returns, _rng())
+        succeeded = share(row.successes) if row.successes else None
         others = stratified([row.returns], _rng())
         return {
             "training_seeds": row.training_seeds,
@@ -133,13 +140,17 @@ class Comparison:
             "return_ci95": estimate.ci95,
             "return_iqm_ci95": others.iqm.ci95,
             "risk_ci95": others.risk.ci95,
-            "success_rate": succeeded.mean,
-            "success_ci95": succeeded.ci95,
-            "ratio_to_float_ann": row.mean / ann.mean if ann else None,
+            "success_rate": succeeded.mean if succeeded else None,
+            "success_ci95": succeeded.ci95 if succeeded else None,
+            "ratio_to_float_ann": self._ratio(row, ann) if ann else None,
             "normalised_score": _score(row, baseline, ann) if ann and baseline else None,
             "returns": row.returns,
             "successes": row.successes,
         }
+
+    def _ratio(self, row: Row, other: Row) -> float | None:
+        """Share of a return; None of one that is not positive, of which a share says nothing."""
+        return row.mean / other.mean if other.mean > 0 or not self.foreign else None
 
     def _agreement(self, row: Row) -> dict[str, Any]:
         """Differences to the reference and to the float ANN."""
@@ -147,7 +158,8 @@ class Comparison:
         if reference is None:
             return dict.fromkeys(_AGREEMENT)
         difference = paired_difference(row.returns, reference.returns, _rng())
-        success = paired_difference(row.successes, reference.successes, _rng())
+        known = row.successes and reference.successes
+        success = paired_difference(row.successes, reference.successes, _rng()) if known else None
         agreements = {
             name: [episode.agreement[name] for episode in row.episodes]
             for name in row.episodes[0].agreement
@@ -159,9 +171,9 @@ class Comparison:
             "reference": reference.entry.label,
             "difference_mean": difference.mean,
             "difference_ci95": difference.ci95,
-            "ratio_to_reference": row.mean / reference.mean,
-            "success_difference_mean": success.mean,
-            "success_difference_ci95": success.ci95,
+            "ratio_to_reference": self._ratio(row, reference),
+            "success_difference_mean": success.mean if success else None,
+            "success_difference_ci95": success.ci95 if success else None,
             "action_rmse": pooled_rmse(with_reference),
             "rmse_to_ann": pooled_rmse(with_ann) if with_ann else None,
             "actions_equal": pooled_equality(with_reference),
@@ -229,6 +241,13 @@ def _metrics(row: Row) -> dict[str, float]:
         name: float(np.mean([e.metrics[name] for e in row.episodes if name in e.metrics]))
         for name in names
     }
+
+
+def _measured(row: Row) -> dict[str, Any]:
+    """Metrics that were asked for, means over the episodes; nothing where none were."""
+    names = row.episodes[0].measured
+    found = {name: float(np.mean([e.measured[name] for e in row.episodes])) for name in names}
+    return {"measured": found} if found else {}
 
 
 def _faults(row: Row) -> dict[str, Any]:

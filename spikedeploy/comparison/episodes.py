@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -10,8 +10,9 @@ from typing import Any
 
 import gymnasium
 
+from spikedeploy import envs
 from spikedeploy.comparison.agreement import Agreement, agreement
-from spikedeploy.comparison.metrics import measure
+from spikedeploy.comparison.metrics import asked, measure
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.costs import Costs
@@ -31,6 +32,7 @@ class EpisodeJob:
     seed       of the episode
     others     name -> file with the rollout of a reference on the same seed
     record     file for its own rollout, None for none
+    metrics    of the step infos, `name:mean|last|max`
     """
 
     env: str
@@ -40,6 +42,7 @@ class EpisodeJob:
     seed: int
     others: Mapping[str, Path]
     record: Path | None = None
+    metrics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,22 +51,24 @@ class Episode:
 
     total      return
     steps      control steps, S
-    success    as the environment defines it
+    success    as the environment defines it; None where it does not
     metrics    of metrics.measure
     costs      per inference
     agreement  name -> agreement with each of the job's `others`
     remarks    of the compiler, on where a chip departs from the file
     damage     what faults of the chip hit
+    measured   text of a metric that was asked for -> its value
     """
 
     total: float
     steps: int
-    success: bool
+    success: bool | None
     metrics: Mapping[str, float]
     costs: Costs
     agreement: Mapping[str, Agreement]
     remarks: Sequence[str] = ()
     damage: Sequence[Damage] = ()
+    measured: Mapping[str, float] = field(default_factory=dict)
 
 
 def play(job: EpisodeJob) -> Episode:
@@ -73,7 +78,8 @@ def play(job: EpisodeJob) -> Episode:
     if job.record:
         played.save(job.record)
     others = {name: Rollout.load(path) for name, path in job.others.items()}
-    return summarise(job.candidate, player, played, others)
+    foreign = envs.spec(job.env).foreign
+    return summarise(job.candidate, player, played, others, job.metrics, foreign)
 
 
 def summarise(
@@ -81,18 +87,25 @@ def summarise(
     player: Player,
     played: Rollout,
     others: Mapping[str, Rollout] = MappingProxyType({}),
+    metrics: Sequence[str] = (),
+    foreign: bool = False,
 ) -> Episode:
-    """The summary of a rollout that the player has just played."""
+    """The summary of a rollout that the player has just played.
+
+    metrics  that are asked for, of any environment
+    foreign  whether the environment is not ours, so that its infos mean nothing to us
+    """
     damage = getattr(player, "damage", ())  # first, like costs: agreement runs the player again
     return Episode(
         total=played.total,
         steps=played.steps,
         success=played.success,
-        metrics=measure(played.info),
+        metrics={} if foreign else measure(played.info),
         costs=price(candidate, player, played),  # first: agreement runs the player again
         agreement={name: agreement(player, played, other) for name, other in others.items()},
         remarks=getattr(player, "remarks", ()),
         damage=damage,
+        measured=asked(played.info, metrics),
     )
 
 

@@ -86,9 +86,10 @@ def line_up(
     shipped = [find(str(path)) for path in zoo.policies(short)]
     chosen = _distinct([find(file) for file in files]) or shipped
     if not chosen:
+        how = f"train {short} --recipe ppo-snn" if spec.foreign else "train"
         raise ConfigError(
             f"no policies are shipped for {short} yet: name files or run folders, or train one "
-            "with `spikedeploy train`"
+            f"with `spikedeploy {how}`"
         )
     entries = [
         Entry(candidate) for candidate in _of_kind("ann", chosen) or _of_kind("ann", shipped)

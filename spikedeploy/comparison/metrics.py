@@ -1,14 +1,17 @@
 """Metrics of an episode from its step infos.
 
 Adding a metric is one line in `WALKING` or `DRIVING`; a metric whose signal an environment does not
-report is left out of its rows.
+report is left out of its rows. Of any environment, `asked` reduces infos that the user names.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from spikedeploy.runtime.errors import ConfigError
 
 Signal = NDArray[np.float64]
 
@@ -45,6 +48,11 @@ class _Metric:
 def _last(signal: Signal) -> float:
     """The value at the last control step."""
     return float(signal[-1])
+
+
+def _largest(signal: Signal) -> float:
+    """The largest value of any control step."""
+    return float(signal.max())
 
 
 def mean(signal: Signal) -> float:
@@ -128,3 +136,32 @@ def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
         for metric in (DRIVING if drives(infos) else WALKING)
         if metric.applies(infos)
     }
+
+
+REDUCTIONS = {"mean": mean, "last": _last, "max": _largest}
+
+
+def checked_metrics(texts: Sequence[str]) -> tuple[str, ...]:
+    """The texts `name:mean|last|max`, if they are such."""
+    for text in texts:
+        name, colon, reduction = text.rpartition(":")
+        if not colon or not name or reduction not in REDUCTIONS:
+            raise ConfigError(
+                f"--metric takes name:{'|'.join(REDUCTIONS)}, the name of a number in the step "
+                f"infos, as in x_velocity:mean; got {text!r}"
+            )
+    return tuple(texts)
+
+
+def asked(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]:
+    """Text `name:reduction` -> that of the infos, each (S,), at the steps that have the number."""
+    found = {}
+    for text in texts:
+        name, _, reduction = text.rpartition(":")
+        if name not in infos:
+            close = difflib.get_close_matches(name, infos, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"numbers: {', '.join(infos)}"
+            raise ConfigError(f"--metric {text}: no number {name!r} in the step infos; {hint}")
+        known = infos[name][~np.isnan(infos[name])]
+        found[text] = REDUCTIONS[reduction](known)
+    return found

@@ -27,6 +27,7 @@ def compare_policies(
     seeds: Sequence[int],
     processes: int | None = None,
     options: Mapping[str, Any] = MappingProxyType({}),
+    metrics: Sequence[str] = (),
 ) -> Comparison:
     """Play every entry on every seed.
 
@@ -35,21 +36,23 @@ def compare_policies(
     seeds      (n,) from EVALUATION up, which no training uses
     processes  one for each core by default
     options    of the environment
+    metrics    of its step infos, `name:mean|last|max`
     """
-    _check(env, options, entries, seeds)
+    period = _check(env, options, entries, seeds)
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
         workers(processes) as jobs,
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
-        plan = _Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder))
+        plan = _Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder), tuple(metrics))
         for group in plan.rounds():
             episodes = jobs.run(play, [job for entry in group for job in plan.jobs(entry)], done)
             for place, entry in enumerate(group):
                 played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
     rows = [Row(entry, played[entry]) for entry in entries]
-    return Comparison(envs.spec(env).id, seeds, rows, disturb=disturbed_by(options))
+    spec, disturb = envs.spec(env), disturbed_by(options)
+    return Comparison(spec.id, seeds, rows, (), disturb, spec.foreign, period)
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class _Plan:
     options  of the environment, as JSON
     seeds    (n,)
     folder   for the rollouts of entries that are references
+    metrics  of the step infos
     """
 
     env: str
@@ -67,6 +71,7 @@ class _Plan:
     entries: Sequence[Entry]
     seeds: Sequence[int]
     folder: Path
+    metrics: tuple[str, ...] = ()
 
     def rounds(self) -> list[list[Entry]]:
         """The entries, references before those that refer to them."""
@@ -85,6 +90,7 @@ class _Plan:
                 seed=seed,
                 others={other.label: self._rollout(other, seed) for other in entry.references},
                 record=self._rollout(entry, seed) if referred else None,
+                metrics=self.metrics,
             )
             for seed in self.seeds
         ]
@@ -95,15 +101,20 @@ class _Plan:
 
 def _check(
     env: str, options: Mapping[str, Any], entries: Sequence[Entry], seeds: Sequence[int]
-) -> None:
-    """Refuse training seeds, policies of other environments and unknown chips at once."""
+) -> float | None:
+    """Refuse training seeds, policies of other environments and unknown chips at once.
+
+    Return the time of a control step [s] of an environment that is not ours, where it says so.
+    """
     if min(seeds) < EVALUATION:
         raise ConfigError(
             f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
         )
-    world = make_env(env, options)
+    world: Any = make_env(env, options)
     for entry in entries:
         check_fit(entry.candidate, world)
         if entry.chip not in (None, FLOAT):
             chip(entry.chip)  # raises on an unknown name
+    period: float | None = world.unwrapped.CONTROL_DT if envs.spec(env).foreign else None
     world.close()
+    return period

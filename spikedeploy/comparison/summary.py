@@ -30,14 +30,16 @@ _RACE = _Words("successes", "finish less often", "finishes as often")
 def summary(rows: Sequence[Row]) -> str:
     """What the chip keeps of the float twin, the smallest float policy as good, the controls."""
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
-    racing = any(map(drives, rows))
+    racing, foreign = any(map(drives, rows)), any(row.get("foreign") for row in rows)
+    told = _earns if foreign else _finishes if racing else _keeps
     sentences = []
     for row in on_chip:
-        sentences.append(_finishes(row) if racing else _keeps(row))
+        sentences.append(told(row))
         sentences.append(_smallest(row, rows, _RACE if racing else _WALK))
     if any("MACs a control step" in sentence for sentence in sentences):
         sentences.append("Neuron updates and the encoder are in neither count.")
-    sentences.append(_race(rows) if racing else _controls(rows))
+    rivals = _baselines if foreign else _race if racing else _controls
+    sentences.append(rivals(rows))
     sentences.append(_covered(rows))
     return " ".join(filter(None, sentences))
 
@@ -150,12 +152,34 @@ def _race(rows: Sequence[Row]) -> str:
     return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}."
 
 
+def _earns(row: Row) -> str:
+    """What an SNN on a chip earns in an environment that is not ours, beside its float twin."""
+    low, high = row["return_ci95"]
+    less, more = row["difference_ci95"]
+    share = row["ratio_to_reference"]
+    kept = "" if share is None else f"{share:.1%} of its float twin's return, "
+    succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
+    return (
+        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} (95% interval "
+        f"{low:,.4g} to {high:,.4g}; {kept}{row['difference_mean']:+,.3g} to the twin, 95% "
+        f"interval {less:+,.3g} to {more:+,.3g}) in {row['episodes']} episodes{succeeded}."
+    )
+
+
+def _baselines(rows: Sequence[Row]) -> str:
+    """What the float ANN and drawing at random earn."""
+    names = {"ann": "The float ANN", **_NAMES}
+    found = [row for row in rows if row["kind"] in names]
+    return " ".join(f"{names[row['kind']]} earns {row['return_mean']:,.4g}." for row in found)
+
+
 def _covered(rows: Sequence[Row]) -> str:
     """What the intervals of a comparison cover, where no row is of several trainings."""
     trained = _trained(rows)
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""
+    measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
     return (
         f"Intervals cover {trained[0]['episodes']} episodes of one training each; other trainings "
-        "differ: results/pareto.md."
+        f"differ{measured}"
     )

@@ -41,7 +41,7 @@ class DriveApp:
         self.session = session
         self.name = envs.spec(env).short
         self.title = f"{self.name} – spikedeploy"
-        self.fps = 1.0 / float(session.world.CONTROL_DT)
+        self.fps = 1.0 / session.period
         track = getattr(session.world, "track", None)
         self._heading = f"{self.name} · {track.name}" if track else self.name
         self._size = _SIZES[is_kart(session.world)]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pygame
 
+from spikedeploy.envs.adapted import AdaptedEnv
 from spikedeploy.play.env_picture import is_kart
 from spikedeploy.play.session import Session
 from spikedeploy.play.theme import (
@@ -48,7 +49,9 @@ def draw_drive_panel(
 
 
 def _speed(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
-    """A large number and a bar; a robot's command below it."""
+    """A large number and a bar; a robot's command below it; nothing of worlds that are not ours."""
+    if isinstance(session.world, AdaptedEnv):
+        return y
     scale = 100.0 if is_kart(session.world) else 1.0  # of the world's unit in a metre
     speed = float(session.info.get("speed", 0.0)) / scale
     heading(surface, "speed", (inner.left, y))

@@ -11,6 +11,7 @@ import gymnasium
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.play.drivers import Driver
 
+_UNKNOWN = 1 / 30  # [s] control step where an environment does not say
 _PAUSE = 1.5  # [s] that the end of an episode stays on the screen
 
 
@@ -18,7 +19,7 @@ _PAUSE = 1.5  # [s] that the end of an episode stays on the screen
 class _Outcome:
     """How an episode ended.
 
-    word     "finish", "crash", "stalled", "fall" or "time is up"
+    word     "finish", "crash", "stalled", "fall", "the end" or "time is up"
     good     whether it was a success
     steps    of the episode
     total    return
@@ -77,7 +78,12 @@ class Session:
     @property
     def seconds(self) -> float:
         """Seconds since the start of the episode."""
-        return float(self.episode.steps * self.world.CONTROL_DT)
+        return self.episode.steps * self.period
+
+    @property
+    def period(self) -> float:
+        """Time of a control step [s]."""
+        return float(self.world.CONTROL_DT or _UNKNOWN)
 
     @property
     def best(self) -> float | None:
@@ -106,7 +112,7 @@ class Session:
                 self.restart()
             return
         self.episode.step(self.driver.act(self.episode.observation))
-        self.sums.update(self.info.get("reward_terms", {}))
+        self.sums.update(self.info.get("reward_terms", {"reward": self.episode.reward}))
         if self.episode.over:
             self._end()
 
@@ -121,7 +127,7 @@ class Session:
         finished = bool(self.info.get("finish"))
         self.outcomes.append(
             _Outcome(
-                word=_word(self.info),
+                word=_word(self.info, played.terminated),
                 good=bool(self.info.get("success")),
                 steps=played.steps,
                 total=played.total,
@@ -129,7 +135,7 @@ class Session:
             )
         )
         self._keep(played)
-        self._wait = max(1, round(_PAUSE / self.world.CONTROL_DT))
+        self._wait = max(1, round(_PAUSE / self.period))
 
     def _keep(self, played: Rollout) -> None:
         """Write a rollout, if recording."""
@@ -142,7 +148,7 @@ class Session:
         played.save(self.files[-1])
 
 
-def _word(info: Mapping[str, Any]) -> str:
-    """The reason why an episode ended."""
+def _word(info: Mapping[str, Any], terminated: bool) -> str:
+    """The reason why an episode ended, as far as the info has it."""
     reasons = (name for name in ("finish", "crash", "stalled", "fall") if info.get(name))
-    return next(reasons, "time is up")
+    return next(reasons, "the end" if terminated else "time is up")

@@ -53,7 +53,10 @@ difference = _estimate("difference_mean", "difference_ci95", "+")  # paired: `-2
 
 
 def _digits(row: Row) -> int:
-    """Decimals of a return: hexapods earn thousands, karts tens."""
+    """Decimals of a return: hexapods earn thousands, karts tens, others anything."""
+    if row.get("foreign"):
+        size = abs(row["return_mean"])
+        return 0 if size >= 1000 else 1 if size >= 10 else 3
     return 1 if drives(row) else 0
 
 
@@ -111,6 +114,16 @@ _DRIVE = (
     Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", _share),
     *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
     *_RETURNS,
+    Column("score", "normalised return: random actions are 0, the float ANN 100", score),
+)
+_EARN = (
+    *_RETURNS,
+    Column(
+        "success",
+        "episodes that succeed: by the key of --success, or return the registered threshold",
+        number("success_rate", ".0%"),
+    ),
+    Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
     Column("score", "normalised return: random actions are 0, the float ANN 100", score),
 )
 _AGREEMENT = (
@@ -209,12 +222,9 @@ _SIZE = (
 
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
+    title, columns = _task(rows)
     found = {
-        **(
-            {"Does the kart still finish?": _filled(_DRIVE, rows)}
-            if any(map(drives, rows))
-            else {"Does the robot still walk?": _filled(_WALK, rows)}
-        ),
+        title: [*_filled(columns, rows), *_measured(rows)],
         "Does it act like its reference?": _filled(_AGREEMENT, rows),
         "How large is the network?": _filled(_SIZE, rows),
         "What does an inference take?": _filled(_OPERATIONS, rows),
@@ -222,6 +232,32 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
         WHERE: spent(rows),
     }
     return {title: [_NAME, *columns] for title, columns in found.items() if columns}
+
+
+def _task(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
+    """What is asked of policies in the kind of world that the rows are of, and its columns."""
+    if any(row.get("foreign") for row in rows):
+        return "What does it earn?", _EARN
+    if any(map(drives, rows)):
+        return "Does the kart still finish?", _DRIVE
+    return "Does the robot still walk?", _WALK
+
+
+def _measured(rows: Sequence[Row]) -> list[Column]:
+    """A column for each metric that was asked for."""
+    names = dict.fromkeys(name for row in rows for name in row.get("measured", ()))
+    return [_metric(name) for name in names]
+
+
+def _metric(text: str) -> Column:
+    name, _, reduction = text.rpartition(":")
+
+    def cell(row: Row) -> str:
+        value = row.get("measured", {}).get(text)
+        return ABSENT if value is None else f"{value:.4g}"
+
+    meaning = f"{reduction} of {name} in the step infos, mean over the episodes"
+    return Column(f"{name} {reduction}", meaning, cell)
 
 
 def _filled(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:

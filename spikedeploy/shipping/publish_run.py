@@ -1,5 +1,6 @@
 """Publishing: a run becomes a shipped policy, with a Markdown card on training and evaluation."""
 
+import json
 import re
 import shlex
 import shutil
@@ -22,6 +23,7 @@ from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
+from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse_ppo.start import find_start
@@ -78,8 +80,12 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
 
 def _command(record: Mapping[str, Any]) -> str:
     """The command that trained the policy."""
-    options = [f"--set {shlex.quote(change)}" for change in record["overrides"]]
-    return " ".join([f"spikedeploy train {record['recipe']} --seed {record['seed']}", *options])
+    changes = dict(change.partition("=")[::2] for change in record["overrides"])
+    what = record["recipe"]
+    if what in RECIPES and RECIPES[what].any_env:
+        what = f"{json.loads(changes.pop('env.name'))} --recipe {what}"
+    options = [f"--set {shlex.quote(f'{key}={value}')}" for key, value in changes.items()]
+    return " ".join([f"spikedeploy train {what} --seed {record['seed']}", *options])
 
 
 def _checkpoint(name: str) -> str:

@@ -29,12 +29,14 @@ class Settings:
     quantisation  of spiking policies on chips
     faults        of those chips
     tables        energy tables to price by; empty for those of each row's chip
+    metrics       of the step infos, `name:mean|last|max`
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
     quantisation: Quantisation = PLAIN
     faults: Faults = NONE
     tables: Sequence[str] = ()
+    metrics: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,7 @@ def reproduce(
         recorded.seeds[:count],
         processes,
         recorded.settings.options,
+        recorded.settings.metrics,
     )
     rows = replace(played, tables=recorded.settings.tables).as_json()
     found = json.loads(as_text(rows))  # as a file would have them: infinite bounds are null

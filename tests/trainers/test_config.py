@@ -3,6 +3,7 @@ import pytest
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, RECIPES
 from spikedeploy.trainers.config import Ramp
+from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import differences, parse_override, resolve, validated
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sparse.config import SparseConfig
@@ -142,3 +143,25 @@ def test_a_training_without_any_walks_is_refused():
     with pytest.raises(ConfigError, match=r"both are 0, .* or pool=RUN"):
         resolve(SparseConfig, "smoke-sparse", overrides=none)
     assert resolve(SparseConfig, "smoke-sparse", overrides=[*none, "pool=a-run"]).pool == "a-run"
+
+
+def test_a_recipe_for_any_environment_stretches_its_schedules_with_its_length():
+    short, long = (
+        resolve(PpoConfig, "ppo-snn", overrides=changes)
+        for changes in ([], ["steps=1000000", "actor_rate.start=0.01"])
+    )
+    assert (short.steps, long.steps) == (100_000, 1_000_000)
+    assert (long.actor_rate.start, long.actor_rate.finish) == (0.01, 1_000_000)
+    for name in ("actor_rate", "entropy", "temperature"):
+        before, after = getattr(short, name), getattr(long, name)
+        assert (after.begin, after.finish) == (10 * before.begin, 10 * before.finish)
+    assert long.normaliser.finish == 10 * short.normaliser.finish
+    kept = resolve(PpoConfig, "ppo-snn", overrides=["steps=200000", "entropy.finish=7"])
+    assert kept.entropy.finish == 7
+    assert resolve(SacConfig, "hexapod-sac", overrides=["steps=1"]).temperature.finish == 180_000
+
+
+def test_the_sac_of_any_environment_has_nothing_of_a_hexapods():
+    for recipe in ("sac-mlp", "sac-popsan"):
+        config = resolve(SacConfig, recipe)
+        assert (config.support_force.at(0), config.mean_penalty, config.shaping) == (0.0, 0.0, {})

@@ -100,7 +100,8 @@ def of_policy(policy: Policy, env: str = "") -> Teacher:
 
 def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
     """Return the teacher's mean return on the validation seeds."""
-    limit: Mapping[str, Any] = {} if config.limit is None else {"max_steps": config.limit}
+    name = "max_episode_steps" if envs.spec(env.name).foreign else "max_steps"
+    limit: Mapping[str, Any] = {} if config.limit is None else {name: config.limit}
     made = envs.make(env.name, **{**env.options, **limit})
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     return float(np.mean([rollout(made, teacher, seed).total for seed in seeds]))

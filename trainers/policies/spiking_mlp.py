@@ -41,15 +41,17 @@ class SpikingMlpPolicy(Policy):
         surrogate_width: float | None = None,
         clip: float = 4.0,
         head: Head = "continuous",
+        reach: float = 1.0,
     ) -> None:
         super().__init__()
         self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
         self.coding, self.populations, self.timesteps = coding, populations, timesteps
+        self.reach = reach
         self.beta, self.threshold = beta, threshold
         self.surrogate, self.surrogate_width = surrogate, surrogate_width
         self.head = head
         self.normalizer = TorchNormaliser(observations, clip)
-        self.encoder = _encoder(coding, observations, populations)
+        self.encoder = _encoder(coding, observations, populations, reach)
         inputs = observations * (populations if coding == "population" else 1)
         self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise((inputs, *hidden)))
         for layer in self.layers:
@@ -120,6 +122,7 @@ class SpikingMlpPolicy(Policy):
             "hidden": list(self.hidden),
             "coding": self.coding,
             "populations": self.populations,
+            "reach": self.reach,
             "timesteps": self.timesteps,
             "beta": self.beta,
             "threshold": self.threshold,
@@ -130,7 +133,7 @@ class SpikingMlpPolicy(Policy):
         }
 
 
-def _encoder(coding: Coding, observations: int, populations: int) -> nn.Module:
+def _encoder(coding: Coding, observations: int, populations: int, reach: float) -> nn.Module:
     if coding == "population":
-        return TorchPopulationEncoder(observations, populations, reach=1.0)  # for values in [-1, 1]
-    return TorchRateEncoder(observations, coding)
+        return TorchPopulationEncoder(observations, populations, reach)
+    return TorchRateEncoder(observations, coding, -reach, reach)

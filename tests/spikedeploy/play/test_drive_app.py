@@ -355,3 +355,17 @@ def test_the_record_needs_a_name_for_a_rollout(tmp_path):
 def test_an_unknown_track_is_an_error_of_the_world():
     with pytest.raises(EnvError):
         drive("kart-grid", track="nowhere")
+
+
+def test_an_environment_that_is_not_ours_is_watched(tmp_path):
+    drive = open_session("tests.own_env:Reach", {}, None, None, 3, tmp_path / "seen.npz")
+    app = DriveApp(drive, "tests.own_env:Reach")
+    assert (app.name, app.fps) == ("tests.own_env:Reach", 40.0)
+    assert drive.driver.name == "random"
+    for _ in range(12):
+        app.tick()
+        app.draw()
+    (outcome,) = drive.outcomes
+    assert (outcome.word, outcome.steps) == ("time is up", 12)
+    drive.close()
+    assert Rollout.load(tmp_path / "seen.npz").env_id == "tests.own_env:Reach"

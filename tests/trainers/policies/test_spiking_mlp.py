@@ -95,3 +95,13 @@ def test_a_policy_is_rebuilt_from_its_checkpoint(coding, head):
 def test_untrained_layers_spike():
     rates = policy().latent(torch.rand(200, 6) * 2 - 1).rates
     assert all(0.05 < rate < 0.5 for rate in rates)
+
+
+@pytest.mark.parametrize("coding", ["regular", "population"])
+def test_the_reach_of_a_code_is_built_anew_and_is_one_in_old_checkpoints(coding):
+    spec = policy(coding=coding, reach=2.5).spec()
+    again = build(spec)
+    of = "high" if coding == "regular" else "mean"
+    assert getattr(again.encoder, of).detach().max() == 2.5
+    old = {key: value for key, value in spec.items() if key != "reach"}
+    assert getattr(build(old).encoder, of).detach().max() == 1.0

@@ -1,0 +1,57 @@
+"""A run folder as a file that chips run: exported into the folder, unless that was done already."""
+
+from pathlib import Path
+
+from spikedeploy import zoo
+from spikedeploy.console import say
+from spikedeploy.policies import run_record
+from spikedeploy.policies.registry import BUILT_IN
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.export_run import SPIKING, export_run
+from spikedeploy.trainers.run_folder import RunFolder
+
+
+def runnable(reference: str) -> str:
+    """The reference of a policy; a run folder, its name under runs/ or "last" as its file.
+
+    The file has the name of the run, and is written anew where a checkpoint is newer.
+    """
+    if reference in BUILT_IN or not _is_run(reference):
+        return reference
+    run = RunFolder.find(reference).path
+    kind = run_record.settings(run)["policy"]["kind"]
+    to = "nir" if kind in SPIKING else "onnx"
+    checkpoint = run / "checkpoints" / f"{run_record.deployed(run)}.safetensors"
+    if not checkpoint.is_file():
+        raise ConfigError(f"{run} has no checkpoint yet: train it further, --resume {run.name}")
+    file = run / f"{run.resolve().name}.{to}"
+    if not file.is_file() or file.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns:
+        _export(run, to, file)
+    return str(file)
+
+
+def trained_in(reference: str) -> str | None:
+    """Name of the environment that a run folder was trained in; None for any other reference."""
+    if reference in BUILT_IN or not _is_run(reference):
+        return None
+    return str(run_record.settings(RunFolder.find(reference).path)["env"]["name"])
+
+
+def _is_run(reference: str) -> bool:
+    if reference == "last":
+        return True
+    place = zoo.resolve(reference)
+    return place.is_dir() if place else (Path("runs") / reference / "config.json").is_file()
+
+
+def _export(run: Path, to: str, file: Path) -> None:
+    """Export the run; a file that does not do what the policy does is removed and refused."""
+    written = export_run(str(run), to, file)
+    failed = [check for check in written.checks if not check.passed]
+    if failed:
+        file.unlink()
+        raise ConfigError(
+            f"{run}: the exported file does not do what the policy does: {failed[0].name}, "
+            f"{failed[0].detail}; `spikedeploy export {run} --to {to}` shows all checks"
+        )
+    say(f"exported {file}")

@@ -1,0 +1,180 @@
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from spikedeploy import envs
+from spikedeploy.envs.adapted import AdaptedEnv
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.rollout import rollout
+from tests import own_env
+from tests.paths import ROOT
+
+REACH = "tests.own_env:Reach"
+
+
+class Middle:
+    """A controller that puts out the same at every step."""
+
+    def __init__(self, action=(0.0, 0.0)):
+        self.action = np.asarray(action)
+
+    def reset(self, seed):
+        pass
+
+    def act(self, observation):
+        return self.action
+
+
+def test_a_registered_id_is_an_environment_with_random_as_its_only_built_in():
+    spec = envs.spec("CartPole-v1")
+    assert (spec.short, spec.id, spec.foreign) == ("CartPole-v1", "CartPole-v1", True)
+    assert spec.target == "gymnasium.envs.classic_control.cartpole:CartPoleEnv"
+    assert spec.controls == ("random",)
+    assert not any(entry.foreign for entry in envs.ENVS.values())
+
+
+def test_naming_imports_nothing_and_making_imports_what_was_named():
+    code = """
+import sys
+from spikedeploy import envs
+envs.spec("tests.own_env:Reach"), envs.spec("HalfCheetah-v5")
+assert not {"tests.own_env", "mujoco"} & set(sys.modules)
+envs.make("tests.own_env:Reach")
+assert "tests.own_env" in sys.modules and "mujoco" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("cartpole-v1", "did you mean 'CartPole-v1'"),
+        ("hexapd", "did you mean 'hexapod'"),
+        ("xyzzy", "known: hexapod, .*module:Class"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_nearest(name, said):
+    with pytest.raises(EnvError, match=f"unknown environment '{name}'; {said}"):
+        envs.spec(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("nosuch_module:Env", {}, "there is no module nosuch_module"),
+        ("tests.own_env:Reech", {}, "has no 'Reech'; did you mean 'Reach'"),
+        ("tests.own_env:np", {}, "np is no gymnasium.Env"),
+        ("tests.own_env:OwnLevels-v9", {}, "registers no OwnLevels-v9"),
+        (REACH, {"stebs": 3}, "has no option 'stebs'"),
+        ("tests.own_env:refused", {}, "needs 'space' and 'kind': give each with --set"),
+        (REACH, {"disturb": ["noise:1"]}, "--disturb noise:1: .* has none"),
+        ("hexapod", {"success": "fall"}, "hexapod defines success itself"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_with_a_sentence(name, options, said):
+    with pytest.raises(EnvError, match=said):
+        envs.make(name, **options)
+
+
+def test_a_target_is_found_in_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path not in ("", str(tmp_path))])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "only_here.py").write_text("from tests.own_env import short as make_it\n")
+    assert isinstance(envs.make("only_here:make_it"), AdaptedEnv)
+    (tmp_path / "lacking.py").write_text("import nosuch_library\n")
+    with pytest.raises(EnvError, match="importing lacking needs nosuch_library: install it"):
+        envs.make("lacking:Env")
+
+
+def test_actions_are_scaled_to_odd_bounds_and_observations_are_flat():
+    env = envs.make(REACH)
+    assert env.action_space == spaces.Box(-1.0, 1.0, (2,), np.float64)
+    observation, info = env.reset(seed=3)
+    assert (observation.shape, observation.dtype) == ((4,), np.float64)
+    assert observation[1] == 100.0  # unscaled: policies have a normaliser
+    assert info == {"valves": 2}
+    for action in ([-1.0, -1.0], [1.0, 1.0], [0.0, 0.5], [-7.0, 3.0]):
+        env.step(np.array(action))
+    given = np.array(env.inner.unwrapped._given)[..., 0]
+    expected = [[-0.3, 5.0], [0.1, 9.0], [-0.1, 8.0], [-0.3, 9.0]]
+    np.testing.assert_allclose(given, np.array(expected, np.float32))
+
+
+def test_levels_are_one_hot_and_choices_count_from_zero():
+    env = envs.make("tests.own_env:OwnLevels-v3")
+    assert env.action_space == spaces.Discrete(4)
+    observation, _ = env.reset(seed=0)
+    total = 0.0
+    for _ in range(5):
+        assert sorted(observation) == [0.0, 0.0, 1.0]
+        observation, reward, terminated, _, info = env.step(int(np.argmax(observation)))
+        total += reward
+        assert info["success"] is (total >= 2.0)  # the registered threshold
+    assert (total, terminated) == (5.0, True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "space", "said"),
+    [
+        ("observation", spaces.Dict({"a": spaces.Discrete(2)}), "a Dict.*FlattenObservation"),
+        ("observation", spaces.Box(0, 255, (8, 8, 3), np.uint8), r"pictures \(8, 8, 3\)"),
+        ("action", spaces.MultiDiscrete([2, 3]), "a MultiDiscrete.*ActionWrapper"),
+        ("action", spaces.MultiBinary(3), "a MultiBinary"),
+        ("action", spaces.Box(np.array([0.0, -np.inf]), 1.0, (2,), np.float64), r"actions \[1\]"),
+    ],
+)
+def test_other_spaces_are_refused_by_name_with_the_remedy(kind, space, said):
+    with pytest.raises(EnvError, match=f"tests.own_env:refused.*{said}"):
+        envs.make("tests.own_env:refused", kind=kind, space=space)
+
+
+def test_success_is_the_key_that_is_named_or_else_unknown():
+    played = rollout(envs.make(REACH, success="close"), Middle(), seed=1)
+    assert played.success is bool(played.info["close"][-1])
+    assert np.isnan(played.info["close"][0])
+    assert played.options == {"success": "close"}
+    assert rollout(envs.make(REACH), Middle(), seed=1).success is None
+    with pytest.raises(EnvError, match=r"--success nose.*it has error, who, terms, close"):
+        rollout(envs.make(REACH, success="nose"), Middle(), seed=1)
+
+
+def test_infos_keep_their_numbers_alone():
+    played = rollout(envs.make("tests.own_env:short"), Middle(), seed=1)
+    assert sorted(played.info) == ["close", "error"]
+    assert played.env_id == "tests.own_env:short"
+    assert played.steps == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "period"), [("Pendulum-v1", 0.05), ("CartPole-v1", 0.02), (REACH, 0.025)]
+)
+def test_the_control_period_is_the_environments(name, period):
+    found = envs.make(name).unwrapped.CONTROL_DT
+    assert found == pytest.approx(period)
+
+
+def test_a_time_limit_can_be_given():
+    assert rollout(envs.make(REACH, max_episode_steps=4), Middle(), seed=0).steps == 4
+
+
+def test_an_episode_without_an_end_is_refused(monkeypatch):
+    monkeypatch.setattr("spikedeploy.envs.adapted._LONGEST", 5)
+    with pytest.raises(EnvError, match=r"did not end in 5 steps.*max_episode_steps"):
+        rollout(envs.make(REACH), Middle(), seed=0)
+
+
+def test_an_observation_that_is_not_finite_is_refused(monkeypatch):
+    env = envs.make(REACH)
+    monkeypatch.setattr(own_env.Reach, "_seen", lambda _: np.full((2, 2), np.nan))
+    with pytest.raises(EnvError, match="observation of step 0"):
+        env.reset(seed=0)
+
+
+def test_the_adapter_keeps_an_environments_own_seeds():
+    theirs, _ = gymnasium.make("CartPole-v1").reset(seed=7)
+    ours, _ = envs.make("CartPole-v1").reset(seed=7)
+    np.testing.assert_array_equal(ours, theirs)

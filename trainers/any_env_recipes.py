@@ -1,0 +1,85 @@
+"""Recipes for any environment: the command line names it, `train CartPole-v1 --recipe ppo-snn`.
+
+They learn gymnasium's CartPole and Pendulum within minutes on one core; harder tasks need more
+steps, with which the schedules are stretched, and wider layers.
+"""
+
+from spikedeploy.trainers.recipe import Recipe, Settings, merged
+
+# for a vector whose scale and meaning nobody knows: the normaliser sees the first quarter of the
+# steps, and populations cover two standard deviations of it on either side
+_SPIKING_MLP: Settings = {
+    "kind": "spiking-mlp",
+    "hidden": [64, 64],
+    "coding": "population",
+    "populations": 8,
+    "reach": 2.0,
+    "timesteps": 8,
+}
+
+_PPO: Settings = {
+    "env": {"name": "", "count": 8},
+    "steps": 100_000,
+    "horizon": 128,
+    "normaliser": {"finish": 25_000},
+    "actor_rate": {"start": 1e-3, "end": 0.0, "finish": 100_000},
+    "entropy": {"start": 0.01, "end": 0.0, "finish": 70_000},
+    "temperature": {"start": 1.0, "end": 0.1, "begin": 40_000, "finish": 70_000},
+    "critic_hidden": [64, 64],
+    "validation": {"every": 10_000, "episodes": 10},
+    "ghosts": False,
+}
+
+# rewards of any size: the temperature is a compromise, `--set temperature.start=` is another
+_SAC: Settings = {
+    "env": {"name": "", "count": 1},
+    "steps": 20_000,
+    "warm_up": 1_000,
+    "update_every": 1,
+    "batch": 128,
+    "critic_hidden": [128, 128],
+    "learning_rate": 1e-3,
+    "temperature": {"start": 0.2, "end": 0.02, "begin": 5_000, "finish": 15_000},
+    "mean_penalty": 0.0,
+    "averaging": 1e-3,
+    "normaliser": {"finish": 5_000},
+    "support_force": {"start": 0.0, "end": 0.0, "finish": 0},
+    "precision": "float32",
+    "validation": {"every": 2_000, "episodes": 10},
+    "checkpoint_every": 10_000,
+}
+
+_DISTILL: Settings = {
+    "env": {"name": "", "count": 4},
+    "iterations": 4,
+    "states": 4_000,
+    "updates": 4_000,
+    "normaliser": {"finish": 4_000},
+    "precision": "float32",
+    "validation": {"every": 500, "episodes": 10},
+}
+
+_FLOAT: Settings = {"kind": "mlp", "hidden": [64, 64]}
+
+ANY_ENV_RECIPES: dict[str, Recipe] = {
+    name: Recipe(algorithm, summary, merged(settings, {"policy": policy}), any_env=True)
+    for name, algorithm, summary, settings, policy in (
+        ("ppo-mlp", "ppo", "any ENV: a float MLP with 64-64", _PPO, _FLOAT),
+        ("ppo-snn", "ppo", "any ENV: 64-64 LIF neurons, population code", _PPO, _SPIKING_MLP),
+        ("sac-mlp", "sac", "any ENV with continuous actions: a float MLP with 64-64", _SAC, _FLOAT),
+        (
+            "sac-popsan",
+            "sac",
+            "any ENV with continuous actions: a PopSAN with 64-64",
+            _SAC,
+            {"kind": "popsan", "hidden": [64, 64]},
+        ),
+        (
+            "distill-snn",
+            "distill",
+            "any ENV with continuous actions: 64-64 LIF neurons, --set teacher=RUN",
+            _DISTILL,
+            _SPIKING_MLP,
+        ),
+    )
+}
