@@ -10,6 +10,7 @@ import json
 import re
 from statistics import median
 
+from spikedeploy.envs.hexapod.command import FOLLOWED, SPEED
 from spikedeploy.runtime.metrics.energy import energy_table
 from tests.paths import ROOT
 
@@ -160,8 +161,18 @@ def tuned_interval_on_karts():
     return max(map(float, bounds))
 
 
+def macs(env, *policies):
+    """Multiply-accumulates with an input that is not 0, of an inference."""
+    return [row(env, policy)["effective_macs"] for policy in policies]
+
+
 RULES = [
     # README
+    ("a linear policy ({} MACs) and mlp-8, eight hidden units ({}), earn what sac does", lambda:
+        macs("hexapod", "linear", "mlp-8")),
+    ("so do mlp-16 ({}) and fourier, linear in products of the gait's phase with commands and "
+     "errors ({}), and mlp-32 ({}) earns more than any spiking policy", lambda:
+        macs("hexapod-command", "mlp-16", "fourier", "mlp-32")),
     ("{} operations walk better than {}.", lambda: (
         sops("hexapod"), sops("hexapod", "popsan"))),
     ("the command task ({} operations) and three karts ({})", lambda: (
@@ -171,6 +182,18 @@ RULES = [
     ("with the updates of their neurons and the encoder they cost {} to {} times as much", lambda:
         spread(cheapest("With updates, encoder and constants") + cheapest("With neuron updates"))),
     # docs/results.md
+    ("down to mlp-8 with {} MACs", lambda: macs("hexapod", "mlp-8")),
+    ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
+     "({}) earns more than every spiking policy", lambda:
+        macs("hexapod-command", "mlp-16", "fourier", "mlp-32")),
+    ("sparse takes {} nJ on the chip for an inference on the command task, fourier {}, mlp-16 {} and "
+     "mlp-32 {}", lambda: [
+        1e9 * joules("hexapod-command", p) for p in ("sparse", "fourier", "mlp-16", "mlp-32")]),
+    ("with its encoder sparse takes {}", lambda: (
+        1e9 * row("hexapod-command", "sparse")["energy_total_j"]["horowitz45-int8"],)),
+    ("no fall, and RMSE within {} of the largest command", lambda: (FOLLOWED[0] / SPEED[1],)),
+    ("it succeeds in {} % of the episodes, sac in {} %", lambda: [
+        100 * row("hexapod-command", p)["success_rate"] for p in ("sparse", "sac")]),
     ("the spiking walker costs {} µJ per inference ({} µJ on the command task)", lambda:
         [1e6 * joules(env, "popsan") for env in WALKS]),
     ("The float network costs {} µJ when all its {} MACs are executed", lambda: (
@@ -226,11 +249,25 @@ RULES = [
 COMPARISONS = [
     ("operations walk better than", lambda:
         low(row("hexapod", "sparse"), "return") > high(row("hexapod", "popsan"), "return")),
-    ("A linear policy walks as well as the network", lambda:
-        returns("hexapod", "linear") >= returns("hexapod", "sac")),
-    ("the controls fall behind", lambda:
-        max(returns("hexapod-command", "phase", "bilinear", "linear"))
-        < 0.95 * returns("hexapod-command", "sac")[0]),
+    ("earn what sac does; on", lambda:
+        all(high(row("hexapod", p), "return") >= low(row("hexapod", "sac"), "return")
+            for p in ("linear", "mlp-8"))),
+    ("mlp-32 (2,853) earns more than any spiking policy", lambda:
+        low(row("hexapod-command", "mlp-32"), "return")
+        > max(high(row("hexapod-command", p), "return") for p in ("popsan", "sparse"))),
+    ("every control that observes more than the gait's phase earns what sac does", lambda:
+        all(high(row("hexapod", p), "return") >= low(row("hexapod", "sac"), "return")
+            for p in ("fourier", "linear", "mlp-8", "mlp-32", "mlp-64"))),
+    ("which has no hidden layer, earn more than sac", lambda:
+        min(returns("hexapod-command", "mlp-16", "fourier")) > returns("hexapod-command", "sac")[0]),
+    ("mlp-8 falls behind", lambda:
+        high(row("hexapod-command", "mlp-8"), "return")
+        < low(row("hexapod-command", "sac"), "return")),
+    ("sparse earns more than sac and tracks less well", lambda:
+        low(row("hexapod-command", "sparse"), "return")
+        > high(row("hexapod-command", "sac"), "return")
+        and row("hexapod-command", "sparse")["success_rate"]
+        < row("hexapod-command", "sac")["success_rate"]),
     ("The dense spiking walker costs more than the float network either way", lambda:
         all(joules(env, "popsan") > joules(env, "sac") > skipping(env) for env in WALKS)),
     ("smooth, which earns more than sac", lambda:
