@@ -13,5 +13,6 @@ curves        the learning curve in a run's metrics
 terminal      what commands print of comparisons, emulations, drifts, files and traces
 check_tables  a network against the design rules: by chip, by layer, by rule
 drift_tables  drift by layer and by rounding
+entries       one chip, energy table or policy in full
 listings      the chips side by side; the energy tables; the break-even lines
 """

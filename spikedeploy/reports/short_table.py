@@ -21,9 +21,7 @@ def short_columns(rows: Sequence[Row]) -> list[Column]:
     )
     columns = [
         Column("return", "mean return, with its 95% interval", interval),
-        Column(
-            "of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")
-        ),
+        Column("of ANN", "return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
         success,
         Column("operations", "a control step, of synapses", _operations),
         Column("energy", f"a control step, by table {table}", _energy(table)),

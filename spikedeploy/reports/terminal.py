@@ -52,18 +52,25 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
             print_text(sentence)
 
 
+def print_rows(title: str, rows: Sequence[Row]) -> None:
+    """Print one table of rows of a comparison, and which of their energies to quote."""
+    _print_columns(title, short_columns(rows), rows, WIDTH)
+    if hint := energy_hint(rows):
+        print_text(hint)
+
+
 def print_verdict(document: Mapping[str, Any]) -> None:
     """Print a run in one line, and which of its energies to quote."""
-    print_text(energy_hint(document["rows"]))
+    if hint := energy_hint(document["rows"]):
+        print_text(hint)
     print_text(verdict(document))
 
 
 def _print_short(document: Mapping[str, Any]) -> None:
     rows = document["rows"]
-    _print_columns("", short_columns(rows), rows, WIDTH)
-    for sentence in (document["meaning"], energy_hint(rows)):
-        if sentence:
-            print_text(sentence)
+    print_rows("", rows)
+    if document["meaning"]:
+        print_text(document["meaning"])
     print_text("Agreement, sizes, operations, other energies: --tables all")
 
 
