@@ -170,7 +170,7 @@ class Runner(ABC, Generic[C]):
 
     def _checkpoint(self) -> None:
         """Save everything that resuming needs."""
-        done = {"finished": self.finished, "total": self._total}
+        done = {"finished": self.finished, "share": self.share}
         counters = {**self._counters(), "logged": self._logged, **done}
         state = {**counters, **self._state(), "rng": self._rng.bit_generator.state}
         self._run.save("last", self.policy, state, {**self.learner.tensors(), **self._tensors()})

@@ -131,7 +131,7 @@ def export(
         print_checks(written.checks)
         typer.echo(f"wrote {written.path}")
         if written.unfinished:
-            say(f"its training is unfinished: {written.unfinished}")
+            say(f"its training is unfinished: stopped at {written.unfinished}")
     raise typer.Exit(0 if written.passed else 1)
 
 

@@ -41,15 +41,14 @@ def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
 
 
 def unfinished(run: Path) -> str:
-    """How far a training came that has not ended: `12 % of 60,000`; empty where it has.
+    """How far a training came that has not ended: `12 %`; empty where it has.
 
     Also empty for runs from before this was written down.
     """
     file = run / "checkpoints" / "last.json"
     state = _read(file) if file.is_file() else {}
-    if state.get("finished", True) or "total" not in state:
-        return ""
-    return f"{100 * steps(run, 'last')[0] / state['total']:.0f} % of {state['total']:,}"
+    ended = state.get("finished", True) or "share" not in state
+    return "" if ended else f"{100 * state['share']:.0f} %"
 
 
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:

@@ -105,11 +105,16 @@ def policy_facts(name: str, card: Mapping[str, Any]) -> list[tuple[str, str]]:
     policy = card.get("config", {}).get("policy", {})
     facts = {
         **{key: card.get(key) for key in ("file", "kind", "env", "recipe", "seed", "steps")},
-        "network": ", ".join(f"{key} {_listed(value)}" for key, value in policy.items()),
+        "network": ", ".join(
+            f"{key} {_listed(value)}" for key, value in policy.items() if value is not None
+        ),
         "created": card.get("created"),
         "note": card.get("note"),
     }
-    return [("name", name), *((key, str(value)) for key, value in facts.items() if value != "")]
+    return [
+        ("name", name),
+        *((key, str(value)) for key, value in facts.items() if value not in (None, "")),
+    ]
 
 
 def _listed(value: object) -> str:
