@@ -110,7 +110,9 @@ def test_compare_shows_people_tables_and_a_sentence(command, stroll):
 
 def test_compare_first_shows_one_table_of_80_columns(command, stroll):
     _, out, _ = command("compare", "stroll", "--episodes", 2, "--workers", 1)
-    head, *rows = [line for line in out.splitlines() if line[:1].strip() and "  " in line]
+    lines = [line.strip() for line in out.splitlines()]
+    start = next(at for at, line in enumerate(lines) if line.startswith("policy "))
+    head, _, *rows = lines[start : lines.index("", start)]
     assert head.split() == ["policy", "return", "of", "ANN", "success", "operations", "energy"]
     assert len(rows) == 4  # sac, popsan in float and on loihi1, gait
     assert all(len(line) <= 80 for line in [head, *rows])
