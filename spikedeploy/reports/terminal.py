@@ -101,6 +101,8 @@ def print_emulation(emulation: Emulation) -> None:
         **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+    if hint := energy_hint([{"energy_per_inference_j": emulation.energies}]):
+        print_text(hint)
     for remark in emulation.remarks:
         print(f"  {remark}")
     rows = [
