@@ -56,7 +56,7 @@ def print_json(data: object) -> None:
 
 def say(line: str) -> None:
     """Write a line on stderr, which leaves stdout for results."""
-    console(stderr=True).print(line, markup=False)
+    console(stderr=True).print(line, markup=False, soft_wrap=True)  # so that it can be copied
 
 
 def print_table(

@@ -64,7 +64,7 @@ class ProgressBar:
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""
-        self._screen.print(line, markup=False)
+        self._screen.print(line, markup=False, soft_wrap=True)
 
     def at(self, step: int, total: int) -> None:
         """Set the bar to a step."""

@@ -167,6 +167,4 @@ class Interrupt:
             raise KeyboardInterrupt
         self.requested = True
         if self._say is not None:
-            self._say(
-                "stopping after this step … (Ctrl-C again: at once, from the last checkpoint)"
-            )
+            self._say("stopping after this step … (Ctrl-C again stops at once)")

@@ -80,11 +80,13 @@ def verify(
     from spikedeploy.emulation.trace_replay import replay_trace
     from spikedeploy.reports.terminal import print_replays
 
-    replays = [replay_trace(path) for path in traces]
+    replays = []
+    for path in traces:
+        replays.append(replay_trace(path))
+        if not json:
+            print_replays(replays[-1:])
     if json:
         print_json([each.as_json() for each in replays])
-    else:
-        print_replays(replays)
     raise typer.Exit(0 if all(each.equal for each in replays) else 1)
 
 
