@@ -15,6 +15,7 @@
     experiments  many trainings and their evaluations by one command
     play         windows: drive, replay, draw a track
 
+    api          three lines of Python: load, compare, train, make
     cli          starts a command
     console      tables and JSON on stdout, progress on stderr
     files        files that are whole or not there
@@ -25,5 +26,49 @@
     video        MP4 files
 
 `runtime`, `envs`, `trainers` and `exporters` stand at the top of the repository; in a checkout,
-relative links lead to them.
+relative links lead to them. `load`, `compare`, `train` and `make` are imported when they are first
+used, so that importing this package loads nothing.
 """
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from spikedeploy.api import (
+        ComparedPolicies,
+        LoadedNetwork,
+        NetworkRun,
+        compare,
+        load,
+        make,
+        train,
+    )
+
+    __version__: str
+
+__all__ = [
+    "ComparedPolicies",
+    "LoadedNetwork",
+    "NetworkRun",
+    "__version__",
+    "compare",
+    "load",
+    "make",
+    "train",
+]
+
+if not TYPE_CHECKING:  # a type checker reads the imports above
+
+    def __getattr__(name: str) -> object:
+        """The public object called `name`, imported now."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        if name == "__version__":
+            from spikedeploy.trainers.versions import own
+
+            return own()
+        from spikedeploy import api
+
+        return getattr(api, name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

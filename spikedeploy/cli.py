@@ -3,10 +3,12 @@
 import os
 import sys
 from importlib import import_module
+from typing import Annotated
 
 import typer
 
-from spikedeploy.user_errors import one_line
+from spikedeploy.console import discard_output, prepare_streams
+from spikedeploy.user_errors import exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
@@ -46,7 +48,6 @@ app = typer.Typer(
     help="From a trained spiking policy to a neuromorphic chip, with proof that the robot still "
     "walks. Start with: spikedeploy demo",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -57,15 +58,40 @@ for _panel, _verbs in COMMANDS.items():
         app.command(_verb, rich_help_panel=_panel)(_command)
 
 
+def _print_version(wanted: bool) -> None:
+    from spikedeploy.trainers.versions import own
+
+    if wanted:
+        typer.echo(f"spikedeploy {own()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """From a trained spiking policy to a neuromorphic chip."""
+
+
 def main() -> None:
-    """Run the command line; an error that a user can act on becomes one line on stderr, exit 1."""
+    """Run the command line; an error that a user can act on becomes one line on stderr.
+
+    Exit codes: 0 done, 1 does not fit or is not equal, 2 bad input, 130 stopped by Ctrl-C.
+    """
     for name in THREADS:  # before numpy loads: small networks run faster on one thread
         os.environ.setdefault(name, "1")
+    prepare_streams()
     try:
         app()
     except Exception as error:
         line = one_line(error)
         if line is None:
             raise
+        discard_output()
         print(f"error: {line}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(exit_code(error))

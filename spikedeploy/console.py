@@ -1,5 +1,10 @@
 """Standard output and error: tables and JSON on stdout, progress and remarks on stderr."""
 
+import codecs
+import io
+import os
+import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -8,8 +13,40 @@ from spikedeploy.files import as_text
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 _PIPE_WIDTH = 120
+PAUSE = 10.0  # seconds between two lines of progress where there is no terminal
+_COLOURS = {"✓": "green", "✗": "red"}
+# for terminals that know ASCII alone
+_ASCII = {
+    "–": "-", "−": "-", "·": "|", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "±": "+-", "×": "x",
+    "µ": "u", "✓": "+", "✗": "x", "≠": "!=", "“": '"', "”": '"', "’": "'",
+}  # fmt: skip
+
+
+def prepare_streams() -> None:
+    """Let lines appear at once, piped or not, and letters that a terminal lacks be spelt out."""
+    codecs.register_error("spelt", _spelt)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(line_buffering=True, errors="spelt")
+
+
+def _spelt(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    letters = error.object[error.start : error.end]
+    return "".join(_ASCII.get(letter, "?") for letter in letters), error.end
+
+
+def discard_output() -> None:
+    """Forget what cannot be written, so that the interpreter does not try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with open(os.devnull, "w") as nothing:
+            os.dup2(nothing.fileno(), sys.stdout.fileno())
 
 
 def print_json(data: object) -> None:
@@ -19,29 +56,52 @@ def print_json(data: object) -> None:
 
 def say(line: str) -> None:
     """Write a line on stderr, which leaves stdout for results."""
-    console(stderr=True).print(line, markup=False)
+    console(stderr=True).print(line, markup=False, soft_wrap=True)  # so that it can be copied
 
 
 def print_table(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = False
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    numbers: bool = False,
+    width: int | None = None,
 ) -> None:
-    """Write a table; with `numbers` every column after the first is right-aligned."""
+    """Write a table; with `numbers` every column after the first is right-aligned.
+
+    width  most columns of the terminal that it takes
+    """
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
-    )
+        title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )  # fmt: skip
     for place, column in enumerate(columns):
         table.add_column(
-            escape(column),
+            Text(column),
             justify="right" if numbers and place else "left",
-            no_wrap=numbers and not place,
+            # names of rows stay whole, unless the table has to be narrow: then numbers do
+            no_wrap=numbers and bool(place) == bool(width),
+            overflow="fold" if width else "ellipsis",
         )
     for row in rows:
-        table.add_row(*row)
-    console().print(table)
+        table.add_row(*map(_cell, row))
+    screen = console()
+    screen.print(table, width=width and min(width, screen.width))
+
+
+def _cell(text: str) -> "Text":
+    """A cell as it is written, whatever brackets it has; marks in their colours."""
+    from rich.text import Text
+
+    return Text(text, style=_COLOURS.get(text, ""))
+
+
+def print_text(text: str) -> None:
+    """Write text on stdout as it is, wrapped between words."""
+    console().print(text, markup=False)
 
 
 def console(stderr: bool = False) -> "Console":
@@ -56,10 +116,33 @@ def console(stderr: bool = False) -> "Console":
 
 @contextmanager
 def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr, and the function that advances it by one."""
+    """Progress on stderr, and the function that advances it by one.
+
+    A bar on a terminal; elsewhere a line now and then, for logs.
+    """
+    screen = console(stderr=True)
+    if not screen.is_terminal:
+        yield _Lines(description, total).advance
+        return
+    from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=total)
+    with Progress(*columns, console=screen, transient=True) as bar:
+        task = bar.add_task(escape(description), total=total)
         yield lambda: bar.advance(task)
+
+
+class _Lines:
+    """Progress in lines, with a pause of at least PAUSE between them."""
+
+    def __init__(self, description: str, total: int) -> None:
+        self._description, self._total, self._done = description, total, 0
+        self._said = time.monotonic()
+
+    def advance(self) -> None:
+        """One more is done."""
+        self._done += 1
+        if time.monotonic() - self._said >= PAUSE:
+            self._said = time.monotonic()
+            say(f"{self._description}: {self._done} of {self._total}")

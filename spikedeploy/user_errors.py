@@ -1,5 +1,6 @@
-"""Exceptions that a user can act on, and the one line that each becomes."""
+"""Exceptions that a user can act on: the one line that each becomes, and the exit code."""
 
+import errno
 import sys
 
 # package that a command may need -> the extra of pyproject.toml that installs it
@@ -19,12 +20,23 @@ _EXPECTED = (
 )
 
 
+# exit codes, as of diff and grep: 1 is an answer, 2 a question that cannot be answered
+DOES_NOT_FIT, BAD_INPUT = 1, 2
+
+
+def exit_code(error: Exception) -> int:
+    """DOES_NOT_FIT where a network breaks a rule of its chip, else BAD_INPUT."""
+    return DOES_NOT_FIT if _is(error, "spikedeploy.runtime.errors", "RuleError") else BAD_INPUT
+
+
 def one_line(error: Exception) -> str | None:
     """The line for the user; None where the exception is a bug, whose traceback is needed."""
     if isinstance(error, ModuleNotFoundError):
         return _missing(error.name or "")
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        return f"{error.strerror}: the disk is full, or where the output goes"
     return " ".join(str(error).split()) if _expected(error) else None
 
 
@@ -39,6 +51,11 @@ def _missing(module: str) -> str | None:
 
 
 def _expected(error: Exception) -> bool:
-    """Whether it is one of EXPECTED; a class whose module is not loaded cannot have been raised."""
-    modules = ((sys.modules.get(module), name) for module, name in _EXPECTED)
-    return any(module and isinstance(error, getattr(module, name)) for module, name in modules)
+    """Whether it is one of EXPECTED."""
+    return any(_is(error, module, name) for module, name in _EXPECTED)
+
+
+def _is(error: Exception, module: str, name: str) -> bool:
+    """Whether it is of a class; one whose module is not loaded cannot have been raised."""
+    loaded = sys.modules.get(module)
+    return loaded is not None and isinstance(error, getattr(loaded, name))

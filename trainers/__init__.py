@@ -19,6 +19,7 @@ config.py        models of the configuration
 resolve.py       recipe, TOML file and overrides combined into a configuration
 run_folder.py    files of a run: configuration, versions, checkpoints
 journal.py       metrics to CSV file, TensorBoard and progress bar
+progress.py      the bar on a terminal, lines elsewhere
 metrics.py       the CSV file, and the learning curve
 env_batch.py     copies of an environment, stepped as a batch
 validation.py    deterministic episodes that choose the best checkpoint

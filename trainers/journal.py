@@ -3,25 +3,13 @@
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
-
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from typing import TYPE_CHECKING, Any
 
 from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.run_folder import RunFolder
 
-_SHOWN = {  # metrics beside the progress bar, and their formats
-    "episode_return": "return {:.0f}",
-    "eval_return": "validation {:.0f}",
-    "steps_per_s": "{:.0f} steps/s",
-}
+if TYPE_CHECKING:
+    from spikedeploy.trainers.progress import ProgressBar
 
 
 class Journal:
@@ -41,7 +29,7 @@ class Journal:
         known = {name: row[name] for name in self.metrics.columns if name in row}
         self.metrics.add(known)
         self.board.add(int(row[self.metrics.columns[0]]), known)
-        self.bar.show(known)
+        self.bar.show(row)
 
     def rewind(self, step: int) -> None:
         """Drop the rows after a step, on resuming from it."""
@@ -72,38 +60,3 @@ class _TensorBoardLog:
         """Flush and close the file."""
         if self._writer is not None:
             self._writer.close()
-
-
-class ProgressBar:
-    """Progress bar of a run with the latest returns and speed; hidden if quiet."""
-
-    def __init__(self, title: str, quiet: bool = False) -> None:
-        self._latest: dict[str, float] = {}
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
-            disable=quiet,
-        )
-        self._task = self._progress.add_task(title, total=None, note="")
-
-    def __enter__(self) -> "ProgressBar":
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def at(self, step: int, total: int) -> None:
-        """Set the bar to a step."""
-        self._progress.update(self._task, completed=step, total=total)
-
-    def show(self, row: Mapping[str, float]) -> None:
-        """Show the returns and speed of a row of metrics."""
-        self._latest.update({key: row[key] for key in _SHOWN if key in row})
-        note = "  ".join(_SHOWN[key].format(value) for key, value in self._latest.items())
-        self._progress.update(self._task, note=note)

@@ -34,3 +34,10 @@ def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings
             nested = isinstance(old, Mapping) and isinstance(value, Mapping)
             result[key] = merged(old, value) if nested else value  # type: ignore[arg-type]
     return result
+
+
+def budget(recipe: Recipe) -> str:
+    """Operations of a control step that a recipe ends with: `50 SOPs`; empty where it has none."""
+    count = recipe.settings.get("budget")
+    unit = "MACs" if recipe.settings.get("policy", {}).get("kind") == "pruned-mlp" else "SOPs"
+    return "" if count is None else f"{count:,g} {unit}"

@@ -53,7 +53,7 @@ class RunFolder:
 
     @classmethod
     def find(cls, name: str | Path, runs: str | Path = "runs", recipe: str = "") -> "RunFolder":
-        """Return a run by path or by name in `runs`; "last" is the newest of a recipe."""
+        """Return a run by path or by name in `runs`; "last" is the newest with a checkpoint."""
         if str(name) == "last":
             return cls(_newest(Path(runs), recipe))
         for path in (Path(name), Path(runs) / name):
@@ -152,15 +152,17 @@ def _unused(path: Path) -> Path:
 
 
 def _newest(runs: Path, recipe: str) -> Path:
-    """Return the folder of the newest run, of a recipe if given."""
+    """Return the folder of the newest run with a checkpoint, of a recipe if given."""
     found = [file.parent for file in runs.glob("*/config.json")]
     if recipe:
         found = [path for path in found if _read_json(path / "config.json")["recipe"] == recipe]
-    if not found:
+    usable = [path for path in found if any(path.glob("checkpoints/*.safetensors"))]
+    if not usable:
+        none = f"; {len(found)} without a checkpoint" if found else ""
         raise ConfigError(
-            f"no run{f' of recipe {recipe}' if recipe else ''} in {runs}/ to continue"
+            f"no run{f' of recipe {recipe}' if recipe else ''} in {runs}/ to continue{none}"
         )
-    return max(found, key=lambda path: (path / "config.json").stat().st_mtime_ns)
+    return max(usable, key=lambda path: (path / "config.json").stat().st_mtime_ns)
 
 
 def _read_json(path: Path) -> dict[str, Any]:

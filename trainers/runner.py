@@ -91,6 +91,11 @@ class Runner(ABC, Generic[C]):
         return step
 
     @property
+    def share(self) -> float:
+        """Part of the training that is done, from 0 to 1."""
+        return min(self.step / self._total, 1.0)
+
+    @property
     def finished(self) -> bool:
         """Whether training has reached its end."""
         return self.step >= self._total
@@ -137,7 +142,8 @@ class Runner(ABC, Generic[C]):
         if at_end or self._due(self._config.validation.every, before):
             row = self._validate()
         if row or self._due(self._log_every, before):
-            journal.add({**self._row(), **row})
+            best = {"best": self.best} if np.isfinite(self.best) else {}
+            journal.add({**self._row(), **row, **best})
             self._logged = self.step
         if self._due(self._checkpoint_every, before):
             self._checkpoint()
@@ -164,7 +170,8 @@ class Runner(ABC, Generic[C]):
 
     def _checkpoint(self) -> None:
         """Save everything that resuming needs."""
-        counters = {**self._counters(), "logged": self._logged}
+        done = {"finished": self.finished, "share": self.share}
+        counters = {**self._counters(), "logged": self._logged, **done}
         state = {**counters, **self._state(), "rng": self._rng.bit_generator.state}
         self._run.save("last", self.policy, state, {**self.learner.tensors(), **self._tensors()})
 

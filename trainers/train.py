@@ -7,7 +7,7 @@ import json
 import shutil
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -21,7 +21,8 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.config import RunConfig
-from spikedeploy.trainers.journal import Journal, ProgressBar
+from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.progress import ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import amended, known, resolve
 from spikedeploy.trainers.run_folder import RunFolder
@@ -36,7 +37,7 @@ def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it
 
 
 def train(
-    recipe: str,
+    recipe: str | None,
     *,
     env: str | None = None,
     config_file: str | Path | None = None,
@@ -46,15 +47,23 @@ def train(
     resume: str | Path | None = None,
     runs: str | Path = "runs",
     quiet: bool = False,
+    interrupt: "Interrupt | None" = None,
 ) -> Path:
     """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
-    A resumed run keeps its configuration and seed, changed by the file and the overrides.
+    A resumed run keeps its configuration and seed, changed by the file and the overrides. Its
+    recipe may be None.
 
     env: environment of a recipe for any; short name, registered id or module:Class
     budget: operations of a control step, of a sparse recipe: "sops=480", "macs=500"
+    interrupt: requests a stop, and says afterwards whether there was one
     """
+    stopped = interrupt or Interrupt()
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
+    if resume is not None and recipe is None:
+        recipe = str(RunFolder.find(resume, runs).settings()["recipe"])
+    if recipe is None:
+        raise ConfigError("name a recipe to train, or a run to resume")
     kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe")].algorithm)
     overrides = [*_named(recipe, env), *overrides]
     if resume is None:
@@ -63,7 +72,7 @@ def train(
         _check_env(config)
         run = RunFolder.create(runs, config)
         with _removed_if_refused(run):
-            _learn(kind(config, run), config, run, quiet)
+            _learn(kind(config, run), config, run, quiet, stopped)
     else:
         run = RunFolder.find(resume, runs, recipe)
         if (recipe_of_run := run.settings()["recipe"]) != recipe:
@@ -75,7 +84,7 @@ def train(
         _check_metrics(run, kind, config)
         with _written(run, config):
             runner = kind(config, run)
-        _learn(runner, config, run, quiet)
+        _learn(runner, config, run, quiet, stopped)
     return run.path
 
 
@@ -108,7 +117,7 @@ def _removed_if_refused(run: RunFolder) -> Iterator[None]:
     """Remove a new run folder where its training is refused before anything was learned."""
     try:
         yield
-    except Exception:
+    except BaseException:  # Ctrl-C too
         learned = any((run.path / "checkpoints").iterdir())
         if not learned and not (run.metrics.is_file() and metrics.read(run.metrics)):
             shutil.rmtree(run.path)
@@ -137,14 +146,17 @@ def _check_metrics(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -
         metrics.check(run.metrics, kind.columns(config), step, state.get("logged"))
 
 
-def _learn(runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool) -> None:
+def _learn(
+    runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool, stopped: "Interrupt"
+) -> None:
     """Run the algorithm under a progress bar until it ends or Ctrl-C, then draw its curve."""
-    with Interrupt() as stopped, ProgressBar(run.path.name, quiet) as bar:
+    with ProgressBar(run.path.name, quiet) as bar, stopped.acknowledged(bar, quiet):
         journal = Journal(run, runner.columns(config), bar)
         try:
             runner.learn(journal, stopped)
         finally:
             journal.close()
+    stopped.share = None if runner.finished else runner.share
     metrics.draw_curve(run.metrics, run.path / "curve.png", run.path.name)
 
 
@@ -152,15 +164,26 @@ class Interrupt:
     """While entered, Ctrl-C (SIGINT) requests a stop; a second one interrupts at once.
 
     requested: whether it was pressed
+    share: part of the training that is done, where it stopped before its end
     """
 
     def __init__(self) -> None:
         self.requested = False
+        self.share: float | None = None
         self._before: Any = None
+        self._say: Callable[[str], None] | None = None
 
     def __call__(self) -> bool:
         """Return whether a stop was requested."""
         return self.requested
+
+    @contextmanager
+    def acknowledged(self, bar: ProgressBar, quiet: bool) -> Iterator[None]:
+        """Say beside the bar that it was pressed, at once."""
+        self._say = None if quiet else bar.say
+        with self:
+            yield
+        self._say = None
 
     def __enter__(self) -> "Interrupt":
         if threading.current_thread() is threading.main_thread():  # elsewhere Python forbids it
@@ -175,3 +198,5 @@ class Interrupt:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
+        if self._say is not None:
+            self._say("stopping after this step … (Ctrl-C again stops at once)")

@@ -235,7 +235,12 @@ def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDr
 
 def _check(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> None:
     width = int(np.prod(next(iter(artifact.graph.inputs.values())).input_type["input"]))
-    if raster.ndim != 3 or raster.shape[2] != width or not raster.size:
+    if raster.ndim == 3 and raster.size and raster.shape[2] != width:
+        raise ObservationError(
+            f"the raster is {raster.shape[2]} wide; the network takes {width} spike trains side by "
+            "side. Give the raster of this network."
+        )
+    if raster.ndim != 3 or not raster.size:
         raise ObservationError(
             f"the raster has shape {raster.shape}; the network takes (B, T, {width}), with at "
             "least one timestep. Give the raster of this network."

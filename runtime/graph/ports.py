@@ -89,6 +89,11 @@ def split(all_: Sequence[Port], rows: Rows) -> dict[str, Rows]:
 
 
 def _check(port: Port, rows: Rows, leading: tuple[int, ...]) -> None:
+    if rows.ndim == 3 and len(port.shape) == 1 and rows.shape[2] != port.size and rows.size:
+        raise ObservationError(
+            f"the raster is {rows.shape[2]} wide; node {port.name!r} takes {port.size} spike "
+            "trains side by side. Give the raster of this network."
+        )
     if rows.ndim < 2 or rows.shape[2:] != port.shape or not rows.size:
         wanted = ", ".join(["B", "T", *map(str, port.shape)])
         raise ObservationError(

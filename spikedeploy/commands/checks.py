@@ -39,6 +39,9 @@ def check(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
+    rules: Annotated[
+        bool, typer.Option("--rules", help="Print every rule, kept or broken, and the layers.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Check whether a network fits on chips, rule by rule and node by node.
@@ -64,7 +67,7 @@ def check(
     if json:
         print_json(report.as_json())
     else:
-        print_report(report)
+        print_report(report, rules)
     raise typer.Exit(0 if report.passed else 1)
 
 
@@ -77,11 +80,13 @@ def verify(
     from spikedeploy.emulation.trace_replay import replay_trace
     from spikedeploy.reports.terminal import print_replays
 
-    replays = [replay_trace(path) for path in traces]
+    replays = []
+    for path in traces:
+        replays.append(replay_trace(path))
+        if not json:
+            print_replays(replays[-1:])
     if json:
         print_json([each.as_json() for each in replays])
-    else:
-        print_replays(replays)
     raise typer.Exit(0 if all(each.equal for each in replays) else 1)
 
 
@@ -112,7 +117,7 @@ def doctor(json: Json = False) -> None:
     if json:
         print_json([vars(finding) for finding in found])
     else:
-        marks = {True: "[green]✓[/]", False: "[red]✗[/]", None: " "}
+        marks = {True: "✓", False: "✗", None: " "}
         rows = [(marks[f.ok], f.name, f.detail) for f in found]
         print_table("Doctor", ("", "what", "found"), rows)
     raise typer.Exit(1 if any(finding.ok is False for finding in found) else 0)

@@ -21,6 +21,7 @@ from spikedeploy.commands.options import (
     Seed,
     Specimen,
     Success,
+    Tables,
     Thresholds,
     WeightShift,
     Workers,
@@ -72,7 +73,7 @@ def run(
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.reports import report
-    from spikedeploy.reports.terminal import print_comparison
+    from spikedeploy.reports.terminal import print_comparison, print_verdict
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
@@ -101,6 +102,7 @@ def run(
         print_comparison(document)
         if video:
             typer.echo(f"wrote {video}")
+        print_verdict(document)
 
 
 def compare(
@@ -141,6 +143,7 @@ def compare(
     headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
+    tables: Tables = "one",
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
@@ -158,7 +161,7 @@ def compare(
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable
 
-    tables = checked_table_names(energy or ())
+    prices = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     broken = faults(fault or (), specimen)
@@ -167,22 +170,22 @@ def compare(
     options = parse_options(set_ or (), disturb or (), success)
     numbers = range(seed, seed + episodes)
     comparison = compare_policies(env, entries, numbers, workers, options, metrics)
-    document = report.document(replace(comparison, tables=tables))
+    document = report.document(replace(comparison, tables=prices))
     if output:
         report.write(document, output)
     if json:
         print_json(document)
     else:
-        print_comparison(document)
+        print_comparison(document, tables == "all")
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
 
 
-def demo(json: Json = False) -> None:
+def demo(tables: Tables = "one", json: Json = False) -> None:
     """Watch the shipped policies walk: float ANN, float SNN, and the SNN on an emulated Loihi."""
     from spikedeploy.console import print_json
     from spikedeploy.shipping.demo_reports import FOLDER, write_demo
 
-    documents = write_demo(quiet=json)
+    documents = write_demo(quiet=json, everything=tables == "all")
     if json:
         print_json({"folder": str(FOLDER), "reports": documents})

@@ -1,14 +1,24 @@
 """`policies`, `chips`, `energy`, `envs` and `recipes`: what there is to choose from."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from spikedeploy.commands.options import Json
 
 
-def policies(json: Json = False) -> None:
+def _name(what: str) -> Any:  # noqa: ANN401 - an argument of typer
+    return typer.Argument(metavar="[NAME]", help=f"One {what} in full.", show_default="all")
+
+
+def policies(
+    name: Annotated[str | None, _name("policy")] = None,
+    json: Json = False,
+) -> None:
     """List the shipped policies, by the names that the commands take."""
+    if name is not None:
+        _policy(name, json)
+        return
     from spikedeploy import zoo
     from spikedeploy.console import print_json, print_table
     from spikedeploy.policies.registry import BUILT_IN, find
@@ -26,11 +36,30 @@ def policies(json: Json = False) -> None:
     print_table("Policies", ("name", "kind", "environment", "recipe", "return"), cells)
 
 
+def _policy(name: str, json: bool) -> None:
+    """Print the card of a policy, and its evaluation."""
+    from spikedeploy import zoo
+    from spikedeploy.console import print_json, print_table
+    from spikedeploy.policies.registry import find
+    from spikedeploy.reports import entries
+    from spikedeploy.reports.terminal import print_rows
+
+    candidate, card = find(name), zoo.card(name)
+    facts = card or {"file": candidate.path, "kind": candidate.kind, "env": candidate.env}
+    if json:
+        print_json({"name": name, **facts})
+        return
+    print_table("Policy", ("what", "found"), entries.policy_facts(name, facts))
+    if card.get("evaluation"):
+        print_rows("As it was evaluated", card["evaluation"])
+
+
 def _text(value: object) -> str:
     return f"{value:,.0f}" if isinstance(value, float) else str(value or "–")
 
 
 def chips(
+    name: Annotated[str | None, _name("chip")] = None,
     json: Json = False,
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the table of docs/chips.md.")
@@ -41,24 +70,15 @@ def chips(
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
     """
     from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports.listings import CHIP_COLUMNS, chip_markdown, chip_rows
+    from spikedeploy.reports.listings import CHIP_COLUMNS, chip_list, chip_markdown, chip_rows
     from spikedeploy.runtime.chips.chip import CHIPS, chip
 
-    known = [chip(name) for name in CHIPS]
+    if name is not None:
+        _chip(name, json)
+        return
+    known = [chip(each) for each in CHIPS]
     if json:
-        print_json(
-            [
-                {
-                    **dict(zip((c.replace(" ", "_") for c in CHIP_COLUMNS), row, strict=True)),
-                    "resets": each.resets,
-                    "membrane_output": each.membrane_output,
-                    "summary": each.summary,
-                    "energy_tables": each.energy_tables,
-                    "sources": each.sources,
-                }
-                for each, row in zip(known, chip_rows(known), strict=True)
-            ]
-        )
+        print_json(chip_list(known))
     elif markdown:
         typer.echo(chip_markdown(known), nl=False)
     else:
@@ -67,7 +87,25 @@ def chips(
         print_table("What they compute with", CHIP_COLUMNS, chip_rows(known))
 
 
+def _chip(name: str, json: bool) -> None:
+    """Print everything about a chip, with the source of every number."""
+    from spikedeploy.console import print_json, print_table
+    from spikedeploy.reports import entries
+    from spikedeploy.reports.listings import chip_list
+    from spikedeploy.runtime.chips.chip import chip
+
+    found = chip(name)
+    if json:
+        print_json({**chip_list([found])[0], **entries.chip_json(found)})
+        return
+    print_table(found.name, ("what", "found"), entries.chip_facts(found))
+    print_table("What it computes with", entries.CHIP_FIELDS, entries.chip_fields(found))
+    if limits := entries.chip_limits(found):
+        print_table("What fits", entries.CHIP_FIELDS, limits)
+
+
 def energy(
+    name: Annotated[str | None, _name("energy table")] = None,
     json: Json = False,
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the table of docs/energy.md.")
@@ -80,7 +118,9 @@ def energy(
     from spikedeploy.console import print_json, print_table
     from spikedeploy.reports import listings
 
-    if break_even:
+    if name is not None:
+        _energy(name, json)
+    elif break_even:
         _break_even(json, markdown)
     elif json:
         print_json(listings.price_list())
@@ -89,6 +129,22 @@ def energy(
     else:
         print_table("Energy tables", listings.ENERGY_COLUMNS, listings.energy_rows())
         print_table("Where the numbers come from", ("table", "source"), listings.energy_sources())
+        typer.echo(listings.energy_choice())
+
+
+def _energy(name: str, json: bool) -> None:
+    """Print everything about an energy table."""
+    from spikedeploy.console import print_json, print_table
+    from spikedeploy.reports import entries, listings
+    from spikedeploy.runtime.metrics.energy import energy_table
+
+    table = energy_table(name)
+    if json:
+        print_json(next(each for each in listings.price_list()["tables"] if each["name"] == name))
+        return
+    chips = ", ".join(listings.chips_of(table)) or "none"
+    print_table(name, ("what", "found"), entries.energy_facts(table, chips))
+    print_table("Events", entries.EVENT_COLUMNS, entries.energy_events(table), numbers=True)
 
 
 def _break_even(json: bool, markdown: bool) -> None:
@@ -123,6 +179,7 @@ def recipes(json: Json = False) -> None:
     """List the training recipes, by algorithm."""
     from spikedeploy.console import print_json, print_table
     from spikedeploy.trainers import ALGORITHMS
+    from spikedeploy.trainers.recipe import budget
     from spikedeploy.trainers.recipes import RECIPES
 
     rows = [(name, recipe.algorithm, recipe.summary) for name, recipe in RECIPES.items()]
@@ -130,5 +187,9 @@ def recipes(json: Json = False) -> None:
         print_json([dict(zip(("name", "algorithm", "summary"), row, strict=True)) for row in rows])
         return
     for algorithm in ALGORITHMS:
-        cells = [(name, summary) for name, of, summary in rows if of == algorithm]
-        print_table(f"Recipes of the algorithm {algorithm}", ("name", "trains"), cells)
+        cells = [
+            (name, summary, budget(RECIPES[name])) for name, of, summary in rows if of == algorithm
+        ]
+        heads = ["name", "trains", "operations"][: 3 if any(cell[2] for cell in cells) else 2]
+        shown = [cell[: len(heads)] for cell in cells]
+        print_table(f"Recipes of the algorithm {algorithm}", heads, shown)

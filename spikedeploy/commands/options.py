@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 Switch = Literal["on", "off"]
 Granularity = Literal["layer", "channel"]
 Fraction = Literal["nearest", "truncate"]
+TablesChoice = Literal["one", "all"]
 HeadroomChoice = Literal["none", "proven"]
 AfterSpike = Literal["zero", "subtract"]
 Decays = Literal["euler", "exponential"]
@@ -85,6 +86,12 @@ Energy = Annotated[
         show_default="the chip's own",
     ),
 ]
+Tables = Annotated[
+    TablesChoice,
+    typer.Option(
+        "--tables", help="Print one table of 80 columns, or all: agreement, sizes, energies."
+    ),
+]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
 ]
@@ -99,7 +106,7 @@ PolicyChip = Annotated[
 
 # what NIR leaves open: these take precedence over the file
 FROM_FILE = "from the file"
-Dt = Annotated[float | None, typer.Option(help="Timestep [s].", show_default=FROM_FILE)]
+Dt = Annotated[float | None, typer.Option(help=r"Timestep \[s].", show_default=FROM_FILE)]
 Reset = Annotated[
     AfterSpike | None,
     typer.Option(

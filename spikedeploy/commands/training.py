@@ -20,13 +20,14 @@ Checkpoint = Annotated[
 
 def train(
     what: Annotated[
-        str,
+        str | None,
         typer.Argument(
             metavar="RECIPE|ENV",
             help="Name of a recipe; `recipes` lists them. With --recipe an environment: short "
             "name, id of gymnasium, or module:Class.",
+            show_default="with --resume that of the run",
         ),
-    ],
+    ] = None,
     recipe: Annotated[
         str | None,
         typer.Option(
@@ -70,9 +71,13 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
-    from spikedeploy.console import print_json
+    if what is None and (resume is None or recipe is not None):
+        raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
+    from spikedeploy.console import print_json, say
+    from spikedeploy.trainers.train import Interrupt
     from spikedeploy.trainers.train import train as learn
 
+    interrupt = Interrupt()
     run = learn(
         recipe or what,
         env=what if recipe else None,
@@ -83,10 +88,16 @@ def train(
         resume=resume,
         runs=runs,
         quiet=json,
+        interrupt=interrupt,
     )
     if json:
         print_json({"run": str(run)})
-    else:
+    if interrupt.share is not None:
+        where = "" if runs == Path("runs") else f" --runs {runs}"
+        again = f"go on with `spikedeploy train --resume last{where}`"
+        say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
+        raise typer.Exit(130)
+    if not json:
         typer.echo(f"trained: {run}\nnext: spikedeploy visualize {run}")
 
 
@@ -94,7 +105,13 @@ def export(
     run: Annotated[
         str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
     ],
-    to: Annotated[str, typer.Option(help="Format: nir for spiking policies, onnx for float ones.")],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="Format: nir for spiking policies, onnx for float ones.",
+            show_default="as -o ends, else as the policy is",
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="File to write.", show_default="in the run folder"),
@@ -112,7 +129,7 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it."""
-    from spikedeploy.console import print_json
+    from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
     from spikedeploy.shipping.export_run import export_run
 
@@ -123,6 +140,8 @@ def export(
     else:
         print_checks(written.checks)
         typer.echo(f"wrote {written.path}")
+        if written.unfinished:
+            say(f"its training is unfinished: stopped at {written.unfinished}")
     raise typer.Exit(0 if written.passed else 1)
 
 

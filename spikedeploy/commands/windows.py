@@ -34,6 +34,9 @@ def play(
     json: Json = False,
 ) -> None:
     """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
+    from spikedeploy.play.display import check_display
+
+    check_display()
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.play.drive_app import DriveApp, open_session
@@ -86,6 +89,10 @@ def replay(
     json: Json = False,
 ) -> None:
     """Replay a training's episodes as ghosts, or an episode that `play --record` wrote."""
+    from spikedeploy.play.display import check_display
+
+    if video is None:
+        check_display()
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.play.replay_app import open_replay
@@ -118,6 +125,9 @@ def draw(
     json: Json = False,
 ) -> None:
     """Draw or edit a track; an invalid track is kept as a draft."""
+    from spikedeploy.play.display import check_display
+
+    check_display()
     from spikedeploy.console import print_json
     from spikedeploy.play.track_editor import TrackEditor
     from spikedeploy.play.window import show

@@ -59,7 +59,7 @@ def design_report(reference: str, chips: Sequence[str], **convention: Any) -> De
     chips       names, or "all"
     convention  options of artifact.load; they take precedence over the file
     """
-    artifact = load(_path(reference), **convention)
+    artifact = load(network_path(reference), **convention)
     names = tuple(CHIPS) if ALL in chips else tuple(dict.fromkeys(chips))
     checks = [check_on(artifact, chip(name)) for name in names]
     return DesignReport(reference, artifact, checks, ALL in chips)
@@ -81,7 +81,8 @@ def _rank(ruling: RuleResult) -> tuple[int, float]:
     return _ORDER.index(ruling.status), 0.0 if ruling.failed else -found
 
 
-def _path(reference: str) -> Path:
+def network_path(reference: str) -> Path:
+    """The .nir file at a path, or of a shipped policy."""
     path = zoo.resolve(reference)
     if path is None:
         raise ConfigError(

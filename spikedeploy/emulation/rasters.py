@@ -66,3 +66,8 @@ def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raste
     if isinstance(rasters, Mapping):
         return {name: rows[None] for name, rows in rasters.items()}
     return rasters[None]
+
+
+def as_raster(found: object) -> Raster:
+    """The raster (T, *shape) that an array is, in the type that a file of it would have."""
+    return _checked("the raster", np.asarray(found))

@@ -2,6 +2,7 @@
 
 An app draws itself as a surface, so that it can be tested, and filmed, without a window.
 
+display            whether there is one, before anything is loaded
 window             shows an app: events in, frames out, screenshots
 theme              colours, fonts, bars, key caps
 env_picture        the picture of an environment

@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable
 
 import pygame
 
+from spikedeploy.play.display import check_display, check_driver
 from spikedeploy.play.theme import NIGHT
 from spikedeploy.runtime.errors import ConfigError
 
@@ -73,8 +74,10 @@ def _screenshot(app: _App, folder: Path = _SCREENSHOTS) -> Path:
 
 
 def _open(app: _App) -> pygame.Surface:
+    check_display()
     try:
         pygame.display.init()
+        check_driver(pygame.display.get_driver())
         screen = pygame.display.set_mode(app.draw().get_size(), pygame.RESIZABLE)
     except pygame.error as error:
         raise ConfigError(

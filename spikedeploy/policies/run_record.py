@@ -40,6 +40,17 @@ def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
     return int(record.get("env_steps", record.get("updates", 0))), unit
 
 
+def unfinished(run: Path) -> str:
+    """How far a training came that has not ended: `12 %`; empty where it has.
+
+    Also empty for runs from before this was written down.
+    """
+    file = run / "checkpoints" / "last.json"
+    state = _read(file) if file.is_file() else {}
+    ended = state.get("finished", True) or "share" not in state
+    return "" if ended else f"{100 * state['share']:.0f} %"
+
+
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     """The provenance of the policy of a checkpoint, for an exported file."""
     config, name = settings(run), deployed(run, checkpoint)

@@ -5,6 +5,7 @@ Nothing is computed here that is not in the data; the same tables serve terminal
 cells         one column of a table, and how its cells are written
 energy_columns  the columns about energy: by every table, and where it goes
 columns       the tables of a comparison, column by column
+short_table   a comparison in one table of 80 columns, a run in one line
 report        a comparison as report.json, report.html and report.md
 markdown      lines of a table in Markdown
 plots         returns, energies and learning curves as PNG
@@ -12,5 +13,6 @@ curves        the learning curve in a run's metrics
 terminal      what commands print of comparisons, emulations, drifts, files and traces
 check_tables  a network against the design rules: by chip, by layer, by rule
 drift_tables  drift by layer and by rounding
+entries       one chip, energy table or policy in full
 listings      the chips side by side; the energy tables; the break-even lines
 """

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from spikedeploy.console import console, print_table
+from spikedeploy.console import print_table, print_text
 from spikedeploy.emulation.design_report import DesignReport, statuses, worst
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.compiler.compile import DesignCheck
@@ -15,13 +15,21 @@ _LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not
 _PER_TABLE = 8
 
 
-def print_report(report: DesignReport) -> None:
-    """Print the tables of a report."""
-    console().print(f"{report.file}: {report.artifact.convention.describe()}\n", markup=False)
-    if len(report.checks) == 1:
+def print_report(report: DesignReport, rules: bool = True) -> None:
+    """Print the verdicts and the broken rules; with `rules` the tables of all rules too."""
+    print_text(f"{report.file}: {report.artifact.convention.describe()}\n")
+    alone = len(report.checks) == 1
+    if rules and alone:
         _print_chip(report.checks[0])
-    else:
+    elif rules:
         _print_chips(report.checks)
+    if alone:
+        _print_broken(report.checks[0])
+    for each in report.checks:
+        mark = _MARKS["pass" if each.passed else "fail"]
+        print(f"{mark} {each.chip.name}: {_summary(each, alone)}")
+    if not rules:
+        print("All rules: --rules")
 
 
 def _print_chips(checks: Sequence[DesignCheck]) -> None:
@@ -32,16 +40,27 @@ def _print_chips(checks: Sequence[DesignCheck]) -> None:
         heads = [each.chip.name.replace("-", "-\n") for each in part]
         print_table("Rules", ("rule", *heads), rows)
     print(_LEGEND)
-    for each in checks:
-        print(f"{_MARKS['pass' if each.passed else 'fail']} {each.chip.name}: {_summary(each)}")
 
 
-def _summary(found: DesignCheck) -> str:
-    """The first broken rule, or the number of cores."""
+def _print_broken(found: DesignCheck) -> None:
+    """Print a line for each broken rule."""
+    for ruling in _broken(found):
+        print(f"✗ {ruling.describe(found.chip.name)}")
+
+
+def _broken(found: DesignCheck) -> list[RuleResult]:
+    """The worst result of each broken rule."""
+    worsts = [worst(found.of(rule)) for rule in statuses(found)]
+    return [ruling for ruling in worsts if ruling.failed]
+
+
+def _summary(found: DesignCheck, alone: bool) -> str:
+    """The broken rules, and the first in full unless it stands above; or the number of cores."""
     if not found.passed:
         first = next(ruling for ruling in found.rulings if ruling.failed)
         rules = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
-        return f"breaks {', '.join(rules)}. First {first.describe(found.chip.name)}"
+        told = "" if alone else f". First {first.describe(found.chip.name)}"
+        return f"breaks {', '.join(rules)}{told}"
     if found.chip.limits is None:
         return "no limits"
     return f"{found.mapping.cores} cores" if found.mapping.cores else "fits"
@@ -56,9 +75,7 @@ def _print_chip(found: DesignCheck) -> None:
     print(_LEGEND)
     for rule in statuses(found):
         ruling = worst(found.of(rule))
-        if ruling.failed:
-            print(f"✗ {ruling.describe(found.chip.name)}")
-        elif ruling.note:
+        if ruling.note and not ruling.failed:
             print(f"  {rule}: {ruling.note}")
 
 

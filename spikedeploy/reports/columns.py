@@ -15,6 +15,7 @@ __all__ = [
     "bounded",
     "difference",
     "divergence",
+    "finished",
     "interval",
     "label",
     "markdown",
@@ -60,7 +61,7 @@ def _digits(row: Row) -> int:
     return 1 if drives(row) else 0
 
 
-def _share(row: Row) -> str:
+def finished(row: Row) -> str:
     """The success rate with its interval: `97% [92, 99]`."""
     low, high = row["success_ci95"]
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
@@ -111,7 +112,7 @@ _WALK = (
     *(Column(m.title, m.meaning, number(m.name, m.form)) for m in WALKING),
 )
 _DRIVE = (
-    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", _share),
+    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", finished),
     *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
     *_RETURNS,
     Column("score", "normalised return: random actions are 0, the float ANN 100", score),

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, price, scaled
 
-_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
+COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
 
 
 def prices(rows: Sequence[Row]) -> list[Column]:
@@ -29,9 +29,9 @@ def _term(name: str) -> Cell:
     """A cell with a term by the one table, `?` where it is unknown."""
 
     def cell(row: Row) -> str:
-        if name in row.get("energy_unknown", {}).get(_TABLE, ()):
+        if name in row.get("energy_unknown", {}).get(COMMON_TABLE, ()):
             return "?"
-        value = row.get("energy_terms_j", {}).get(_TABLE, {}).get(name)
+        value = row.get("energy_terms_j", {}).get(COMMON_TABLE, {}).get(name)
         return ABSENT if value is None else _joules(value)
 
     return cell
@@ -47,7 +47,7 @@ def _of_table(field: str) -> Cell:
     """A cell with the joules of the field by the one table."""
 
     def cell(row: Row) -> str:
-        value = row.get(field, {}).get(_TABLE)
+        value = row.get(field, {}).get(COMMON_TABLE)
         return ABSENT if value is None else _joules(value)
 
     return cell
@@ -56,13 +56,13 @@ def _of_table(field: str) -> Cell:
 def _total(row: Row) -> str:
     """All known terms: at least so much, where some are unknown."""
     value = _of_table("energy_total_j")(row)
-    unknown = row.get("energy_unknown", {}).get(_TABLE)
+    unknown = row.get("energy_unknown", {}).get(COMMON_TABLE)
     return f"≥ {value}" if unknown and value != ABSENT else value
 
 
 def _unpriced(row: Row) -> str:
     """The unknown terms."""
-    return ", ".join(row.get("energy_unknown", {}).get(_TABLE, ())) or ABSENT
+    return ", ".join(row.get("energy_unknown", {}).get(COMMON_TABLE, ())) or ABSENT
 
 
 def _static(row: Row) -> str:
@@ -73,7 +73,7 @@ def _static(row: Row) -> str:
 def _level(row: Row) -> str:
     """Synaptic operations: against the dense float ANN, and against the one that skips zeros."""
     fields = ("break_even_sops", "break_even_sops_zero_skipping")
-    found = [row.get(field, {}).get(_TABLE) for field in fields]
+    found = [row.get(field, {}).get(COMMON_TABLE) for field in fields]
     said = [
         f"{max(value, 0):,.0f}" if value > 0 else "none" for value in found if value is not None
     ]
@@ -83,7 +83,7 @@ def _level(row: Row) -> str:
 _WHERE = (
     Column(
         "operations",
-        f"by table {_TABLE}, in all columns: synaptic operations; of float networks all "
+        f"by table {COMMON_TABLE}, in all columns: synaptic operations; of float networks all "
         "multiply-accumulates",
         _term("operations"),
     ),

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
+from spikedeploy.reports.energy_columns import COMMON_TABLE
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
 from spikedeploy.runtime.metrics.break_even import BREAK_EVEN_TABLES, YAN2024, break_even_rate
@@ -31,6 +32,22 @@ def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
     ]
 
 
+def chip_list(chips: Iterable[Chip]) -> list[dict[str, Any]]:
+    """The same as plain data, with sources."""
+    known = list(chips)
+    return [
+        {
+            **dict(zip((c.replace(" ", "_") for c in CHIP_COLUMNS), row, strict=True)),
+            "resets": each.resets,
+            "membrane_output": each.membrane_output,
+            "summary": each.summary,
+            "energy_tables": each.energy_tables,
+            "sources": each.sources,
+        }
+        for each, row in zip(known, chip_rows(known), strict=True)
+    ]
+
+
 def chip_markdown(chips: Iterable[Chip]) -> str:
     """The same as a table of Markdown."""
     return "".join(f"{line}\n" for line in markdown_table([CHIP_COLUMNS, *chip_rows(chips)]))
@@ -46,7 +63,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
         "tables": [
             {
                 "name": table.name,
-                "chips": _chips(table),
+                "chips": chips_of(table),
                 "source": table.source,
                 "provenance": table.provenance,
                 "joules": dict(table.joules),
@@ -72,7 +89,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def _chips(table: EnergyTable) -> list[str]:
+def chips_of(table: EnergyTable) -> list[str]:
     """Chips whose datasheets name the table."""
     return [name for name in CHIPS if table.name in chip(name).energy_tables]
 
@@ -82,7 +99,7 @@ def energy_rows() -> list[tuple[str, ...]]:
     return [
         (
             table.name,
-            ", ".join(_chips(table)) or "–",
+            ", ".join(chips_of(table)) or "–",
             _energies(table),
             f"{describe_certainty(table)}: {table.uncertainty.why}",
             _times(table),
@@ -102,6 +119,14 @@ def energy_sources() -> list[tuple[str, str]]:
         for name, p in STATIC.items()
     ]
     return [*tables, *powers]
+
+
+def energy_choice() -> str:
+    """Which table to quote."""
+    return (
+        f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both. A "
+        "chip's own tables are for that chip alone; say which."
+    )
 
 
 def energy_markdown() -> list[str]:

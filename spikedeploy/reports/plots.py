@@ -1,8 +1,8 @@
 """Figures of comparisons and training runs as PNG; no display is needed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,24 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.legend(frameon=False)
     return save(figure, path)
+
+
+def raster_figure(spikes: Mapping[str, NDArray[Any]]) -> "Figure":
+    """Spikes (T, *N) of each node, a panel for each: a dot for each neuron and timestep."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 0.6 + 1.6 * max(len(spikes), 1)), layout="constrained")
+    for place, (name, rows) in enumerate(spikes.items(), 1):
+        flat = rows.reshape(len(rows), -1)
+        axes = figure.add_subplot(max(len(spikes), 1), 1, place)
+        timesteps, neurons = np.nonzero(flat)
+        axes.scatter(timesteps, neurons, s=2, color=BLUE, linewidths=0)
+        axes.set(xlim=(-0.5, len(flat) - 0.5), ylim=(-0.5, flat.shape[1] - 0.5), ylabel=name)
+        axes.set_title(f"{np.count_nonzero(flat):,} spikes", loc="right", fontsize=9)
+        axes.spines[["top", "right"]].set_visible(False)
+    if spikes:
+        axes.set_xlabel("timestep")
+    return figure
 
 
 def save(figure: "Figure", path: Path) -> Path:

@@ -1,25 +1,23 @@
 """What commands print for people: comparisons, emulations, drifts, checks of files and traces."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from rich.markup import escape
-
-from spikedeploy.console import console, print_table
+from spikedeploy.console import print_table, print_text
 from spikedeploy.emulation.drift_report import DriftReport
 from spikedeploy.emulation.open_loop import Emulation
 from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables
-from spikedeploy.reports.columns import bounded, scaled, tables
+from spikedeploy.reports.columns import Column, Row, bounded, scaled, tables
 from spikedeploy.reports.report import disturbed
+from spikedeploy.reports.short_table import WIDTH, energy_hint, short_columns, verdict
 
 
 def print_checks(checks: Iterable[ParityCheck]) -> None:
     """Print a line for each check: ✓ or ✗, what was compared, the numbers."""
     for check in checks:
-        mark = "[green]✓[/]" if check.passed else "[red]✗[/]"
-        console().print(f"{mark} {check.name}: {check.detail}")
+        print_text(f"{'✓' if check.passed else '✗'} {check.name}: {check.detail}")
 
 
 def print_replays(replays: Iterable[ReplayedTrace]) -> None:
@@ -30,24 +28,58 @@ def print_replays(replays: Iterable[ReplayedTrace]) -> None:
             print(f"    not compared: {remark}")
 
 
-def print_comparison(document: Mapping[str, Any]) -> None:
-    """Print the tables of a comparison and its summary."""
+def print_comparison(document: Mapping[str, Any], everything: bool = True) -> None:
+    """Print the tables of a comparison and its summary.
+
+    everything  else one table of at most 80 columns and the summary
+    """
     rows = document["rows"]
-    console().print(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
+    print_text(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
     if said := disturbed(document):
-        console().print(f"Disturbed by {said}.\n", markup=False)
+        print_text(f"Disturbed by {said}.\n")
+    if not everything:
+        _print_short(document)
+        return
     for title, columns in tables(rows).items():
-        heads = [column.title for column in columns]
-        cells = [[column.cell(row) for column in columns] for row in rows]
-        print_table(title, heads, cells, numbers=True)
+        _print_columns(title, columns, rows)
     for name, convention in document["conventions"].items():
-        console().print(f"{name} is stepped with {convention}", markup=False)
+        print_text(f"{name} is stepped with {convention}")
     for label, remarks in document["remarks"].items():
         for remark in remarks:
-            console().print(f"{label}: {remark}", markup=False)
+            print_text(f"{label}: {remark}")
     for sentence in (document["meaning"], document.get("env_remark", "")):
         if sentence:
-            console().print(sentence, markup=False)
+            print_text(sentence)
+
+
+def print_rows(title: str, rows: Sequence[Row]) -> None:
+    """Print one table of rows of a comparison, and which of their energies to quote."""
+    _print_columns(title, short_columns(rows), rows, WIDTH)
+    if hint := energy_hint(rows):
+        print_text(hint)
+
+
+def print_verdict(document: Mapping[str, Any]) -> None:
+    """Print a run in one line, and which of its energies to quote."""
+    if hint := energy_hint(document["rows"]):
+        print_text(hint)
+    print_text(verdict(document))
+
+
+def _print_short(document: Mapping[str, Any]) -> None:
+    rows = document["rows"]
+    print_rows("", rows)
+    if document["meaning"]:
+        print_text(document["meaning"])
+    print_text("Agreement, sizes, operations, other energies: --tables all")
+
+
+def _print_columns(
+    title: str, columns: Sequence[Column], rows: Sequence[Row], width: int | None = None
+) -> None:
+    heads = [column.title for column in columns]
+    cells = [[column.cell(row) for column in columns] for row in rows]
+    print_table(title, heads, cells, numbers=True, width=width)
 
 
 def print_emulation(emulation: Emulation) -> None:
@@ -59,21 +91,23 @@ def print_emulation(emulation: Emulation) -> None:
     }
     counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
     lines = {
-        "convention": escape(emulation.artifact.convention.describe()),
+        "convention": emulation.artifact.convention.describe(),
         **{
             name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
         },
         **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **energies,
         **({"host": _host(found["host"])} if found.get("host") else {}),
-        **({"not counted": escape(emulation.uncounted)} if emulation.uncounted else {}),
+        **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
     }
     print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+    if hint := energy_hint([{"energy_per_inference_j": emulation.energies}]):
+        print_text(hint)
     for remark in emulation.remarks:
         print(f"  {remark}")
     rows = [
         (
-            escape(name),
+            name,
             f"{layer['neurons']:,}",
             f"{layer['spikes']:,}",
             f"{layer['rate']:.4g}",
@@ -82,7 +116,7 @@ def print_emulation(emulation: Emulation) -> None:
         for name, layer in found["layers"].items()
     ]
     rows += [
-        (escape(name), f"{readout['neurons']:,}", "–", "–", f"{readout['sops']:,}")
+        (name, f"{readout['neurons']:,}", "–", "–", f"{readout['sops']:,}")
         for name, readout in found["readouts"].items()
     ]
     if rows:

@@ -41,12 +41,15 @@ _TASKS = {
 }
 
 
-def write_demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any]]:
+def write_demo(
+    folder: Path = FOLDER, quiet: bool = False, everything: bool = True
+) -> list[dict[str, Any]]:
     """Compare the shipped policies of every task; return the reports as data.
 
     folder  for report.json, report.html, plots and video of the first task; the other tasks get
             folders inside it
     quiet   write nothing to stdout
+    everything  print all tables, else one for each task
     """
     documents: list[dict[str, Any]] = []
     for env, task in _TASKS.items():
@@ -61,7 +64,7 @@ def write_demo(folder: Path = FOLDER, quiet: bool = False) -> list[dict[str, Any
         files = report.write(document, into, video)
         documents.append(document)
         if not quiet:
-            print_comparison(document)
+            print_comparison(document, everything)
             say(f"→ {files[0]}{f' and {video}' if video else ''}\n")
     return documents
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters import exporter
+from spikedeploy.exporters import EXPORTERS, exporter
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.exporters.parity import check
 from spikedeploy.policies import run_record
@@ -34,11 +34,13 @@ class ExportedPolicy:
     path    of the file
     kind    "ann", "snn" or "control", for comparisons
     checks  in their order
+    unfinished  how far the training came, where it has not ended
     """
 
     path: Path
     kind: str
     checks: list[ParityCheck]
+    unfinished: str = ""
 
     @property
     def passed(self) -> bool:
@@ -48,7 +50,7 @@ class ExportedPolicy:
 
 def export_run(
     run: str,
-    to: str,
+    to: str | None,
     path: Path | None = None,
     observations: int = _OBSERVATIONS,
     control: bool = False,
@@ -58,16 +60,17 @@ def export_run(
     """Write a run's policy as a file.
 
     run           run folder, its name under runs/, or "last"
-    to            key of exporters.EXPORTERS
+    to            key of exporters.EXPORTERS; None is what the path ends in, else what the policy is
     path          of the file; by default policy.<to> in the run folder, or policy-<checkpoint>.<to>
     observations  number of recorded observations on which file and policy are compared
     control       whether comparisons show a float network as a control
     state         of a spiking policy between inferences: "reset", or "kept"; None as trained
     checkpoint    of the run, such as "ops-480"; by default its best, else its last
     """
+    folder = RunFolder.find(run).path
+    to = to or _format(path, folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
-    folder = RunFolder.find(run).path
     policy = load_policy(folder, run_record.deployed(folder, checkpoint))
     path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -75,7 +78,14 @@ def export_run(
     options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
     exporter(to)(policy, run_record.origin(folder, checkpoint), path, **options.get(to, {}))
     seen = recorded(folder, observations, checkpoint)
-    return ExportedPolicy(path, kind, check(policy, path, seen))
+    return ExportedPolicy(path, kind, check(policy, path, seen), run_record.unfinished(folder))
+
+
+def _format(path: Path | None, run: Path) -> str:
+    """The format that a path ends in, else the one that the policy of a run needs."""
+    if path is not None and path.suffix[1:] in EXPORTERS:
+        return path.suffix[1:]
+    return "nir" if run_record.settings(run)["policy"]["kind"] in SPIKING else "onnx"
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:

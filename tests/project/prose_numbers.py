@@ -186,8 +186,8 @@ RULES = [
     ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
      "({}) earns more than every spiking policy", lambda:
         macs("hexapod-command", "mlp-16", "fourier", "mlp-32")),
-    ("sparse takes {} nJ on the chip for an inference on the command task, fourier {}, mlp-16 {} and "
-     "mlp-32 {}", lambda: [
+    ("sparse takes {} nJ on the chip for an inference on the command task, fourier {}, mlp-16 {} "
+     "and mlp-32 {}", lambda: [
         1e9 * joules("hexapod-command", p) for p in ("sparse", "fourier", "mlp-16", "mlp-32")]),
     ("with its encoder sparse takes {}", lambda: (
         1e9 * row("hexapod-command", "sparse")["energy_total_j"]["horowitz45-int8"],)),
@@ -259,7 +259,8 @@ COMPARISONS = [
         all(high(row("hexapod", p), "return") >= low(row("hexapod", "sac"), "return")
             for p in ("fourier", "linear", "mlp-8", "mlp-32", "mlp-64"))),
     ("which has no hidden layer, earn more than sac", lambda:
-        min(returns("hexapod-command", "mlp-16", "fourier")) > returns("hexapod-command", "sac")[0]),
+        min(returns("hexapod-command", "mlp-16", "fourier"))
+        > returns("hexapod-command", "sac")[0]),
     ("mlp-8 falls behind", lambda:
         high(row("hexapod-command", "mlp-8"), "return")
         < low(row("hexapod-command", "sac"), "return")),

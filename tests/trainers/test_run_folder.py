@@ -1,15 +1,19 @@
+import io
 import json
+import re
 import signal
 
 import pytest
 import torch
+from rich.console import Console
 from safetensors.torch import load_file
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.journal import Journal, ProgressBar
+from spikedeploy.trainers.journal import Journal
 from spikedeploy.trainers.metrics import Metrics, read
 from spikedeploy.trainers.policies import MlpPolicy
+from spikedeploy.trainers.progress import ProgressBar
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sac.config import SacConfig
@@ -132,6 +136,80 @@ def test_load_policy_takes_best_and_else_last(tmp_path):
     run.save("best", best_policy, {})
     assert torch.equal(load_policy(run.path)(observation), best_policy(observation))
     assert torch.equal(load_policy(run.path, "last")(observation), last_policy(observation))
+
+
+def test_the_last_run_is_the_newest_with_a_checkpoint(tmp_path):
+    config = resolve(SacConfig, "smoke")
+    older, newer = RunFolder.create(tmp_path, config), RunFolder.create(tmp_path, config)
+    with pytest.raises(ConfigError, match="2 without a checkpoint"):
+        RunFolder.find("last", tmp_path)
+    older.save("last", MlpPolicy(2, 1, (3,)), {})
+    assert RunFolder.find("last", tmp_path).path == older.path
+    newer.save("best", MlpPolicy(2, 1, (3,)), {})
+    assert RunFolder.find("last", tmp_path).path == newer.path
+
+
+def test_a_start_that_is_interrupted_leaves_no_run_folder(tmp_path, world, monkeypatch):
+    from spikedeploy.trainers.sac.sac import Sac
+
+    def interrupted(self, stopped):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Sac, "_iterate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_is_acknowledged_and_says_how_to_go_on(tmp_path, world, command, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    world.interrupt_at = 170
+    changes = [word for setting in TINY for word in ("--set", setting)]
+    code, out, err = command("train", "smoke", *changes)
+    assert (code, out) == (130, "")
+    first, acknowledged, last_line = err.splitlines()
+    assert first.startswith("smoke-s0-")
+    assert acknowledged.startswith("stopping after this step …")
+    assert last_line == "stopped at 40 %; go on with `spikedeploy train --resume last`"
+    code, out, err = command("train", "--resume", "last")
+    assert (code, out.splitlines()[0]) == (0, f"trained: runs/{first}")
+
+
+def bar_of(width, **row):
+    """What a terminal of this width shows of a run at 12 %."""
+    screen = Console(file=io.StringIO(), force_terminal=True, width=width, color_system=None)
+    with ProgressBar("hexapod-sparse-s0-20260101-000000", console=screen) as bar:
+        bar.show(row)
+        bar.at(120_000, 1_000_000)
+    return [
+        re.sub(r"\x1b\[[^a-zA-Z]*[a-zA-Z]|\r", "", line)
+        for line in screen.file.getvalue().split("\n")
+    ]
+
+
+@pytest.mark.parametrize("width", [50, 80, 160])
+def test_the_progress_bar_fits_the_terminal(width):
+    row = {"episode_return": 3000.0, "eval_return": 3100.0, "best": 3200.0, "updates_per_s": 17.0,
+           "phase": 2.0, "walks": 340.0, "operations": 1234.0, "loss": 0.5}  # fmt: skip
+    lines = bar_of(width, **row)
+    assert lines[0] == "hexapod-sparse-s0-20260101-000000"
+    assert all(len(line) <= width for line in lines)
+    assert any("120,000 / 1,000,000" in line and "12 %" in line for line in lines)
+    assert any(line.startswith("return 3,000  validation 3,100") for line in lines)
+    if width == 160:
+        assert any(line.endswith("phase 2  340 walks  1,234 operations") for line in lines)
+
+
+def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
+    monkeypatch.setattr("spikedeploy.trainers.progress.PAUSE", 0.0)
+    with ProgressBar("run") as bar:
+        bar.show({"episode_return": 12.0})
+        bar.at(5, 20)
+        bar.at(10, 20)
+    assert capsys.readouterr().err.splitlines() == [
+        "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12"
+    ]  # fmt: skip
 
 
 def test_a_path_that_is_no_run_is_named(tmp_path):

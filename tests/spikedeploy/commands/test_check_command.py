@@ -128,7 +128,7 @@ def test_a_chip_without_limits_is_not_the_one_that_passes_all(command, tmp_path)
 
 
 def test_people_see_layers_rules_and_the_convention(command):
-    _, out, _ = command("check", "hexapod/popsan", "--chip", "loihi1")
+    _, out, _ = command("check", "hexapod/popsan", "--chip", "loihi1", "--rules")
     assert "dt=0.001 s, reset=zero, integrator=euler" in out
     assert "Layers on loihi1" in out
     assert "394,240" in out
@@ -151,11 +151,27 @@ def test_people_see_what_the_compiler_says(command):
 
 
 def test_people_see_rules_by_chips(command):
-    _, out, _ = command("check", "hexapod/popsan")
+    _, out, _ = command("check", "hexapod/popsan", "--rules")
     assert "✓ loihi1: 15 cores" in out
     assert "✗ speck2f: breaks primitive, synaptic-memory" in out
     (row,) = [line for line in out.splitlines() if line.startswith(" weight-bits")][:1]
     assert "✗" not in row
+
+
+def test_without_rules_people_see_the_verdict_and_what_is_broken(command):
+    _, out, _ = command("check", "hexapod/popsan")
+    lines = out.splitlines()
+    assert len(lines) == len(CHIPS) + 3  # the convention, a line for each chip, a hint
+    assert "✓ loihi1: 15 cores" in lines
+    assert "weight-bits" not in out
+    code, out, _ = command("check", "hexapod/popsan", "--chip", "xylo-a2")
+    assert code == 1
+    assert "✗ rule fan-out: node 'lif1'" in out
+    assert out.splitlines()[-2].startswith("✗ xylo-a2: breaks ")
+    assert command("check", "hexapod/popsan", "--chip", "loihi1")[1].splitlines()[2:] == [
+        "✓ loihi1: 15 cores",
+        "All rules: --rules",
+    ]
 
 
 def test_a_file_of_another_tool_needs_its_timestep(command, tmp_path):
@@ -178,7 +194,7 @@ def test_a_file_of_another_tool_needs_its_timestep(command, tmp_path):
 )
 def test_what_cannot_be_checked_is_one_line(reference, options, message, command):
     code, out, err = command("check", reference, *options)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert err.count("\n") == 1
     assert message in err
 

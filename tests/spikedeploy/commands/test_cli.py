@@ -102,9 +102,32 @@ def test_compare_prints_every_promised_field_and_writes_its_report(command, stro
 
 
 def test_compare_shows_people_tables_and_a_sentence(command, stroll):
-    _, out, _ = command("compare", "stroll", "--episodes", 2, "--workers", 1)
+    words = ("compare", "stroll", "--episodes", 2, "--workers", 1)
+    _, out, _ = command(*words, "--tables", "all")
     for text in ("Does the robot still walk?", "popsan · loihi1", "sanafe", "The gait alone earns"):
         assert text in out
+
+
+def test_compare_first_shows_one_table_of_80_columns(command, stroll):
+    _, out, _ = command("compare", "stroll", "--episodes", 2, "--workers", 1)
+    lines = [line.strip() for line in out.splitlines()]
+    start = next(at for at, line in enumerate(lines) if line.startswith("policy "))
+    head, _, *rows = lines[start : lines.index("", start)]
+    assert head.split() == ["policy", "return", "of", "ANN", "success", "operations", "energy"]
+    assert len(rows) == 4  # sac, popsan in float and on loihi1, gait
+    assert all(len(line) <= 80 for line in [head, *rows])
+    assert "The gait alone earns" in out
+    assert "by horowitz45-int8" in out
+    assert "sanafe" not in out
+
+
+def test_run_ends_with_one_line_of_verdict(command, stroll):
+    _, out, _ = command("run", "stroll/popsan", "--episodes", 2)
+    last = out.splitlines()[-1]
+    assert last.startswith("popsan · loihi1: return ")
+    assert "in 2 episodes, " in last
+    assert "SOPs a control step" in last
+    assert last.endswith("by horowitz45-int8.")
 
 
 def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
@@ -159,7 +182,7 @@ def test_emulate_refuses_what_is_no_raster(array, message, command, tmp_path):
     np.save(tmp_path / "bad.npy", array, allow_pickle=True)
     words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "bad.npy", "--chip", "loihi1")
     code, _, err = command(*words, "-o", tmp_path / "out.npz")
-    assert code == 1
+    assert code == 2
     assert re.search(message, err)
     assert not (tmp_path / "out.npz").exists()
 
@@ -178,7 +201,7 @@ def test_export_writes_whether_membranes_are_kept(command, stroll):
     assert command(*words, "nir")[0] == 0
     assert load(run / "policy.nir").convention.state == "kept"
     code, _, err = command(*words, "onnx")
-    assert code == 1
+    assert code == 2
     assert "only a .nir file has membranes to keep" in err
 
 
@@ -248,11 +271,11 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
         (("export", "nowhere", "--to", "nir"), "nowhere"),
     ],
 )
-def test_an_error_that_users_can_act_on_is_one_line_and_exit_code_1(
+def test_an_error_that_users_can_act_on_is_one_line_and_exit_code_2(
     words, message, command, stroll
 ):
     code, out, err = command(*words)
-    assert code == 1
+    assert code == 2
     assert out == ""
     assert err.count("\n") == 1
     assert err.startswith("error: ")

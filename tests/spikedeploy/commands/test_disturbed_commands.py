@@ -105,7 +105,7 @@ def test_a_report_says_so_too(command, tmp_path):
 )
 def test_what_cannot_be_is_refused_in_a_line(command, words, said):
     code, _, err = command("run", "kart-grid/snn", *words)
-    assert code == 1
+    assert code == 2
     assert said in err
 
 

@@ -118,14 +118,14 @@ def test_spikes_can_be_drawn_for_a_file_without_a_codec(command, tmp_path):
 def test_without_codec_and_raster_it_says_what_to_give(command, tmp_path):
     save(crowd(), tmp_path / "crowd.nir")
     code, _, err = command("drift", "crowd.nir")
-    assert code == 1
+    assert code == 2
     assert "crowd.nir has no codec" in err
     assert "--input" in err
 
 
 def test_a_file_that_is_not_there_is_one_line(command):
     code, _, err = command("drift", "nowhere.nir")
-    assert (code, err) == (1, "error: nowhere.nir: there is no such file. Check the path.\n")
+    assert (code, err) == (2, "error: nowhere.nir: there is no such file. Check the path.\n")
 
 
 def test_emulate_takes_the_same_quantisation(command, raster):
@@ -218,5 +218,5 @@ def test_few_thresholds_are_asked_for_with_scales_of_neurons(command, raster):
     found = json.loads(command(*words, "--quantise", "channel")[1])
     assert "a scale for each channel with at most 4 thresholds" in found["quantisation"]
     code, _, err = command(*words)
-    assert code == 1
+    assert code == 2
     assert "needs a scale for each 'channel'" in err

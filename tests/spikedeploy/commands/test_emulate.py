@@ -165,7 +165,7 @@ def test_several_inputs_and_outputs_go_by_their_names(chip, emulate):
 
 def test_a_raster_without_a_name_does_not_fit_several_inputs(emulate):
     code, _, _, err = emulate(two_ways(), np.ones((3, 1)), "--chip", "float")
-    assert code == 1
+    assert code == 2
     assert "inputs a, b, found one raster without a name" in err
 
 
@@ -185,7 +185,7 @@ def test_float_takes_real_numbers_and_a_chip_refuses_them(emulate):
     assert arrays["n"].tolist() == [[1], [0]]
     assert "not counted" in out
     code, _, _, err = emulate(single(), x, "--chip", "loihi1")
-    assert code == 1
+    assert code == 2
     assert "a chip takes spikes" in err
 
 
@@ -213,7 +213,7 @@ def test_a_backend_is_for_chips(emulate):
         ("loihi1", "abacus", "backend 'abacus' is unknown"),
     ):
         code, _, _, err = emulate(single(), raster, "--chip", chip, "--backend", backend)
-        assert code == 1
+        assert code == 2
         assert message in err
 
 
@@ -223,7 +223,7 @@ def test_a_raster_that_would_fill_the_memory_is_refused(chip, emulate, monkeypat
     monkeypatch.setattr("spikedeploy.runtime.float_model.graph.MAX_RUN_BYTES", 1000)
     assert emulate(single(), np.ones((5, 1)), "--chip", chip)[0] == 0
     code, _, _, err = emulate(single(), np.ones((50, 1)), "--chip", chip)
-    assert code == 1
+    assert code == 2
     assert "50 timesteps" in err
     assert "at most 1000" in err
 
@@ -249,7 +249,7 @@ def test_an_archive_that_claims_too_much_is_refused(command, tmp_path):
     (tmp_path / "in.npz").write_bytes(content)
     words = ("--chip", "float", "--input", tmp_path / "in.npz", "-o", tmp_path / "out.npz")
     code, _, err = command("emulate", tmp_path / "a.nir", *words)
-    assert code == 1
+    assert code == 2
     assert "would be 4294967280 bytes" in err
 
 
@@ -260,5 +260,5 @@ def test_an_array_that_claims_more_than_it_holds_is_refused(command, tmp_path):
         np.lib.format.write_array_header_1_0(file, shape)
     words = ("--chip", "float", "--input", tmp_path / "in.npy", "-o", tmp_path / "out.npz")
     code, _, err = command("emulate", tmp_path / "a.nir", *words)
-    assert code == 1
+    assert code == 2
     assert "is not a .npy or .npz file" in err

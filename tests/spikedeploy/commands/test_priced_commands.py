@@ -41,9 +41,11 @@ def test_emulate_prices_by_the_tables_that_are_named(command, emulate):
     assert found["energy_j"].keys() == {"odin", "spinnaker2"}
     low, high = found["energy_interval_j"]["odin"]
     assert (low, high) == pytest.approx([found["energy_j"]["odin"] * x / 12.7 for x in (8.43, 54)])
-    assert "J to " in command(*words)[1]
+    printed = command(*words)[1]
+    assert "J to " in printed
+    assert "by odin; say so where you quote it" in printed
     code, _, err = command(*words, "--energy", "odinn")
-    assert code == 1
+    assert code == 2
     assert "did you mean 'odin'" in err
 
 

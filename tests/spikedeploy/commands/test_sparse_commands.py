@@ -38,10 +38,10 @@ def test_a_recipe_is_trained_to_a_budget_exported_and_run(command, stroll):
     assert (code, found["passed"]) == (0, True)
     assert load(found["path"]).convention.state == "kept"
     code, _, err = command("export", run, "--to", "nir", "--state", "reset")
-    assert code == 1
+    assert code == 2
     assert "keeps its states through an episode" in err
     code, _, err = command("export", run, "--to", "onnx")
-    assert code == 1
+    assert code == 2
     assert "--to nir" in err
 
 
@@ -55,7 +55,7 @@ def test_a_recipe_is_trained_to_a_budget_exported_and_run(command, stroll):
 )
 def test_a_budget_of_another_kind_is_one_clear_line(recipe, budget, line, command, stroll):
     code, out, err = command("train", recipe, "--budget", budget)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert line in err
     assert len(err.splitlines()) == 1
     assert not (stroll / "runs").exists()

@@ -335,7 +335,7 @@ def test_machines_read_what_was_driven(command):
 )
 def test_mistakes_are_one_line(words, line, command):
     code, _, err = command("play", *words)
-    assert code == 1
+    assert code == 2
     assert err.startswith("error: ")
     assert line in err
     assert err.count("\n") == 1

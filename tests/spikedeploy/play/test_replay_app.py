@@ -546,5 +546,5 @@ def test_the_command_films_several_sources(command, run, tmp_path):
 
 def test_a_missing_source_is_one_line(command, tmp_path):
     code, _, err = command("replay", tmp_path / "none")
-    assert code == 1
+    assert code == 2
     assert err == f"error: {tmp_path}/none: no such run folder, ghost file or rollout\n"

@@ -370,12 +370,12 @@ def test_a_window_that_breaks_loses_nothing(command, monkeypatch, tmp_path):
         raise ConfigError("gone")
 
     monkeypatch.setattr(window, "show", show)
-    assert command("draw", tmp_path / "a.json")[0] == 1
+    assert command("draw", tmp_path / "a.json")[0] == 2
     assert draft_of(tmp_path / "a.json").is_file()
 
 
 def test_mistakes_are_one_line(command, tmp_path):
     code, _, err = command("draw", tmp_path / "a.txt")
-    assert code == 1
+    assert code == 2
     assert err.startswith("error: ")
     assert err.count("\n") == 1

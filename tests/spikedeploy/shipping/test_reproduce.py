@@ -276,7 +276,7 @@ def test_the_command_says_equal_or_the_first_difference(card, command):
 
 def test_a_wrong_name_is_refused_before_anything_is_played(card, command):
     code, out, err = command("reproduce", card, "kart-steer/spars", "--workers", 1)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert "did you mean" in err
 
 

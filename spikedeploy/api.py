@@ -1,0 +1,276 @@
+"""Three lines of Python: a network from a file, on a chip, run; and policies compared.
+
+    import spikedeploy as sd
+
+    net = sd.load("net.nir").on("loihi1")
+    out = net.run(raster)
+    out.spikes, out.energy, out.ledger, out.plot()
+
+Each name does what a command does, by the same functions: `run` what `emulate` does, `compare` and
+`train` what is called so. They are imported when they are first used, through `spikedeploy`.
+"""
+
+import shlex
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spikedeploy.emulation.design_report import DesignReport, design_report, network_path
+from spikedeploy.emulation.open_loop import Emulation, emulate_artifact
+from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
+from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
+from spikedeploy.runtime.artifact import artifact as files
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.network import chip_called
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.seeds import EVALUATION
+
+if TYPE_CHECKING:
+    import gymnasium
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedNetwork:
+    """A network or policy from a `.nir` file, on a chip or in float.
+
+    path      of the file
+    artifact  the network, its codec if it drives a robot, its convention
+    chip      as the command line takes it, or "float"
+    limits    whether the design rules of the chip are enforced
+    quantisation  on that chip
+    """
+
+    path: Path
+    artifact: Artifact
+    chip: str = FLOAT
+    limits: bool = True
+    quantisation: Quantisation = PLAIN
+
+    def on(
+        self, chip: str, *, limits: bool = True, quantisation: Quantisation = PLAIN
+    ) -> "LoadedNetwork":
+        """The same network on another chip, such as "loihi1", or in "float"."""
+        chip_called(chip)  # a wrong name is refused here
+        return replace(self, chip=chip, limits=limits, quantisation=quantisation)
+
+    def run(self, raster: "Raster | Mapping[str, Raster] | str | Path") -> "NetworkRun":
+        """What the network does with spikes (T, *shape), from zero states.
+
+        raster  an array, one for each Input node by name, or a file of them
+        """
+        if isinstance(raster, str | Path):
+            rows: Raster | Mapping[str, Raster] = read_rasters(Path(raster))
+        elif isinstance(raster, Mapping):
+            rows = {name: as_raster(each) for name, each in raster.items()}
+        else:
+            rows = as_raster(raster)
+        found = emulate_artifact(
+            self.artifact, self.chip, rows, None, self.limits, self.quantisation
+        )
+        return NetworkRun(**vars(found))
+
+    def check(self, *chips: str) -> DesignReport:
+        """Whether the network fits on chips, rule by rule; by default on its own."""
+        return design_report(str(self.path), chips or (self.chip,))
+
+    def controller(self, sampled: bool = False) -> SpikingController:
+        """A robot's controller: an observation in, an action out; the file must hold a codec."""
+        chip = chip_called(self.chip)
+        on_chip: dict[str, Any] = (
+            {"limits": self.limits, "quantisation": self.quantisation} if chip else {}
+        )
+        return SpikingController(self.artifact, chip, "total", sampled, **on_chip)
+
+    def __repr__(self) -> str:
+        return f"<{self.path.name} on {self.chip}: {self._size()}>"
+
+    def _repr_html_(self) -> str:
+        """A short card, for notebooks."""
+        origin = self.artifact.provenance
+        facts = {
+            "runs on": self.chip,
+            "network": self._size(),
+            "convention": self.artifact.convention.describe(),
+            **({"made for": origin.env, "recipe": origin.recipe} if origin else {}),
+        }
+        return _card(self.path.name, facts)
+
+    def _size(self) -> str:
+        """`3 × CubaLIF, 4 × Affine`."""
+        nodes = [type(node).__name__ for node in self.artifact.graph.nodes.values()]
+        kinds = [kind for kind in dict.fromkeys(nodes) if kind not in ("Input", "Output")]
+        return ", ".join(f"{nodes.count(kind)} × {kind}" for kind in kinds)
+
+
+@dataclass(frozen=True)
+class NetworkRun(Emulation):
+    """One inference over a raster: fields of Emulation, energies as numbers, and a picture."""
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """Energy table -> [J] of the inference; `energies` has the intervals."""
+        return {name: each.value for name, each in self.energies.items()}
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """The spikes of every layer as a figure of matplotlib; needs no display.
+
+        path  of a PNG to write
+        """
+        from spikedeploy.reports.plots import raster_figure, save
+
+        figure = raster_figure(self.spikes)
+        if path is not None:
+            save(figure, Path(path))
+        return figure
+
+    def _repr_html_(self) -> str:
+        """Counts, energies and the raster, for notebooks."""
+        counts = {"timesteps": self.timesteps, "spikes": self._spikes()}
+        if self.ledger is not None:
+            counts["synaptic operations"] = self.ledger.total("sop")
+        facts = {name: f"{count:,}" for name, count in counts.items()}
+        facts |= {f"energy, {name}": f"{joules:.3g} J" for name, joules in self.energy.items()}
+        return _card(f"One inference on {self.chip}", facts) + self._picture()
+
+    def _spikes(self) -> int:
+        return sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
+
+    def _picture(self) -> str:
+        from io import BytesIO
+
+        if not self.spikes:
+            return ""
+        memory = BytesIO()
+        self.plot().savefig(memory, format="png", dpi=80, bbox_inches="tight")
+        return f'<img src="data:image/png;base64,{b64encode(memory.getvalue()).decode()}">'
+
+
+@dataclass(frozen=True)
+class ComparedPolicies:
+    """A comparison on the same seeds: what `spikedeploy compare --json` prints.
+
+    document  the report as data
+    """
+
+    document: Mapping[str, Any]
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """One for each policy and chip."""
+        return list(self.document["rows"])
+
+    @property
+    def meaning(self) -> str:
+        """The result in a few sentences."""
+        return str(self.document["meaning"])
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write report.json, report.html, report.md and plots; return the files."""
+        from spikedeploy.reports import report
+
+        return report.write(self.document, Path(folder))
+
+    def __str__(self) -> str:
+        cells = [*self._cells()]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in cells
+        ]
+        return "\n".join([*lines, "", self.meaning])
+
+    def _repr_html_(self) -> str:
+        """The table and its sentences, for notebooks."""
+        head, *rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._cells())
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return f"{table}<p>{escape(self.meaning)}</p>"
+
+    def _cells(self) -> list[list[str]]:
+        """Heads, then a line for each row."""
+        from spikedeploy.reports.short_table import short_columns
+
+        columns = short_columns(self.rows)
+        heads = [column.title for column in columns]
+        return [heads, *([column.cell(row) for column in columns] for row in self.rows)]
+
+
+def load(path: str | Path, **convention: Any) -> LoadedNetwork:  # noqa: ANN401
+    """The network of a `.nir` file, or a shipped policy that spikes, in float.
+
+    convention  dt, reset, integrator, delay, state, spikes, floor or like, as the command line has
+    """
+    file = network_path(str(path))
+    return LoadedNetwork(file, files.load(file, **convention))
+
+
+def compare(
+    env: str,
+    policies: Sequence[str | Path | LoadedNetwork] = (),
+    *,
+    chips: Sequence[str] = (DEFAULT_CHIP,),
+    episodes: int = 20,
+    seed: int = EVALUATION,
+    workers: int = 1,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> ComparedPolicies:
+    """Policies on the same seeds; the float ANN, built-in players and controls are added.
+
+    policies  names of shipped ones, files or run folders; all that are shipped by default
+    chips     for those that spike
+    seed      the first; from 10,000 on, which no training uses
+    workers   processes; with several, a script needs `if __name__ == "__main__"`
+    options   of the environment
+    """
+    from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.comparison.rounds import compare_policies
+    from spikedeploy.reports import report
+
+    names = [_named(policy) for policy in policies]
+    entries = line_up(env, names, tuple(chips))
+    comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
+    words = ["spikedeploy", "compare", env, *names, "--chips", ",".join(chips)]
+    words += ["--episodes", str(episodes), "--seed", str(seed)]
+    words += [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
+    return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})
+
+
+def _named(policy: "str | Path | LoadedNetwork") -> str:
+    """A policy as the command line names it."""
+    if not isinstance(policy, LoadedNetwork):
+        return str(policy)
+    if policy.artifact.codec is None:
+        raise ArtifactError(f"{policy.path} holds no codec, so it cannot drive a robot")
+    return str(policy.path)
+
+
+def train(recipe: str | None, **options: Any) -> Path:  # noqa: ANN401
+    """Train a recipe; return the run folder.
+
+    options  of trainers.train.train: seed, overrides, budget, resume, runs, quiet
+    """
+    from spikedeploy.trainers import train as training
+
+    return training.train(recipe, **options)
+
+
+def make(env: str, **options: Any) -> "gymnasium.Env[Any, Any]":  # noqa: ANN401
+    """The environment of a short name or id, with its options."""
+    from spikedeploy.make_env import make_env
+
+    return make_env(env, options)
+
+
+def _card(title: str, facts: Mapping[str, str]) -> str:
+    """A title, and names with values, as HTML."""
+    rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in facts.items())
+    return f"<b>{escape(title)}</b><table>{rows}</table>"

@@ -1,0 +1,35 @@
+"""Whether there is a display, asked before pygame is imported.
+
+Without one SDL would open its window in memory, where nobody sees it.
+"""
+
+import os
+import sys
+
+from spikedeploy.runtime.errors import ConfigError
+
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+_CHOSEN = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")  # the user's own choice, "dummy" too
+_INVISIBLE = ("dummy", "offscreen")
+_REMEDY = "`spikedeploy replay --video` and `run --video` need none"
+
+
+def check_display() -> None:
+    """Refuse to open a window where there is no display."""
+    if not (_always_there() or _chosen() or any(map(os.environ.get, _DISPLAYS))):
+        raise ConfigError(f"no display: neither {' nor '.join(_DISPLAYS)} is set; {_REMEDY}")
+
+
+def check_driver(driver: str) -> None:
+    """Refuse a window that SDL opened in memory, because the display could not be reached."""
+    if driver in _INVISIBLE and not _chosen():
+        display = next(filter(None, map(os.environ.get, _DISPLAYS)), "")
+        raise ConfigError(f"no display: {display or 'it'} cannot be reached; {_REMEDY}")
+
+
+def _always_there() -> bool:
+    return sys.platform in ("darwin", "win32")
+
+
+def _chosen() -> bool:
+    return any(map(os.environ.get, _CHOSEN))

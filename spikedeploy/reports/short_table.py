@@ -1,0 +1,73 @@
+"""A comparison in one table of at most 80 columns, and a single row of it in one line."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from spikedeploy.comparison.metrics import drives
+from spikedeploy.reports.cells import ABSENT, Column, Row, number, price
+from spikedeploy.reports.columns import finished, interval, label
+from spikedeploy.reports.energy_columns import COMMON_TABLE
+
+WIDTH = 80
+
+
+def short_columns(rows: Sequence[Row]) -> list[Column]:
+    """Policy, return, share of the float ANN, success, operations, and energy by one table."""
+    table = quoted_table(rows)
+    success = (
+        Column("finished", "episodes that reach the last gate, with the 95% interval", finished)
+        if any(map(drives, rows))
+        else Column("success", "episodes that succeed", number("success_rate", ".0%"))
+    )
+    columns = [
+        Column("return", "mean return, with its 95% interval", interval),
+        Column("of ANN", "return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
+        success,
+        Column("operations", "a control step, of synapses", _operations),
+        Column("energy", f"a control step, by table {table}", _energy(table)),
+    ]
+    filled = [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
+    return [Column("policy", "policy · chip", label), *filled]
+
+
+def quoted_table(rows: Sequence[Row]) -> str:
+    """The energy table to quote: the one that prices chips and float networks alike, if any."""
+    names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
+    return COMMON_TABLE if COMMON_TABLE in names else next(iter(names), "")
+
+
+def energy_hint(rows: Sequence[Row]) -> str:
+    """Which energy to quote; empty where there is none."""
+    table = quoted_table(rows)
+    if table == COMMON_TABLE:
+        return f"Energy: of operations, by {table}, which prices spiking and float networks alike."
+    return f"Energy: of operations, by {table}; say so where you quote it." if table else ""
+
+
+def verdict(document: Mapping[str, Any]) -> str:
+    """The row of a run in one line: return, success, operations, energy."""
+    (row,) = document["rows"]
+    of = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
+    done = "finished" if drives(row) else "succeeded"
+    said = [
+        f"return {interval(row)} in {of}",
+        f"{sum(row['successes'])} {done}",
+        *(f"{each} a control step" for each in [_operations(row)] if each != ABSENT),
+    ]
+    table = quoted_table([row])
+    cell = _energy(table)(row) if table else ABSENT
+    if cell != ABSENT:
+        said.append(f"{cell} by {table}")
+    return f"{label(row)}: {', '.join(said)}."
+
+
+def _operations(row: Row) -> str:
+    """Synaptic operations, or the multiply-accumulates of a float network: `748,544 SOPs`."""
+    if row.get("sops_per_inference") is not None:
+        return f"{row['sops_per_inference']:,.0f} SOPs"
+    macs = row.get("macs_dense")
+    return f"{macs:,.0f} MACs" if macs else ABSENT
+
+
+def _energy(table: str) -> Any:  # noqa: ANN401
+    return price("energy_per_inference_j", table, "J", "energy_interval_j")

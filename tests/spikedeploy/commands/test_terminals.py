@@ -1,0 +1,216 @@
+"""What people see on every terminal: brackets, ASCII, full pipes, no display; one entry in full."""
+
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import typer
+
+from spikedeploy import cli, console
+from spikedeploy.console import print_table, progress
+from spikedeploy.play.display import check_driver
+from spikedeploy.runtime.artifact.artifact import save
+from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from tests import toy_stroll_env
+from tests.networks import popsan
+from tests.paths import ROOT
+
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")
+
+
+def called(line, **environ):
+    """A shell's command line with `spikedeploy` in it, done."""
+    line = line.replace("spikedeploy", f"{sys.executable} -m spikedeploy")
+    return subprocess.run(
+        ["sh", "-c", line],
+        cwd=ROOT,
+        env={**os.environ, **environ},
+        capture_output=True,
+        check=False,
+    )
+
+
+def test_brackets_are_text_in_tables(capsys):
+    print_table("[bold]out", ("time [s]", "[red]"), [('pip install ".[x]"', "[/]")])
+    out = capsys.readouterr().out
+    for text in ("[bold]out", "time [s]", "[red]", 'pip install ".[x]"', "[/]"):
+        assert text in out
+
+
+@pytest.mark.parametrize("verb", [verb for verbs in cli.COMMANDS.values() for verb in verbs])
+def test_brackets_are_text_in_help(verb, command):
+    options = typer.main.get_command(cli.app).commands[verb].params
+    written = {text for each in options for text in re.findall(r"\[\w+\]", each.help or "")}
+    out = command(verb, "--help")[1]
+    assert [text for text in written if text not in out] == []
+
+
+def test_the_version_is_printed(command):
+    code, out, _ = command("--version")
+    assert code == 0
+    assert out.startswith("spikedeploy ")
+
+
+def test_shells_can_complete(command):
+    assert "--install-completion" in command("--help")[1]
+
+
+def test_a_terminal_of_ascii_gets_ascii():
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = called("spikedeploy energy horowitz45-int8; spikedeploy chips", **ascii_only)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"horowitz45-int8" in done.stdout
+    done.stdout.decode("ascii")
+
+
+def test_letters_that_a_terminal_lacks_are_spelt(monkeypatch):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding="ascii"))
+    console.prepare_streams()
+    print("≥ 3 µJ → ✓ … 日")
+    assert raw.getvalue() == b">= 3 uJ -> + ... ?\n"  # at once: nobody flushed
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
+def test_a_full_disk_is_one_line():
+    done = called("spikedeploy chips > /dev/full")
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"error: No space left on device")
+    assert done.stderr.count(b"\n") == 1
+
+
+def test_a_reader_that_leaves_is_no_error():
+    done = called("spikedeploy energy | head -n 1")
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_progress_comes_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
+    with progress("quick", 2) as done:
+        done()
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(console, "PAUSE", 0.0)
+    with progress("kart [bold]", 2) as done:
+        done()
+        done()
+    assert capsys.readouterr().err == "kart [bold]: 1 of 2\nkart [bold]: 2 of 2\n"
+
+
+@pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="there is always a display")
+@pytest.mark.parametrize("words", [("play", "kart-grid"), ("draw",), ("replay", "somewhere")])
+def test_without_a_display_no_window_is_opened(words, command, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    code, out, err = command(*words)
+    assert (code, out) == (2, "")
+    assert err.startswith("error: no display: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_needs_no_display(command, monkeypatch):
+    for name in DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    _, _, err = command("replay", "somewhere", "--video", "film.mp4")
+    assert "somewhere: no such run folder" in err
+
+
+def test_a_display_that_cannot_be_reached_is_none(monkeypatch):
+    for name in DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", ":99")
+    with pytest.raises(ConfigError, match="no display: :99 cannot be reached"):
+        check_driver("offscreen")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    check_driver("dummy")  # as asked for
+
+
+def test_a_raster_of_another_width_is_called_that(command, tmp_path):
+    save(popsan(), tmp_path / "p.nir")
+    np.save(tmp_path / "in.npy", np.zeros((5, 29), np.uint8))
+    words = ("--input", tmp_path / "in.npy", "-o", tmp_path / "out.npz", "--chip", "loihi1")
+    code, _, err = command("emulate", tmp_path / "p.nir", *words)
+    assert code == 2
+    assert "the raster is 29 wide; node 'input' takes 30 spike trains" in err
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_chip_is_printed_in_full(name, command):
+    code, out, _ = command("chips", name)
+    assert code == 0
+    assert chip(name).summary[:30] in out
+    found = json.loads(command("chips", name, "--json")[1])
+    assert found["name"] == name
+    assert (found["limits"] is None) == (chip(name).limits is None)
+    assert all(field in out for field in found["fields"])
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_an_energy_table_is_printed_in_full(name, command):
+    code, out, _ = command("energy", name)
+    assert code == 0
+    assert all(event in out for event in TABLES[name].joules)
+    assert json.loads(command("energy", name, "--json")[1])["joules"] == dict(TABLES[name].joules)
+
+
+def test_a_policy_is_printed_in_full(command, monkeypatch, tmp_path):
+    out = command("policies", "hexapod/popsan")[1]
+    assert "hidden 512 × 512" in out
+    assert "popsan · loihi1" in out
+    assert "gait" in command("policies", "gait")[1]
+    found = json.loads(command("policies", "hexapod/popsan", "--json")[1])
+    assert (found["name"], found["recipe"]) == ("hexapod/popsan", "hexapod-distill")
+
+
+@pytest.mark.parametrize("verb", ["chips", "energy", "policies"])
+def test_an_entry_that_is_not_there_is_one_line(verb, command):
+    code, out, err = command(verb, "nowhere")
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+
+
+def test_energies_come_with_the_table_to_quote(command):
+    assert "Quote horowitz45-int8" in command("energy")[1]
+
+
+def test_sparse_recipes_show_their_budget(command):
+    lines = command("recipes")[1].splitlines()
+    (row,) = [line for line in lines if line.startswith(" hexapod-sparse ")]
+    assert row.rstrip().endswith("50 SOPs")
+    (row,) = [line for line in lines if line.startswith(" hexapod-small-mlp ")]
+    assert row.rstrip().endswith("70 MACs")
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_export_takes_the_format_from_the_file_or_the_policy(command, stroll):
+    spiking = toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    words = ("export", spiking, "--observations", 30)
+    assert command(*words, "-o", "x.nir")[0] == 0
+    assert (stroll / "x.nir").is_file()
+    assert command(*words)[0] == 0
+    assert (spiking / "policy.nir").is_file()
+    plain = toy_stroll_env.run_folder(stroll / "other", MlpConfig(hidden=(6,)))
+    assert command("export", plain, "--observations", 30)[0] == 0
+    assert (plain / "policy.onnx").is_file()
+
+
+def test_export_says_that_a_training_is_unfinished(command, stroll):
+    run = toy_stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(6,)))
+    words = ("export", run, "--observations", 30)
+    assert "unfinished" not in command(*words)[2]
+    file = run / "checkpoints/last.json"
+    file.write_text(json.dumps({"share": 0.12, "finished": False}))
+    assert "its training is unfinished: stopped at 12 %" in command(*words)[2]

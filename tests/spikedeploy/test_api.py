@@ -1,0 +1,137 @@
+"""Three lines of Python: lazy, typed, and the same numbers as the commands."""
+
+import json
+
+import numpy as np
+import pytest
+
+import spikedeploy as sd
+from spikedeploy.emulation.open_loop import emulate_file
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.files import as_text
+from spikedeploy.runtime.errors import ArtifactError, ChipError, ConfigError, RuleError
+from tests import toy_stroll_env
+from tests.paths import ROOT
+from tests.project.test_import_rules import loaded_by
+
+NET = ROOT / "examples/net.nir"
+RASTER = ROOT / "examples/raster.npy"
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def out():
+    return sd.load(NET, dt=1e-3).on("loihi1").run(np.load(RASTER))
+
+
+def test_importing_the_package_loads_nothing():
+    assert loaded_by("import spikedeploy", "numpy", "typer", "rich", "torch", "mujoco") == []
+
+
+def test_running_a_network_needs_neither_torch_nor_physics_nor_pictures():
+    run = f"sd.load({str(NET)!r}, dt=1e-3).on('loihi1').run({str(RASTER)!r})"
+    code = f"import spikedeploy as sd; {run}"
+    assert loaded_by(code, "torch", "mujoco", "pymunk", "matplotlib") == []
+
+
+def test_every_public_name_exists_and_no_other():
+    assert all(getattr(sd, name) for name in sd.__all__)
+    assert set(sd.__all__) <= set(dir(sd))
+    with pytest.raises(AttributeError, match="no attribute 'laod'"):
+        _ = sd.laod
+
+
+def test_a_run_is_what_emulate_gives(out):
+    expected = emulate_file(NET, "loihi1", np.load(RASTER), dt=1e-3)
+    assert out.spikes.keys() == expected.spikes.keys()
+    for name, rows in expected.spikes.items():
+        np.testing.assert_array_equal(out.spikes[name], rows)
+    assert out.ledger.total("sop") == expected.ledger.total("sop") > 0
+    assert out.energy == expected.as_json()["energy_j"]
+    assert out.as_json() == expected.as_json()
+
+
+def test_rasters_of_booleans_numbers_files_and_names_are_alike(out):
+    net = sd.load(NET, dt=1e-3).on("loihi1")
+    raster = np.load(RASTER)
+    for other in (raster.astype(bool), raster.astype(float), RASTER, {"input": raster}):
+        np.testing.assert_array_equal(net.run(other).spikes["hidden"], out.spikes["hidden"])
+
+
+def test_a_network_moves_between_chips_and_stays_as_it_was():
+    net = sd.load(NET, dt=1e-3)
+    assert (net.chip, net.on("loihi1").chip, net.chip) == ("float", "loihi1", "float")
+    assert net.run(RASTER).chip == "float"
+    assert net.on("loihi1").check().passed
+    assert not net.check("loihi1", "xylo-a2").passed
+    with pytest.raises(ChipError, match="did you mean"):
+        net.on("loihi9")
+    with pytest.raises(RuleError):
+        net.on("xylo-a2").run(RASTER)
+
+
+def test_spikes_are_plotted_without_a_display(out, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    figure = out.plot(tmp_path / "raster.png")
+    assert [axes.get_ylabel() for axes in figure.axes] == list(out.spikes)
+    assert (tmp_path / "raster.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_notebooks_show_cards(out, stroll):
+    net = sd.load("stroll/popsan")
+    assert "made for</th><td>test/Stroll-v0" in net._repr_html_()
+    assert "3 × CubaLIF" in repr(net)
+    assert "synaptic operations" in out._repr_html_()
+    assert 'src="data:image/png;base64,' in out._repr_html_()
+
+
+def test_a_comparison_is_that_of_the_command(stroll, command):
+    found = sd.compare("stroll", ["stroll/popsan"], episodes=2)
+    words = ("compare", "stroll", "stroll/popsan", "--episodes", 2, "--workers", 1, "--json")
+    document = json.loads(command(*words)[1])
+    assert json.loads(as_text(found.rows)) == document["rows"]
+    assert found.meaning == document["meaning"]
+    assert found.document["command"].startswith("spikedeploy compare stroll stroll/popsan")
+    lines = str(found).splitlines()
+    assert lines[0].split()[:2] == ["policy", "return"]
+    assert found.meaning in lines
+    assert "<td>popsan · loihi1</td>" in found._repr_html_()
+    assert "report.html" in [file.name for file in found.write("out")]
+
+
+def test_a_loaded_policy_is_compared_and_drives(stroll):
+    net = sd.load("stroll/popsan").on("loihi1")
+    rows = sd.compare("stroll", [net], episodes=1).rows
+    (on_chip,) = [row for row in rows if row["chip"] == "loihi1"]
+    walk = rollout(sd.make("stroll"), net.controller(), seed=10_000)
+    assert walk.total == pytest.approx(on_chip["return_mean"])
+    with pytest.raises(ArtifactError, match="no codec"):
+        sd.compare("stroll", [sd.load(NET, dt=1e-3)])
+
+
+def test_what_does_not_spike_is_refused(stroll):
+    with pytest.raises(ConfigError, match="does not spike"):
+        sd.load("stroll/sac")
+    with pytest.raises(ConfigError, match="no network at 'nowhere'"):
+        sd.load("nowhere")
+
+
+def test_training_gives_a_run_folder(stroll):
+    settings = ["steps=120", "validation.every=120", "env.name=stroll"]
+    run = sd.train("smoke", overrides=settings, quiet=True)
+    assert (run / "checkpoints/last.safetensors").is_file()
+
+
+def test_the_example_of_a_policy_of_ones_own_races(tmp_path):
+    code = (ROOT / "examples/own_policy.py").read_text(encoding="utf-8")
+    example = {"__name__": "own_policy"}
+    exec(compile(code, "own_policy.py", "exec"), example)
+    found = example["main"](tmp_path / "own.nir", rounds=1, steps=40, episodes=1)
+    chips = [row["chip"] for row in found.rows if row["policy"] == "own"]
+    assert chips == ["float", "loihi1"]

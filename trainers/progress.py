@@ -1,0 +1,93 @@
+"""Progress of a training, for people: a bar on a terminal, lines elsewhere."""
+
+import sys
+import time
+from collections.abc import Iterable, Mapping
+
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+# metrics below the bar, and their formats, the most wanted first
+_SHOWN = {
+    "episode_return": "return {:,.0f}",
+    "eval_return": "validation {:,.0f}",
+    "best": "best {:,.0f}",
+    "steps_per_s": "{:,.0f} steps/s",
+    "updates_per_s": "{:,.0f} updates/s",
+    "phase": "phase {:.0f}",
+    "walks": "{:,.0f} walks",
+    "operations": "{:,.0f} operations",
+}
+PAUSE = 30.0  # seconds between two lines where there is no terminal
+_WIDTH = 80  # of a pipe
+
+
+class _Bar(Progress):
+    """A bar as wide as the terminal, and one line of numbers below it."""
+
+    note = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """The bar, then the numbers, cut where the terminal ends."""
+        yield self.make_tasks_table(self.tasks)
+        yield Text(self.note, no_wrap=True, overflow="ellipsis")
+
+
+class ProgressBar:
+    """Step, share, time left, latest returns and speed of a run, on stderr; nothing if quiet."""
+
+    def __init__(self, title: str, quiet: bool = False, console: Console | None = None) -> None:
+        self._title, self._quiet = title, quiet
+        self._screen = console or Console(stderr=True, highlight=False)
+        self._latest: dict[str, float] = {}
+        self._step, self._total, self._said = 0, 0, time.monotonic()
+        self._bar = _Bar(
+            TextColumn("{task.fields[count]}", markup=False),
+            TextColumn("{task.percentage:>3.0f} %"),
+            BarColumn(bar_width=None),
+            TimeRemainingColumn(),
+            console=self._screen,
+            expand=True,
+            disable=quiet or not self._screen.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=None, count="")
+
+    def __enter__(self) -> "ProgressBar":
+        if not self._quiet:
+            self.say(self._title)
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def say(self, line: str) -> None:
+        """Write a line above the bar."""
+        self._screen.print(line, markup=False, soft_wrap=True)
+
+    def at(self, step: int, total: int) -> None:
+        """Set the bar to a step."""
+        self._step, self._total = step, total
+        count = f"{step:,} / {total:,}"
+        self._bar.update(self._task, completed=step, total=total, count=count)
+        if not self._quiet and not self._screen.is_terminal:
+            self._log()
+
+    def show(self, row: Mapping[str, float]) -> None:
+        """Show the returns and speed of a row of metrics."""
+        self._latest.update({key: row[key] for key in _SHOWN if key in row})
+        self._bar.note = self._note()
+
+    def _note(self) -> str:
+        known = [key for key in _SHOWN if key in self._latest]
+        return "  ".join(_SHOWN[key].format(self._latest[key]) for key in known)
+
+    def _log(self) -> None:
+        """A line, unless the last one was just written."""
+        if time.monotonic() - self._said < PAUSE:
+            return
+        self._said = time.monotonic()
+        share = 100 * self._step / self._total
+        line = f"{self._step:,} / {self._total:,}  {share:.0f} %  {self._note()}"
+        print(line.rstrip(), file=sys.stderr, flush=True)
