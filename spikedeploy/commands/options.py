@@ -14,7 +14,9 @@ Switch = Literal["on", "off"]
 Granularity = Literal["layer", "channel"]
 Fraction = Literal["nearest", "truncate"]
 HeadroomChoice = Literal["none", "proven"]
-AfterSpike = Literal["zero", "subtract"]
+AfterSpike = Literal[
+    "zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"
+]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
 SpikeCount = Literal["above", "reached", "many"]
@@ -87,7 +89,9 @@ Dt = Annotated[float | None, typer.Option(help="Timestep [s].", show_default=FRO
 Reset = Annotated[
     AfterSpike | None,
     typer.Option(
-        help="Membrane after a spike: v_reset, or less that distance.", show_default=FROM_FILE
+        help="Membrane after a spike: v_reset, or less that distance, at once or in the next "
+        "timestep; docs/own-network.md has the equations.",
+        show_default=FROM_FILE,
     ),
 ]
 Integrator = Annotated[
