@@ -12,6 +12,7 @@ from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
     Floor,
+    From,
     Headroom,
     Integrator,
     Json,
@@ -64,6 +65,7 @@ def emulate(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
+    from_: From = None,
     quantise: Quantise = "layer",
     rounding: Rounding = None,
     headroom: Headroom = "none",
@@ -97,6 +99,7 @@ def emulate(
         floor=floor,
         state=state,
         like=like,
+        written_by=from_,
     )
     result = replace(result, tables=tables)
     result.save(output)
@@ -149,6 +152,7 @@ def drift(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
+    from_: From = None,
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the tables as Markdown.")
     ] = False,
@@ -175,6 +179,7 @@ def drift(
         floor=floor,
         state=state,
         like=like,
+        written_by=from_,
     )
     options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)

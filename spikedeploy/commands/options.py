@@ -120,7 +120,18 @@ Floor = Annotated[
 Like = Annotated[
     str | None,
     typer.Option(
-        help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
+        metavar="TOOL",
+        help="Read the file as the import of lava, nengo, norse, rockpool, sinabs, snntorch or "
+        "spikingjelly does.",
+    ),
+]
+From = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="TOOL",
+        help="Read the file as its author meant it, who exported it from snntorch, norse, "
+        "spikingjelly, sinabs, rockpool or lava.",
     ),
 ]
 Quantise = Annotated[
