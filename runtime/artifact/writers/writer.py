@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -101,8 +101,7 @@ def _with_source(
     source = f"as {tool.tool} writes it"
     if assumed:
         source += f"; not in the file, so assumed: {'; '.join(assumed)}"
-    fields = {**convention.to_record(), "source": source}
-    stated = Convention(**fields)
+    stated = replace(convention, source=source)
     return stated.with_options({name: getattr(stated, name) for name in given})
 
 
