@@ -37,6 +37,7 @@ else:
 ROOT = Path(__file__).parents[1]
 FAMILIES, METRICS = "tests/runtime/families", "tests/runtime/metrics"
 PRESETS, EXPORTS = "tests/runtime/test_peers.py", "tests/runtime/test_peer_exports.py"
+EXAMPLES = "tests/spikedeploy/commands/test_check_against.py"
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ class Peer:
 
 
 PEERS = (
-    Peer("snntorch", (PRESETS, EXPORTS, "-k", "snntorch")),
-    Peer("norse", (PRESETS, EXPORTS, "-k", "norse")),
-    Peer("spikingjelly", (PRESETS, EXPORTS, "-k", "spikingjelly")),
+    Peer("snntorch", (PRESETS, EXPORTS, EXAMPLES, "-k", "snntorch")),
+    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, "-k", "norse")),
+    Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, "-k", "spikingjelly")),
     Peer("nengo", (PRESETS, "-k", "nengo")),
     Peer("neurobench", (f"{METRICS}/test_neurobench_peer.py",)),
     Peer("sanafe", (f"{METRICS}/test_sanafe.py",), traces="sanafe"),

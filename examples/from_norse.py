@@ -1,8 +1,8 @@
 """Exports a network of Norse's LIFBoxCell, with spikes that it computed, for `check`.
 
-    pip install "norse==1.1.0" "nirtorch==2.6"
-    python examples/from_norse.py [FOLDER]
-    spikedeploy check norse.nir --from norse --against norse.npz
+pip install "norse==1.1.0" "nirtorch==2.6"
+python examples/from_norse.py [FOLDER]
+spikedeploy check norse.nir --from norse --against norse.npz
 """
 
 import sys

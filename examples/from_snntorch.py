@@ -1,8 +1,8 @@
 """Exports a network of snnTorch's default neurons, with spikes that it computed, for `check`.
 
-    pip install "snntorch==1.0.0" "nirtorch==2.6"
-    python examples/from_snntorch.py [FOLDER]
-    spikedeploy check snntorch.nir --from snntorch --against snntorch.npz
+pip install "snntorch==1.0.0" "nirtorch==2.6"
+python examples/from_snntorch.py [FOLDER]
+spikedeploy check snntorch.nir --from snntorch --against snntorch.npz
 """
 
 import sys

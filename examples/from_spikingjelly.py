@@ -1,8 +1,8 @@
 """Exports a network of SpikingJelly's LIFNode, with spikes that it computed, for `check`.
 
-    pip install "spikingjelly==2.0.0" "nirtorch==2.6"
-    python examples/from_spikingjelly.py [FOLDER]
-    spikedeploy check spikingjelly.nir --from spikingjelly --against spikingjelly.npz
+pip install "spikingjelly==2.0.0" "nirtorch==2.6"
+python examples/from_spikingjelly.py [FOLDER]
+spikedeploy check spikingjelly.nir --from spikingjelly --against spikingjelly.npz
 """
 
 import sys

@@ -114,10 +114,12 @@ class RecordedAgreement:
         yield f"{self.difference.count:,} of {self.compared:,} outputs differ"
         if self.cause:
             yield f"likeliest cause: {' and '.join(self.cause)}, with which all are equal"
-        elif self.nearest:
+        else:
+            near = self.nearest
+            nearest = f"; {near[0]} comes nearest, {near[1]:,} differ" if near else ""
             yield (
-                f"no option makes both equal; {self.nearest[0]} comes nearest, "
-                f"{self.nearest[1]:,} differ. Was the input the same, from zero states?"
+                f"no option makes both equal{nearest}. Was the input the same, from zero states, "
+                "and the file exported from this network?"
             )
 
 

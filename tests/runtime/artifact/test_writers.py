@@ -4,12 +4,14 @@ tests/golden/exports holds what snnTorch, Norse and SpikingJelly exported and co
 (benchmarks/exported_networks.py); test_peer_exports.py asks the tools themselves.
 """
 
+from itertools import pairwise
+
 import nir
 import numpy as np
 import pytest
 
 from benchmarks.exported_networks import CASES, FOLDER
-from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.writers.writer import WRITERS, read_as_written, writer
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -45,7 +47,7 @@ def test_every_recorded_spike_of_the_authors_network_is_ours(name):
 @pytest.mark.parametrize("kind", ["leaky", "synaptic"])
 def test_what_a_snntorch_file_does_not_say_decides_its_spikes(kind):
     rasters = [recording(f"snntorch_{kind}_{name}")[1] for name in ("default", "zero", "subtract")]
-    assert all(np.any(one != two) for one, two in zip(rasters, rasters[1:], strict=False))
+    assert all(np.any(one != two) for one, two in pairwise(rasters))
 
 
 @pytest.mark.parametrize("name", ["snntorch_leaky_default", "norse_lifcell", "spikingjelly_lif"])
@@ -82,8 +84,6 @@ def played(tool, node, *inputs, **given):
     """Spikes of a single neuron behind a weight of 1."""
     whole = chain(nir.Affine(np.eye(1), np.zeros(1)), node, width=1, act=1)
     network, convention = read_as_written(whole, tool, given)
-    from spikedeploy.runtime.artifact.artifact import Artifact
-
     running = FloatGraph(Artifact(network, None, convention))
     return running.run(np.array(inputs, float)[None, :, None])["n2"].ravel().tolist()
 
