@@ -8,7 +8,7 @@ of one. FOLDER is tests/golden/exports. tests/runtime/artifact/test_writers.py r
 committed there, tests/runtime/test_peer_exports.py records it anew where a tool is installed.
 """
 
-import sys
+import argparse
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -188,7 +188,10 @@ def _played(module: Any, torch: Any) -> Iterator[Any]:  # noqa: ANN401
 
 
 if __name__ == "__main__":
-    where = Path(sys.argv[2]) if len(sys.argv) > 2 else FOLDER
-    for case in (name for name, each in CASES.items() if each.tool == sys.argv[1]):
-        written = record(case, where)[1]
+    parser = argparse.ArgumentParser(prog=Path(__file__).name, description=__doc__)
+    parser.add_argument("tool", choices=sorted({each.tool for each in CASES.values()}))
+    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER)
+    arguments = parser.parse_args()
+    for case in (name for name, each in CASES.items() if each.tool == arguments.tool):
+        written = record(case, arguments.folder)[1]
         print(f"{case}: {np.load(written)['output'].sum()} spikes")
