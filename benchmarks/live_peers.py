@@ -36,7 +36,8 @@ else:
 
 ROOT = Path(__file__).parents[1]
 FAMILIES, METRICS = "tests/runtime/families", "tests/runtime/metrics"
-PRESETS = "tests/runtime/test_peers.py"
+PRESETS, EXPORTS = "tests/runtime/test_peers.py", "tests/runtime/test_peer_exports.py"
+EXAMPLES = "tests/spikedeploy/commands/test_check_against.py"
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,9 @@ class Peer:
 
 
 PEERS = (
-    Peer("norse", (PRESETS, "-k", "norse")),
-    Peer("spikingjelly", (PRESETS, "-k", "spikingjelly")),
+    Peer("snntorch", (PRESETS, EXPORTS, EXAMPLES, "-k", "snntorch")),
+    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, "-k", "norse")),
+    Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, "-k", "spikingjelly")),
     Peer("nengo", (PRESETS, "-k", "nengo")),
     Peer("neurobench", (f"{METRICS}/test_neurobench_peer.py",)),
     Peer("sanafe", (f"{METRICS}/test_sanafe.py",), traces="sanafe"),

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast, get_args
 from spikedeploy.runtime.errors import ConventionError
 from spikedeploy.runtime.metadata import Record, Tree
 
-Reset = Literal["zero", "subtract"]
+Reset = Literal["zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"]
 Integrator = Literal["euler", "exponential"]
 State = Literal["reset", "kept"]
 Spikes = Literal["above", "reached", "many"]
@@ -21,7 +21,9 @@ class Convention:
 
     dt: [s] duration of one timestep.
     reset: after a spike the membrane is set to v_reset ("zero"; exporters write v_reset = 0), or
-        threshold - v_reset is subtracted from it ("subtract").
+        threshold - v_reset is subtracted from it ("subtract"), both in the next timestep
+        ("zero-delayed", "subtract-delayed"); "subtract-ahead" and "none" are snnTorch's too
+        (runtime.float_model.neurons has the equations).
     integrator: decay factors are 1 - dt/tau ("euler") or exp(-dt/tau) ("exponential").
     delay: [timesteps] of an Affine, Linear or convolution: y[t] = W x[t - delay] + b. Recurrent
         connections take one timestep in any case.

@@ -17,7 +17,7 @@ from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.float_model.graph import FloatGraph
-from spikedeploy.runtime.float_model.nodes import FloatNeurons
+from spikedeploy.runtime.float_model.neurons import FloatNeurons
 
 Floats = NDArray[np.float64]
 

@@ -5,5 +5,8 @@ or as another tool reads them.
 
 artifact         the artifact, loading, saving, and its digest
 hdf5             the HDF5 container, checked before a graph is read from it
+batch_axis       shapes that some tools write with a batch of one
+nir_data         recorded spikes as other tools exchange them
 presets/         how other tools read the same file
+writers/         what other tools mean by the files that they write
 """

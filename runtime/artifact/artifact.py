@@ -10,8 +10,10 @@ import h5py
 import nir
 import numpy as np
 
+from spikedeploy.runtime.artifact.batch_axis import without_batch_axis
 from spikedeploy.runtime.artifact.hdf5 import read_graph
 from spikedeploy.runtime.artifact.presets.preset import read_like
+from spikedeploy.runtime.artifact.writers.writer import read_as_written
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
@@ -85,12 +87,15 @@ def load(
     spikes: Spikes | None = None,
     floor: Floor | None = None,
     like: str | None = None,
+    written_by: str | None = None,
 ) -> Artifact:
     """The artifact in a `.nir` file, ours or another tool's.
 
     dt: [s]; like reset, integrator, delay, state, spikes and floor an option of Convention, which
         replaces what the file states.
     like: name of one of the PRESETS: read the file as that tool does.
+    written_by: name of one of the WRITERS: read the file as that tool means what it writes. Options
+        say what its files do not; what was assumed is in the source of the convention.
 
     Raises ArtifactError or ConventionError, with the path, where the file cannot be read or run.
     """
@@ -106,8 +111,15 @@ def load(
     given = {name: value for name, value in options.items() if value is not None}
     try:
         graph = _read(Path(path))
+        if like is not None and written_by is not None:
+            raise ConventionError(
+                f"--like {like} is how a tool reads the file, --from {written_by} how a tool wrote "
+                "it. Give one of them."
+            )
         if like is not None:
             return _like(graph, like, given)
+        if written_by is not None:
+            return _written_by(graph, written_by, given)
         if _KEY in graph.metadata:
             return _ours(graph, given)
         return Artifact(graph, None, infer_convention(graph, given))
@@ -175,7 +187,7 @@ def _read(path: Path) -> nir.NIRGraph:
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
             "NIR tool wrote; if it is that file, copy it again, it is truncated."
         )
-    graph = flattened(read_graph(path))
+    graph = without_batch_axis(flattened(read_graph(path)))
     check_graph(graph)
     return graph
 
@@ -202,6 +214,17 @@ def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifa
     codec = _ours(graph, {}).codec if _KEY in graph.metadata else None
     read, convention = read_like(graph, tool, given)
     return Artifact(read, codec, convention)
+
+
+def _written_by(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
+    """The artifact as its author meant it, in the tool that wrote it."""
+    if _KEY in graph.metadata:
+        raise ConventionError(
+            f"--from {tool}: spikedeploy wrote this file, and its metadata state the convention. "
+            "Leave --from away; --like reads it as another tool would."
+        )
+    read, convention = read_as_written(graph, tool, given)
+    return Artifact(read, None, convention)
 
 
 def _stated_convention(record: Record) -> Convention:

@@ -23,6 +23,11 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 
+_AT_THRESHOLD = (
+    "neurons spike above their threshold; the convention says 'reached', at it too. They differ "
+    "where a membrane on the chip is the threshold exactly"
+)
+
 
 class Description(NamedTuple):
     """An arithmetic in a few words each, for tables of datasheets."""
@@ -79,7 +84,7 @@ class ArithmeticDefaults(Protocol):
 
     def check_convention(self, convention: Convention, chip_name: str) -> None:
         """Refuse conventions by which the neurons cannot spike."""
-        if convention.spikes != "above" or convention.floor != "none":
+        if convention.spikes not in ("above", "reached") or convention.floor != "none":
             refuse_convention(convention, chip_name)
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
@@ -107,7 +112,9 @@ class ArithmeticDefaults(Protocol):
         """
         if stagger is None:
             stagger = convention.delay == 0
-        return starting(layers, network_input, delay, stagger), []
+        differs = convention.spikes == "reached" and not self.spikes_at_threshold
+        remarks = [_AT_THRESHOLD] if differs else []
+        return starting(layers, network_input, delay, stagger), remarks
 
     def check_output(self, network: Network, chip_name: str) -> None:
         """Refuse an output layer whose spikes cannot leave the chip."""
@@ -121,6 +128,11 @@ class ArithmeticDefaults(Protocol):
         return []
 
     # what the design rules ask
+
+    @property
+    def spikes_at_threshold(self) -> bool:
+        """Whether a neuron spikes where its membrane is the threshold, and not only above it."""
+        return False
 
     @property
     def spikes_and_floor(self) -> tuple[str, str] | None:

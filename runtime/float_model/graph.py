@@ -13,14 +13,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.nodes import (
-    Array,
-    Delay,
-    FloatNeurons,
-    Node,
-    SigmaDeltaNeurons,
-    build_node,
-)
+from spikedeploy.runtime.float_model.neurons import Array, FloatNeurons, SigmaDeltaNeurons
+from spikedeploy.runtime.float_model.nodes import Delay, Node, build_node
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
 from spikedeploy.runtime.graph.ports import by_port, ports

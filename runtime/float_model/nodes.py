@@ -6,7 +6,7 @@ on from the state of the call before; the other kinds have none.
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import nir
 import numpy as np
@@ -14,10 +14,10 @@ from numpy.typing import DTypeLike, NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.graph.neurons import NEURONS, discretise
+from spikedeploy.runtime.float_model.neurons import Array, FloatNeurons
+from spikedeploy.runtime.graph.neurons import NEURONS
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import DENSE
-from spikedeploy.runtime.graph.sigma_delta import GRADED_MOST, SigmaDelta
 from spikedeploy.runtime.graph.windows import (
     CONVOLUTIONS,
     POOLS,
@@ -26,7 +26,6 @@ from spikedeploy.runtime.graph.windows import (
     pool_window,
 )
 
-Array: TypeAlias = NDArray[np.floating[Any]]
 # output (B, T, *shape) for the input x (B, T, *shape)
 Node: TypeAlias = Callable[[Array], Array]
 
@@ -60,121 +59,6 @@ def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTyp
     raise ArtifactError(
         f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. Use one."
     )
-
-
-class FloatNeurons:
-    """A layer of neurons; puts out its spikes, or its membranes where it has no threshold."""
-
-    def __init__(
-        self, name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
-    ) -> None:
-        layer = discretise(name, node, convention)
-        self.name = name
-        self.subtract = convention.reset == "subtract"
-        self.spikes = convention.spikes
-        self.a = None if layer.current_decay is None else layer.current_decay.astype(dtype)
-        self.b = layer.membrane_decay.astype(dtype)
-        self.gain = layer.gain.astype(dtype)
-        self.leak = layer.leak.astype(dtype)
-        self.threshold = None if layer.threshold is None else layer.threshold.astype(dtype)
-        self.v_reset = layer.v_reset.astype(dtype)
-        self.floor = _floor(layer.threshold, convention)
-        self.current: Array | None = None
-        self.membrane: Array | None = None
-
-    def reset(self) -> None:
-        """Set currents and membranes to 0."""
-        self.current = self.membrane = None
-
-    def __call__(self, x: Array) -> Array:
-        """Spikes or membranes (B, T, *N) of the next T timesteps."""
-        output = np.empty_like(x)
-        current, membrane = self._state(x[:, 0])
-        drive = x * self.gain
-        for t in range(x.shape[1]):
-            # I = a I + gain x
-            current = drive[:, t] if self.a is None else self.a * current + drive[:, t]
-            # V = b V + I + leak
-            membrane = self.b * membrane + current + self.leak
-            output[:, t], membrane = self._fire(membrane)
-        self.current, self.membrane = current, membrane
-        return output
-
-    def _fire(self, membrane: Array) -> tuple[NDArray[Any], Array]:
-        """Output (B, *N) of this timestep, and the membrane after the reset."""
-        if self.threshold is None:
-            return membrane, membrane
-        spikes = self._spikes(membrane, self.threshold)
-        if self.subtract:
-            membrane = membrane - spikes * (self.threshold - self.v_reset)
-        else:
-            membrane = np.where(spikes, self.v_reset, membrane)
-        return spikes, membrane if self.floor is None else np.maximum(membrane, self.floor)
-
-    def _spikes(self, membrane: Array, threshold: Array) -> NDArray[Any]:
-        """Number of spikes (B, *N) in this timestep."""
-        if self.spikes == "above":
-            return np.asarray(membrane > threshold)
-        reached = membrane >= threshold
-        if self.spikes == "reached":
-            return np.asarray(reached)
-        # n = floor((V - v_reset) / (threshold - v_reset))
-        count = np.floor((membrane - self.v_reset) / (threshold - self.v_reset))
-        return np.asarray(count * reached)
-
-    def _state(self, like: Array) -> tuple[Array, Array]:
-        """Current and membrane before the first timestep, of the shape of its input."""
-        if self.current is None or self.membrane is None:
-            return np.zeros_like(like), np.zeros_like(like)
-        if self.membrane.shape != like.shape:
-            raise ObservationError(
-                f"node {self.name!r} holds the state of {len(self.membrane)} networks, the raster "
-                f"is for {len(like)}. Call reset() between batches of different size."
-            )
-        return self.current, self.membrane
-
-
-class SigmaDeltaNeurons(FloatNeurons):
-    """A layer of sigma-delta neurons (runtime.graph.sigma_delta); puts out graded spikes.
-
-    sent: (B, *N) graded spikes so far, added up.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        node: nir.NIRNode,
-        convention: Convention,
-        dtype: DTypeLike,
-        neurons: SigmaDelta,
-    ) -> None:
-        super().__init__(name, node, convention, dtype)
-        self.step = neurons.threshold.astype(dtype)
-        self.bias = neurons.bias.astype(dtype)
-        self.sent: Array | None = None
-
-    def reset(self) -> None:
-        """Set sigma to 0, as if nothing had been sent."""
-        super().reset()
-        self.sent = None
-
-    def _fire(self, membrane: Array) -> tuple[NDArray[Any], Array]:
-        """Graded spikes (B, *N) of this timestep, and sigma, which stays."""
-        sent = np.zeros_like(membrane) if self.sent is None else self.sent
-        # e = max(sigma + b, 0) / threshold - q
-        apart = np.maximum(membrane + self.bias, 0) / self.step - sent
-        far = np.abs(apart)
-        graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0)
-        graded = np.clip(graded, -GRADED_MOST, GRADED_MOST)
-        self.sent = sent + graded
-        return graded, membrane
-
-
-def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Array | None:
-    """Lower bound of the membranes (*N), or None where there is none."""
-    if threshold is None or convention.floor == "none":
-        return None
-    return np.zeros_like(threshold) if convention.floor == "zero" else -threshold
 
 
 class Delay:

@@ -200,7 +200,7 @@ def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conventio
         raise ArtifactError(
             f"the file does not say its timestep and it cannot be inferred: {evidence.reason}. "
             "Give the dt in seconds of the tool that wrote the file, or name that tool with "
-            "--like."
+            "--from."
         )
     return Convention(evidence.dt, source=f"{evidence.reason}; {_DEFAULT}").with_options(given)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -14,6 +14,7 @@ from spikedeploy.commands.options import (
     Delay,
     Dt,
     Floor,
+    From,
     Integrator,
     Json,
     Like,
@@ -42,33 +43,74 @@ def check(
     rules: Annotated[
         bool, typer.Option("--rules", help="Print every rule, kept or broken, and the layers.")
     ] = False,
+    from_: From = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            metavar="RECORDED.npz",
+            help="Compare the float twin with `input` and `output` spikes that your framework "
+            "recorded, instead of checking chips.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Check whether a network fits on chips, rule by rule and node by node.
 
-    Exit code 0: every chip that was named passes; of 'all', at least one that has limits.
+    Exit code 0: every chip that was named passes; of 'all', at least one that has limits. With
+    --against: the float twin equals the recording.
     """
     from spikedeploy.console import print_json
     from spikedeploy.emulation.design_report import ALL, design_report
     from spikedeploy.reports.check_tables import print_report
 
-    report = design_report(
-        file,
-        chip or [ALL],
-        dt=dt,
-        reset=reset,
-        integrator=integrator,
-        delay=delay,
-        spikes=spikes,
-        floor=floor,
-        state=state,
-        like=like,
-    )
+    convention = {
+        "dt": dt,
+        "reset": reset,
+        "integrator": integrator,
+        "delay": delay,
+        "spikes": spikes,
+        "floor": floor,
+        "state": state,
+        "like": like,
+        "written_by": from_,
+    }
+    if against is not None:
+        _check_against(file, against, chip, convention, json)
+    report = design_report(file, chip or [ALL], **convention)
     if json:
         print_json(report.as_json())
     else:
         print_report(report, rules)
     raise typer.Exit(0 if report.passed else 1)
+
+
+def _check_against(
+    file: str,
+    recorded: Path,
+    chips: list[str] | None,
+    convention: dict[str, Any],
+    json: bool,
+) -> NoReturn:
+    """Print the comparison with a recording, and exit."""
+    from spikedeploy.console import print_json
+    from spikedeploy.emulation.drift_inputs import path_of
+    from spikedeploy.emulation.recorded_spikes import against_recorded
+    from spikedeploy.runtime.errors import ConfigError
+
+    if chips:
+        raise ConfigError(
+            f"--against compares the float twin with a recording, and --chip {chips[0]} checks a "
+            "chip. Give one of them; `drift` compares a chip with the float twin."
+        )
+    found = against_recorded(path_of(file), recorded, **convention)
+    if json:
+        print_json(found.as_json())
+    else:
+        for line in found.lines():
+            typer.echo(line)
+    raise typer.Exit(0 if found.equal else 1)
 
 
 def verify(

@@ -12,6 +12,7 @@ from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
     Floor,
+    From,
     Headroom,
     Integrator,
     Json,
@@ -38,14 +39,16 @@ def emulate(
             "--input",
             exists=True,
             dir_okay=False,
-            help="Spikes (T, *shape), 0 or 1, .npy; several inputs by name, .npz. In float any "
-            "numbers.",
+            help="Spikes (T, *shape), 0 or 1, .npy; several inputs by name, .npz; or NIRData, .h5. "
+            "In float any numbers.",
         ),
     ],
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", help="Spikes of each node and `output`, or each Output, .npz."
+            "-o",
+            "--output",
+            help="Spikes of each node and `output`, or each Output, .npz, or NIRData, .h5.",
         ),
     ],
     backend: Annotated[
@@ -64,6 +67,7 @@ def emulate(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
+    from_: From = None,
     quantise: Quantise = "layer",
     rounding: Rounding = None,
     headroom: Headroom = "none",
@@ -75,20 +79,16 @@ def emulate(
     from dataclasses import replace
 
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.open_loop import emulate_file
-    from spikedeploy.emulation.rasters import read_rasters
+    from spikedeploy.emulation.open_loop import emulate_artifact
+    from spikedeploy.emulation.rasters import read_inputs
     from spikedeploy.reports.terminal import print_emulation
+    from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     tables = checked_table_names(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
-    result = emulate_file(
+    artifact = load(
         file,
-        chip,
-        read_rasters(input_),
-        backend,
-        limits == "on",
-        rounded,
         dt=dt,
         reset=reset,
         integrator=integrator,
@@ -97,7 +97,10 @@ def emulate(
         floor=floor,
         state=state,
         like=like,
+        written_by=from_,
     )
+    rasters = read_inputs(input_, artifact)
+    result = emulate_artifact(artifact, chip, rasters, backend, limits == "on", rounded)
     result = replace(result, tables=tables)
     result.save(output)
     if json:
@@ -149,6 +152,7 @@ def drift(
     floor: Floor = None,
     state: State = None,
     like: Like = None,
+    from_: From = None,
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the tables as Markdown.")
     ] = False,
@@ -175,6 +179,7 @@ def drift(
         floor=floor,
         state=state,
         like=like,
+        written_by=from_,
     )
     options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)

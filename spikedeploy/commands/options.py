@@ -15,7 +15,9 @@ Granularity = Literal["layer", "channel"]
 Fraction = Literal["nearest", "truncate"]
 TablesChoice = Literal["one", "all"]
 HeadroomChoice = Literal["none", "proven"]
-AfterSpike = Literal["zero", "subtract"]
+AfterSpike = Literal[
+    "zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"
+]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
 SpikeCount = Literal["above", "reached", "many"]
@@ -110,7 +112,9 @@ Dt = Annotated[float | None, typer.Option(help=r"Timestep \[s].", show_default=F
 Reset = Annotated[
     AfterSpike | None,
     typer.Option(
-        help="Membrane after a spike: v_reset, or less that distance.", show_default=FROM_FILE
+        help="Membrane after a spike: v_reset, or less that distance, at once or in the next "
+        "timestep; docs/own-network.md has the equations.",
+        show_default=FROM_FILE,
     ),
 ]
 Integrator = Annotated[
@@ -139,7 +143,18 @@ Floor = Annotated[
 Like = Annotated[
     str | None,
     typer.Option(
-        help="Read the file as lava, nengo, norse, rockpool, sinabs, snntorch or spikingjelly.",
+        metavar="TOOL",
+        help="Read the file as the import of lava, nengo, norse, rockpool, sinabs, snntorch or "
+        "spikingjelly does.",
+    ),
+]
+From = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="TOOL",
+        help="Read the file as its author meant it, who exported it from snntorch, norse, "
+        "spikingjelly, sinabs, rockpool or lava.",
     ),
 ]
 Quantise = Annotated[

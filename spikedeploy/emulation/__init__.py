@@ -8,5 +8,6 @@ measures       NeuroBench's numbers, memory traffic and latency of an inference
 drift_inputs   inputs for a drift: a raster, random spikes, or what a policy observed
 drift_report   where a chip leaves the float twin, with or without calibration
 design_report  a network against the design rules of chips
+recorded_spikes  what the author's framework computed, against the float twin
 trace_replay   recorded traces against the emulator's arithmetic
 """

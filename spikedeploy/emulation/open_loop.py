@@ -14,6 +14,7 @@ from spikedeploy.emulation.rasters import Raster, in_batch
 from spikedeploy.files import replacing
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.artifact.nir_data import write_nir_data
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import Ledger
@@ -25,6 +26,7 @@ from spikedeploy.runtime.metrics.energy import EnergyEstimate, energy_estimate, 
 # bytes of a neuron in a timestep: current, membrane and spike, while running and recorded
 _STATE = 48
 LARGEST = 1 << 32
+NIR_DATA = (".h5", ".hdf5")
 _UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
 
 
@@ -54,7 +56,11 @@ class Emulation:
     tables: Sequence[str] = ()
 
     def save(self, path: Path) -> None:
-        """Write a .npz: spikes and outputs, each under the name of its node."""
+        """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
+        if path.suffix in NIR_DATA:
+            with replacing(path) as part:
+                write_nir_data(part, {**self.spikes, **self.outputs}, self.artifact.convention.dt)
+            return
         with (
             replacing(path) as part,
             zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive,

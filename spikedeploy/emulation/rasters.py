@@ -1,4 +1,4 @@
-"""Rasters: recorded input of a network, a row for each timestep, in a .npy or a .npz file."""
+"""Rasters: recorded input of a network, a row for each timestep, in .npy, .npz or NIRData."""
 
 import zipfile
 from collections.abc import Mapping
@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.artifact.nir_data import is_nir_data, read_nir_data
 from spikedeploy.runtime.errors import ObservationError
+from spikedeploy.runtime.graph.ports import ports
 
 Raster = NDArray[Any]
 
@@ -33,6 +36,15 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
         raise ObservationError(
             f"{path} is not a .npy or .npz file with plain arrays: {error}. Write it with numpy."
         ) from error
+
+
+def read_inputs(path: Path, artifact: Artifact) -> Raster | dict[str, Raster]:
+    """The rasters of a network's Inputs: of a .npy or .npz file, or of NIRData in HDF5."""
+    if not is_nir_data(path):
+        return read_rasters(path)
+    shapes = {port.name: port.shape for port in ports(artifact.graph.inputs)}
+    found = read_nir_data(path, shapes, artifact.convention.dt)
+    return {name: _checked(f"{path}: {name}", rows) for name, rows in found.items()}
 
 
 def _archive(path: Path) -> dict[str, Raster]:

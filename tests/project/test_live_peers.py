@@ -10,7 +10,16 @@ from benchmarks import live_peers
 from benchmarks.live_peers import PEERS, NotInstalledError, Peer, interpreter, requirements
 from tests.paths import ROOT
 
-NAMES = ["brian2-loihi", "lava", "nengo-loihi", "neurobench", "norse", "sanafe", "spikingjelly"]
+NAMES = [
+    "brian2-loihi",
+    "lava",
+    "nengo-loihi",
+    "neurobench",
+    "norse",
+    "sanafe",
+    "snntorch",
+    "spikingjelly",
+]
 
 
 def test_every_tool_that_we_claim_to_equal_is_compared_with():

@@ -46,8 +46,8 @@ def test_given_options_win_and_say_so():
 
 
 def test_a_given_option_is_checked_too():
-    with pytest.raises(ConventionError, match="reset 'none' is unknown"):
-        Convention(1e-3).with_options({"reset": "none"})
+    with pytest.raises(ConventionError, match="reset 'soft' is unknown"):
+        Convention(1e-3).with_options({"reset": "soft"})
 
 
 def test_a_convention_survives_its_record():

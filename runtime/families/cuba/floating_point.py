@@ -53,6 +53,21 @@ class CubaFloat64(ArithmeticDefaults):
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
         """Take any choice, since nothing is rounded."""
 
+    def prepare(
+        self,
+        layers: Sequence[Layer],
+        network_input: str,
+        convention: Convention,
+        delay: int,
+        stagger: bool | None,
+    ) -> tuple[list[Layer], list[str]]:
+        """As other chips; V >= threshold is V > the next number below it, which is exact."""
+        if convention.spikes != "reached" or convention.reset != "zero":
+            return super().prepare(layers, network_input, convention, delay, stagger)
+        below = [replace(each, threshold=np.nextafter(each.threshold, -np.inf)) for each in layers]
+        convention = replace(convention, spikes="above")
+        return super().prepare(below, network_input, convention, delay, stagger)
+
     def quantise(
         self,
         network: Network,

@@ -43,6 +43,11 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         """Step and largest threshold [state units]."""
         return 1, self.threshold_max
 
+    @property
+    def spikes_at_threshold(self) -> bool:
+        """Whether a neuron spikes where its membrane is the threshold, and not only above it."""
+        return self.fires == "reached"
+
     def check_convention(self, convention: Convention, chip_name: str) -> None:
         """Refuse spikes and floors that the chip's neurons have not."""
         if convention.spikes == "many" and self.spikes_max == 1:

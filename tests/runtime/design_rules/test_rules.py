@@ -207,7 +207,7 @@ BOUNDARIES = [
         one(neurons=cuba(2, threshold=262141.0)),
         one(neurons=cuba(2, threshold=262142.0)),
     ),
-    ("convention", "loihi1", one(), one(spikes="reached")),
+    ("convention", "loihi1", one(spikes="reached"), one(spikes="many", reset="subtract")),
     ("convention", "loihi1", one(), one(floor="zero")),
     # two cores of one neuron each, presynaptic to two cores
     (

@@ -1,0 +1,114 @@
+"""NIRData: recorded spikes of a graph's nodes in HDF5, as other tools exchange them.
+
+NIRGraphData holds observables of nodes, each (samples, T, N) on a grid of dt, or events with times
+in seconds (nir.data_ir, since nir 1.0.8). Its own conversion of events loses those whose time
+rounds to just below their timestep; here an event belongs to the nearest start of a timestep where
+it is within a thousandth of dt.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.errors import ObservationError
+
+# values of an array; a damaged file may ask for any number
+_MOST = 1 << 31
+_EVENT_ROUNDING = 1e-3  # of a timestep
+_SPIKES = "spikes"
+
+
+def is_nir_data(path: Path) -> bool:
+    """Whether a file is HDF5 and so may hold NIRData."""
+    return bool(h5py.is_hdf5(path))
+
+
+def read_nir_data(
+    path: Path, shapes: Mapping[str, tuple[int, ...]], dt: float
+) -> dict[str, NDArray[Any]]:
+    """Values (T, *shape) of each node in `shapes`; of a single one the file's only node will do.
+
+    dt: [s] of the network, on which events are laid and which a grid must have.
+    """
+    try:
+        nodes = nir.read_data(path).nodes
+    # h5py and nir raise exceptions of many types for a damaged file
+    except Exception as error:
+        raise ObservationError(
+            f"{path} is HDF5 and no NIRData: {error}. Write it with nir.write_data."
+        ) from error
+    if len(shapes) == len(nodes) == 1:
+        nodes = dict(zip(shapes, nodes.values(), strict=True))
+    if missing := sorted(shapes.keys() - nodes.keys()):
+        raise ObservationError(
+            f"{path} holds data of {', '.join(sorted(nodes)) or 'no node'}; node {missing[0]!r} of "
+            "the network needs some. Name it so."
+        )
+    return {
+        name: _grid(f"{path}: node {name!r}", nodes[name], dt, shape)
+        for name, shape in shapes.items()
+    }
+
+
+def write_nir_data(path: Path, rows: Mapping[str, NDArray[Any]], dt: float) -> None:
+    """Write values (T, *N) of nodes on a grid: spikes, as bool where they are 0 or 1."""
+    nodes = {}
+    for name, values in rows.items():
+        flat = values.reshape(1, len(values), -1)
+        binary = flat.dtype.kind in "biu" and flat.min() >= 0 and flat.max() <= 1
+        grid = nir.TimeGriddedData(flat.astype(bool) if binary else flat, dt)
+        nodes[name] = nir.NIRNodeData({_SPIKES if flat.dtype.kind in "biu" else "output": grid})
+    nir.write_data(path, nir.NIRGraphData(nodes))
+
+
+def _grid(where: str, node: object, dt: float, shape: tuple[int, ...]) -> NDArray[Any]:
+    """(T, *shape) of the spikes of a node, or of its only observable."""
+    found = getattr(node, "observables", {})
+    name = _SPIKES if _SPIKES in found else next(iter(found), "")
+    if len(found) != 1 and name != _SPIKES:
+        raise ObservationError(
+            f"{where} has the observables {', '.join(sorted(found)) or 'none'}; call the one to "
+            f"play {_SPIKES!r}."
+        )
+    data = found[name]
+    rows = data.data if isinstance(data, nir.TimeGriddedData) else _of_events(where, data, dt)
+    if isinstance(data, nir.TimeGriddedData) and not np.isclose(data.dt, dt, rtol=1e-3):
+        raise ObservationError(
+            f"{where} has a grid of dt = {data.dt:g} s, the network {dt:g} s. Give that dt to the "
+            "network with --dt, or write the data anew."
+        )
+    if len(rows) != 1 or rows[0, 0].size != int(np.prod(shape)):
+        raise ObservationError(
+            f"{where} holds (samples, T, N) = {rows.shape}; needed are one sample and N = "
+            f"{int(np.prod(shape))}. Write one sample of this network."
+        )
+    return np.asarray(rows[0].reshape(-1, *shape))
+
+
+def _of_events(where: str, data: nir.EventData, dt: float) -> NDArray[Any]:
+    """(1, T, N) of events, or of their values, of one sample."""
+    timesteps = max(1, round(data.t_max / dt)) if np.isfinite(data.t_max) else 0
+    if data.idx.ndim != 2 or len(data.idx) != 1 or not 0 < timesteps * data.n_neurons <= _MOST:
+        raise ObservationError(
+            f"{where} holds events {data.idx.shape} of {data.n_neurons} neurons up to "
+            f"{data.t_max:g} s, that is {timesteps} timesteps; needed are one sample and at most "
+            f"{_MOST} values. Write one sample, or give the dt of the network."
+        )
+    there = data.idx[0] >= 0
+    step = np.floor(data.time[0][there] / dt + _EVENT_ROUNDING).astype(np.int64)
+    neuron = data.idx[0][there].astype(np.int64)
+    if ((step < 0) | (step >= timesteps) | (neuron >= data.n_neurons)).any():
+        raise ObservationError(
+            f"{where} has an event after its t_max, before 0, or of a neuron that it has not. "
+            "Correct the events."
+        )
+    rows = np.zeros((1, timesteps, data.n_neurons))
+    values = data.value[0][there] if isinstance(data, nir.ValuedEventData) else 1.0
+    # several events of a neuron in a timestep add up
+    np.add.at(rows[0], (step, neuron), values)
+    return rows
