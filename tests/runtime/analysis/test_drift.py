@@ -156,5 +156,5 @@ def test_choices_are_compared_as_choices_and_actions_as_actions():
 
 
 def test_a_raster_of_another_network_is_refused():
-    with pytest.raises(ObservationError, match=r"takes \(B, T, 30\)"):
+    with pytest.raises(ObservationError, match=r"takes 30 spike trains"):
         drift(popsan(), chip("loihi1"), np.zeros((2, 5, 7), np.uint8))

@@ -31,6 +31,7 @@ def test_from_an_unregistered_environment_to_a_chip(here, command):
 
     asked = ["--metric", "error:max", "--metric", "error:mean", "--success", "close"]
     words = ["compare", ENV, "last", "--episodes", 2, "--workers", 1, *asked, "-o", "report"]
+    words += ["--tables", "all"]
     code, out, err = command(*words)
     assert code == 0, err
     assert f"exported runs/{run.name}/{run.name}.nir" in err.replace("\n", "")

@@ -62,7 +62,7 @@ def test_emulate_counts_what_the_host_computes(command, files):
 
 
 def test_check_tells_the_range_and_the_way_out(command, files):
-    text = told(command, "check", "second.nir", "--chip", "loihi1")
+    text = told(command, "check", "second.nir", "--chip", "loihi1", "--rules")
     assert "the membranes of 3 neurons leave loihi1" in text
     assert "readout 'fast': its leaks do not bound what it adds up" in text
     (found,) = json.loads(told(command, "check", "second.nir", "--chip", "loihi2", "--json"))[

@@ -88,7 +88,7 @@ def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch
     file = shipped / "popsan.nir"
     save(replace(policy, convention=convention, provenance=toy_stroll_env.ORIGIN), file)
     asked = ("stroll", file, "--chips", "xylo-a2,ideal", "--episodes", "1", "--seed", "10000")
-    asked += ("--workers", "1", "--limits", "off")
+    asked += ("--workers", "1", "--limits", "off", "--tables", "all")
     code, out, err = command("compare", *asked, "-o", tmp_path / "out")
     assert code == 0, err
     document = json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
