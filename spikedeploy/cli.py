@@ -26,7 +26,7 @@ COMMANDS = {
         "train": "training",
         "export": "training",
         "publish": "training",
-        "experiment": "training",
+        "experiment": "experiments",
         "draw": "windows",
     },
     "Look": {

@@ -8,7 +8,8 @@ closed_loop  run, compare, demo: policies in their environments
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
-training     train, experiment, visualize, export, publish
+training     train, visualize, export, publish
+experiments  experiment
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes
 """

@@ -5,8 +5,9 @@ from typing import Any
 
 from spikedeploy.emulation.drift_inputs import DriftInputs
 from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
-from spikedeploy.runtime.analysis.drift import TAU, Drift
+from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
+from spikedeploy.runtime.analysis.spike_distance import TAU
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation

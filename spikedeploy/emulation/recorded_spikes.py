@@ -1,63 +1,24 @@
-"""Spikes that the author's framework recorded, against the float twin of the exported file.
-
-Where they differ, other conventions are tried, in the order in which they are usually to blame:
-reset, delay, dt, threshold rule, then integrator, the tool that wrote the file, and rounding; then
-two of them together.
-"""
+"""Spikes that the author's framework recorded, against the float twin of the exported file."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spikedeploy.emulation.rasters import Raster, read_rasters
+from spikedeploy.emulation.recorded_difference import (
+    Changes,
+    RecordedDifference,
+    difference,
+    likeliest_cause,
+    read_with,
+)
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.artifact.writers.writer import WRITERS
-from spikedeploy.runtime.convention import Integrator, Reset, Spikes
 from spikedeploy.runtime.errors import ObservationError, SpikedeployError
-from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, ports
-
-# of membranes, which no spike rounds, beside their largest: float32 against float64
-_TOLERANCE = 1e-4
-# of tools and their defaults; 1e-6 undoes Norse's, 1 is for time constants in timesteps
-_TIMESTEPS = (1e-4, 1e-3, 1e-2, 1.0, 1e-6)
-_CHOICES: dict[str, tuple[Any, ...]] = {
-    "reset": get_args(Reset),
-    "delay": (0, 1),
-    "dt": _TIMESTEPS,
-    "spikes": get_args(Spikes),
-    "integrator": get_args(Integrator),
-    "written_by": tuple(WRITERS),
-}
-_OPTIONS = {"written_by": "from"}
-
-
-@dataclass(frozen=True)
-class RecordedDifference:
-    """The first output that is not the recorded one.
-
-    count: of outputs that differ, of `compared`.
-    """
-
-    inference: int
-    timestep: int
-    neuron: tuple[int, ...]
-    expected: float
-    found: float
-    count: int
-
-    def describe(self) -> str:
-        """Where, and both numbers."""
-        neuron = ", ".join(map(str, self.neuron))
-        return (
-            f"inference {self.inference}, timestep {self.timestep}, neuron {neuron}: your "
-            f"framework {self.expected:g}, our float {self.found:g}"
-        )
 
 
 @dataclass(frozen=True)
@@ -138,20 +99,20 @@ def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgre
     inputs, outputs, unread = _read(recorded, artifact)
     said = artifact.convention.describe()
     spikes = int(np.count_nonzero(outputs))
-    first = _difference(artifact, inputs, outputs)
+    first = difference(artifact, inputs, outputs)
     if first is None:
         return RecordedAgreement(said, outputs.size, spikes, unread=unread)
-    cause, nearest = _cause(path, given, artifact, inputs, outputs, first)
+    cause, nearest = likeliest_cause(path, given, artifact, inputs, outputs, first)
     return RecordedAgreement(said, outputs.size, spikes, first, cause, nearest, unread)
 
 
-def _equal_from(path: Path, given: "Changes", recorded: Path) -> str:
+def _equal_from(path: Path, given: Changes, recorded: Path) -> str:
     """A sentence on the tool with whose meaning the file equals the recording, if there is one."""
     for tool in () if {"like", "written_by"} & given.keys() else WRITERS:
-        artifact = _read_with(path, given, {"written_by": tool})
+        artifact = read_with(path, given, {"written_by": tool})
         if artifact is not None:
             inputs, outputs, _ = _read(recorded, artifact)
-            if _difference(artifact, inputs, outputs) is None:
+            if difference(artifact, inputs, outputs) is None:
                 return f" With --from {tool} your framework = our float: equal."
     return ""
 
@@ -203,105 +164,3 @@ def _batch(where: str, rows: Raster, port: Port) -> Raster:
             f"its first axis is time, give (T, {shape})."
         )
     return wanted
-
-
-def _difference(
-    artifact: Artifact,
-    inputs: Raster,
-    outputs: Raster,
-    dtype: type[np.floating[Any]] = np.float64,
-) -> RecordedDifference | None:
-    """The first difference in time."""
-    found = FloatGraph(artifact, dtype).run(inputs)["output"]
-    apart = _apart(found, outputs)
-    if not apart.any():
-        return None
-    places = np.argwhere(apart)
-    first = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
-    place = tuple(int(n) for n in first)
-    return RecordedDifference(
-        place[0],
-        place[1],
-        place[2:],
-        float(outputs[place]),
-        float(found[place]),
-        int(apart.sum()),
-    )
-
-
-def _apart(found: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
-    whole = all(np.array_equal(rows, np.rint(rows)) for rows in (found, wanted))
-    tolerance = 0.0 if whole else _TOLERANCE * float(np.abs(wanted).max())
-    return np.asarray(np.abs(found - wanted.astype(np.float64)) > tolerance)
-
-
-Changes = dict[str, Any]
-
-
-def _cause(
-    path: Path,
-    given: Changes,
-    artifact: Artifact,
-    inputs: Raster,
-    outputs: Raster,
-    first: RecordedDifference,
-) -> tuple[tuple[str, ...], tuple[str, int] | None]:
-    """The options that make both equal; or else the nearest one, and how many outputs differ."""
-    counts: dict[str, int] = {}
-    singles = list(_singles(given, artifact))
-    for changes in singles:
-        if (other := _read_with(path, given, changes)) is None:
-            continue
-        found = _difference(other, inputs, outputs)
-        if found is None:
-            return _words(changes), None
-        counts[_words(changes)[0]] = found.count
-    if _difference(artifact, inputs, outputs, np.float32) is None:
-        return ("rounding to float32",), None
-    # most pairs fail at the timestep of the first difference already
-    upto = first.timestep + 1
-    for one, two in combinations(singles, 2):
-        if one.keys() & two.keys() or (other := _read_with(path, given, one | two)) is None:
-            continue
-        if _difference(other, inputs[:, :upto], outputs[:, :upto]) is None and (
-            _difference(other, inputs, outputs) is None
-        ):
-            return _words(one | two), None
-    nearest = min(counts, key=lambda words: counts[words], default=None)
-    better = nearest is not None and counts[nearest] < first.count
-    return (), (nearest, counts[nearest]) if nearest is not None and better else None
-
-
-def _singles(given: Changes, artifact: Artifact) -> Iterator[Changes]:
-    """Every other choice of every option, one at a time."""
-    for option, choices in _CHOICES.items():
-        if option == "written_by" and {"like", "written_by"} & given.keys():
-            continue
-        now = given.get(option, getattr(artifact.convention, option, None))
-        yield from ({option: choice} for choice in choices if choice != now)
-
-
-def _read_with(path: Path, given: Changes, changes: Changes) -> Artifact | None:
-    """The file read with other options; None where they contradict it, or one another."""
-    try:
-        return load(path, **{**given, **changes})
-    except SpikedeployError:
-        pass
-    # what no option of the tool says can still be to blame; dt and gains go together
-    late = {name: value for name, value in changes.items() if name not in ("dt", "written_by")}
-    early = {name: value for name, value in changes.items() if name not in late}
-    try:
-        read = load(path, **{**given, **early})
-        return replace(read, convention=read.convention.with_options(late)) if late else None
-    except SpikedeployError:
-        return None
-
-
-def _words(changes: Changes) -> tuple[str, ...]:
-    """Options as they are typed."""
-    return tuple(
-        f"--{_OPTIONS.get(name, name)} {value:g}"
-        if isinstance(value, float)
-        else f"--{_OPTIONS.get(name, name)} {value}"
-        for name, value in changes.items()
-    )
