@@ -22,3 +22,13 @@ def command(monkeypatch, capsys):
         return stop.value.code or 0, out, err
 
     return call
+
+
+@pytest.fixture
+def stroll(monkeypatch, tmp_path):
+    """The folder that commands run in; the zoo beside it has the policies of a toy walker."""
+    from tests import toy_stroll_env
+
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -107,6 +107,14 @@ def line_up(
     return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
 
 
+def alone(candidate: Candidate, chip: str | None) -> list[Entry]:
+    """A policy without rivals: one that spikes as its float twin and on the chip."""
+    if candidate.kind != "snn":
+        return [Entry(candidate)]
+    twin = Entry(candidate, FLOAT)
+    return [twin, Entry(candidate, chip, twin)]
+
+
 def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
     return [candidate for candidate in candidates if candidate.kind == kind]
 

@@ -6,10 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.comparison.lineup import Entry
+from spikedeploy.comparison.lineup import alone
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, write_text
-from spikedeploy.policies.interface import FLOAT
 from spikedeploy.policies.registry import find
 from spikedeploy.seeds import EVALUATION
 
@@ -20,12 +19,7 @@ def evaluate(
     env: str, options: Mapping[str, Any], policy: str, episodes: int, chip: str | None
 ) -> Rows:
     """Rows of a report: the policy; if it spikes, its float twin and the chip."""
-    candidate = find(policy)
-    entries = [Entry(candidate)]
-    if candidate.kind == "snn":
-        twin = Entry(candidate, FLOAT)
-        entries = [twin, Entry(candidate, chip, twin)]
-    seeds = range(EVALUATION, EVALUATION + episodes)
+    entries, seeds = alone(find(policy), chip), range(EVALUATION, EVALUATION + episodes)
     return compare_policies(env, entries, seeds, processes=1, options=options).as_json()
 
 

@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.lineup import Entry
+from spikedeploy.comparison.lineup import alone
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import say
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.policies import run_record
-from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
+from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.policies.registry import find
 from spikedeploy.reports.columns import markdown as tables_of
 from spikedeploy.reports.curves import curve
@@ -219,11 +219,8 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
 
 def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) -> dict[str, Any]:
     """Rows of the policy: in float, and if it spikes on its training's chip, or the default."""
-    settings, candidate = run_record.settings(source), find(str(path))
-    entries = [Entry(candidate)]
-    if candidate.kind == "snn":
-        twin = Entry(candidate, FLOAT)
-        entries = [twin, Entry(candidate, settings.get("chip", DEFAULT_CHIP), twin)]
+    settings = run_record.settings(source)
+    entries = alone(find(str(path)), settings.get("chip", DEFAULT_CHIP))
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()

@@ -10,19 +10,11 @@ from spikedeploy.emulation.open_loop import emulate_file
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ArtifactError, ChipError, ConfigError, RuleError
-from tests import toy_stroll_env
 from tests.paths import ROOT
 from tests.project.test_import_rules import loaded_by
 
 NET = ROOT / "examples/net.nir"
 RASTER = ROOT / "examples/raster.npy"
-
-
-@pytest.fixture
-def stroll(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture

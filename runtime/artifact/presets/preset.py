@@ -57,15 +57,18 @@ class Preset:
 
 def preset(name: str) -> Preset:
     """The preset called `name`; ConventionError where there is none."""
-    if name not in PRESETS:
-        near = difflib.get_close_matches(name, PRESETS, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConventionError(
-            f"there is no preset {name!r}.{hint} Choose one of {', '.join(PRESETS)}."
-        )
-    module, attribute = PRESETS[name].split(":")
-    found: Preset = getattr(import_module(module), attribute)
+    found: Preset = tool_of(PRESETS, name, f"there is no preset {name!r}")
     return found
+
+
+def tool_of(table: Mapping[str, str], name: str, refusal: str) -> Any:  # noqa: ANN401
+    """What a table of "module:name" has for a tool; ConventionError where it has nothing."""
+    if name not in table:
+        near = difflib.get_close_matches(name, table, n=1)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ConventionError(f"{refusal}.{hint} Choose one of {', '.join(table)}.")
+    module, attribute = table[name].split(":")
+    return getattr(import_module(module), attribute)
 
 
 def read_like(
@@ -83,7 +86,7 @@ def read_like(
             f"{option} away, or read the file without the preset."
         )
     nodes = dict(graph.nodes)
-    _check_kinds(tool, nodes)
+    check_kinds(nodes, tool.kinds, f"{tool.tool} reads", "Read the file without the preset.")
     convention = tool.convention(nodes, options.pop("dt", None)).with_options(options)
     edges = set(graph.edges)
     tool.translate(nodes, edges, convention)
@@ -169,11 +172,16 @@ def with_batch_axis(node: nir.Flatten) -> nir.NIRNode:
     return with_parameters(node, start_dim=max(start - 1, 0), end_dim=end - 1 if end > 0 else end)
 
 
-def _check_kinds(tool: Preset, nodes: Nodes) -> None:
+def check_kinds(
+    nodes: Nodes, known: tuple[type[nir.NIRNode], ...], handles: str, remedy: str
+) -> None:
+    """Refuse primitives, besides Input and Output, that a tool does not know.
+
+    handles: whose they are, such as "Norse reads".
+    """
     for name, node in sorted(nodes.items()):
-        if not isinstance(node, (nir.Input, nir.Output, *tool.kinds)):
-            kinds = ", ".join(kind.__name__ for kind in tool.kinds)
+        if not isinstance(node, (nir.Input, nir.Output, *known)):
+            kinds = ", ".join(kind.__name__ for kind in known)
             raise ConventionError(
-                f"node {name!r}: {tool.tool} reads no {type(node).__name__}, only {kinds}. Read "
-                "the file without the preset."
+                f"node {name!r}: {handles} no {type(node).__name__}, only {kinds}. {remedy}"
             )

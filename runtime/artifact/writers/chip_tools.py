@@ -8,6 +8,7 @@ from typing import Any
 import nir
 import numpy as np
 
+from spikedeploy.runtime.artifact.presets import synsense
 from spikedeploy.runtime.artifact.presets.preset import (
     Nodes,
     Values,
@@ -20,6 +21,7 @@ from spikedeploy.runtime.artifact.writers.writer import (
     Writer,
     from_gains,
     must,
+    not_contradicted,
     tau_over_r,
 )
 from spikedeploy.runtime.convention import Convention
@@ -40,11 +42,7 @@ def _stated(nodes: Nodes, given: float | None, tool: str, found: float | None) -
             f"{tool} writes its dt into the gains of CubaLIF nodes, and there are none. Name the "
             "tool that wrote the file, or read it without --from."
         )
-    if given is not None and not np.isclose(given, found, rtol=1e-3):
-        raise ConventionError(
-            f"dt = {given:g} s: the gains of the file say {found:g} s. Leave dt away."
-        )
-    return found, ""
+    return not_contradicted(given, found), ""
 
 
 def _translate_lava(nodes: Nodes, convention: Convention) -> Convention:
@@ -85,7 +83,7 @@ LAVA = Writer(
 )
 
 
-_ROCKPOOL_TOOL = "Rockpool 3.1.0"
+_ROCKPOOL_TOOL = synsense.ROCKPOOL.tool
 
 
 def _says_dt(node: nir.NIRNode) -> Any:  # noqa: ANN401
@@ -133,7 +131,7 @@ ROCKPOOL = Writer(
 )
 
 
-_SINABS_TOOL = "sinabs 3.1.3"
+_SINABS_TOOL = synsense.SINABS.tool
 
 
 def _timestep_sinabs(nodes: Nodes, given: float | None) -> tuple[float, str]:

@@ -6,6 +6,7 @@ from typing import Any
 import nir
 import numpy as np
 
+from spikedeploy.runtime.artifact.presets import torch_tools as importers
 from spikedeploy.runtime.artifact.presets.preset import (
     Nodes,
     Values,
@@ -19,24 +20,25 @@ from spikedeploy.runtime.artifact.writers.writer import (
     Writer,
     from_gains,
     must,
+    not_contradicted,
     tau_over_r,
 )
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError
 
-_SNNTORCH_TOOL = "snnTorch 1.0.0"
+_SNNTORCH_TOOL = importers.SNNTORCH.tool
 
 
 def _timestep_snntorch(nodes: Nodes, given: float | None) -> tuple[float, str]:
     """Its neurons have decay factors and no dt; its export writes r = tau/dt with 1e-4."""
     found = from_gains(nodes, _SNNTORCH_TOOL, tau_over_r)
-    if given is not None and found is not None and not np.isclose(given, found, rtol=1e-3):
-        raise ConventionError(
-            f"dt = {given:g} s: the gains of the file say {found:g} s, which {_SNNTORCH_TOOL} "
-            "writes whatever its network was trained with; its decays count timesteps. Leave dt "
-            "away."
-        )
-    return found or given or 1e-4, ""
+    if found is None:
+        return given or 1e-4, ""
+    why = (
+        f", which {_SNNTORCH_TOOL} writes whatever its network was trained with; its decays count "
+        "timesteps"
+    )
+    return not_contradicted(given, found, why), ""
 
 
 def _translate_snntorch(nodes: Nodes, convention: Convention) -> Convention:
@@ -90,7 +92,7 @@ SNNTORCH = Writer(
 )
 
 
-_NORSE_TOOL = "Norse 1.1.0"
+_NORSE_TOOL = importers.NORSE.tool
 
 
 def _timestep_norse(nodes: Nodes, given: float | None) -> tuple[float, str]:
@@ -138,7 +140,7 @@ NORSE = Writer(
 )
 
 
-_SPIKINGJELLY_TOOL = "SpikingJelly 2.0.0"
+_SPIKINGJELLY_TOOL = importers.SPIKINGJELLY.tool
 
 
 def _says_dt(node: nir.NIRNode) -> Any:  # noqa: ANN401
@@ -154,11 +156,7 @@ def _timestep_spikingjelly(nodes: Nodes, given: float | None) -> tuple[float, st
     if found is None:
         words = "dt = 0.0001 s of export_to_nir, its default (--dt if yours was another)"
         return (1e-4, words) if given is None else (given, "")
-    if given is not None and not np.isclose(given, found, rtol=1e-3):
-        raise ConventionError(
-            f"dt = {given:g} s: the gains of the file say {found:g} s. Leave dt away."
-        )
-    return found, ""
+    return not_contradicted(given, found), ""
 
 
 def _translate_spikingjelly(nodes: Nodes, convention: Convention) -> Convention:

@@ -1,15 +1,13 @@
 """Writers: what other tools mean by the files that they write."""
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import nir
 import numpy as np
 
-from spikedeploy.runtime.artifact.presets.preset import Nodes, float64
+from spikedeploy.runtime.artifact.presets.preset import Nodes, check_kinds, float64, tool_of
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError
 from spikedeploy.runtime.graph.neurons import CURRENT_BASED
@@ -61,14 +59,7 @@ class Writer:
 
 def writer(name: str) -> Writer:
     """The writer called `name`; ConventionError where there is none."""
-    if name not in WRITERS:
-        near = difflib.get_close_matches(name, WRITERS, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConventionError(
-            f"no tool {name!r} is known that writes NIR.{hint} Choose one of {', '.join(WRITERS)}."
-        )
-    module, attribute = WRITERS[name].split(":")
-    found: Writer = getattr(import_module(module), attribute)
+    found: Writer = tool_of(WRITERS, name, f"no tool {name!r} is known that writes NIR")
     return found
 
 
@@ -83,7 +74,8 @@ def read_as_written(
     tool, options = writer(name), dict(given or {})
     _check_options(tool, options)
     nodes = dict(graph.nodes)
-    _check_kinds(tool, nodes)
+    remedy = "Name the tool that wrote the file, or read it without --from."
+    check_kinds(nodes, tool.kinds, f"{tool.tool} writes", remedy)
     dt, assumed = tool.timestep(nodes, options.pop("dt", None))
     said = [assumed] if assumed else []
     said += [each.words for option, each in tool.open.items() if option not in options]
@@ -121,16 +113,6 @@ def _check_options(tool: Writer, options: Mapping[str, Any]) -> None:
             )
 
 
-def _check_kinds(tool: Writer, nodes: Nodes) -> None:
-    for name, node in sorted(nodes.items()):
-        if not isinstance(node, (nir.Input, nir.Output, *tool.kinds)):
-            kinds = ", ".join(kind.__name__ for kind in tool.kinds)
-            raise ConventionError(
-                f"node {name!r}: {tool.tool} writes no {type(node).__name__}, only {kinds}. Name "
-                "the tool that wrote the file, or read it without --from."
-            )
-
-
 def must(condition: object, name: str, tool: str, what: str) -> None:
     """Raise ConventionError for the node `name` where the tool would not have written it."""
     if not np.all(np.asarray(condition)):
@@ -165,6 +147,18 @@ def from_gains(
         )
     short = float(f"{middle:.4g}")
     return short if abs(short / middle - 1) <= tolerance else middle
+
+
+def not_contradicted(given: float | None, found: float, why: str = "") -> float:
+    """The dt [s] that the gains say; ConventionError where another is given.
+
+    why: it stands in the file and cannot be another.
+    """
+    if given is not None and not np.isclose(given, found, rtol=1e-3):
+        raise ConventionError(
+            f"dt = {given:g} s: the gains of the file say {found:g} s{why}. Leave dt away."
+        )
+    return found
 
 
 def tau_over_r(node: nir.NIRNode) -> Any:  # noqa: ANN401

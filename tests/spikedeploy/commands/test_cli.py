@@ -22,13 +22,6 @@ from tests.paths import GOLDEN
 VERBS = [verb for verbs in cli.COMMANDS.values() for verb in verbs]
 
 
-@pytest.fixture
-def stroll(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_command_explains_itself(verb, command):
     code, out, _ = command(verb, "--help")

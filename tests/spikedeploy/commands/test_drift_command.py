@@ -22,13 +22,6 @@ from tests.runtime.families.test_headroom import crowd
 
 
 @pytest.fixture
-def stroll(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def raster(tmp_path):
     spikes = (np.random.default_rng(0).random((200, 30)) < 0.3).astype(np.uint8)
     np.save(tmp_path / "raster.npy", spikes)

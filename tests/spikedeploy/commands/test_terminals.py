@@ -188,13 +188,6 @@ def test_sparse_recipes_show_their_budget(command):
     assert row.rstrip().endswith("70 MACs")
 
 
-@pytest.fixture
-def stroll(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def test_export_takes_the_format_from_the_file_or_the_policy(command, stroll):
     spiking = toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
     words = ("export", spiking, "--observations", 30)
