@@ -26,6 +26,7 @@ from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import differences
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.phases import LEVEL
 from spikedeploy.trainers.sparse_ppo.start import find_start
 from spikedeploy.trainers.train import algorithm
 from spikedeploy.trainers.versions import versions
@@ -90,7 +91,7 @@ def _command(record: Mapping[str, Any]) -> str:
 
 def _checkpoint(name: str) -> str:
     """What a checkpoint is of, where its name does not say it."""
-    operations = name.removeprefix("ops-")
+    operations = name.removeprefix(LEVEL)
     if operations == name:
         return name
     return f"{name}, the best of those pruned to {float(operations):g} operations a control step"

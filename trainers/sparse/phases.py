@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from spikedeploy.trainers.sparse.config import SparseConfig
 
+LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
+
 
 @dataclass(frozen=True)
 class Phase:

@@ -26,7 +26,7 @@ from spikedeploy.trainers.sparse.collect import Episodes, Stateless
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.learner import SparseLearner
 from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
-from spikedeploy.trainers.sparse.phases import phases
+from spikedeploy.trainers.sparse.phases import LEVEL, phases
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, save_walks
 from spikedeploy.trainers.sparse.pool_files import collected, pool_file, walks_of
 from spikedeploy.trainers.sparse.pruning import operations
@@ -231,7 +231,7 @@ class Sparse(Runner[SparseConfig]):
         if phase.last is None or phase.prunes(self.updates):
             return {}
         row = self._evaluate()
-        name = f"ops-{phase.last:g}"
+        name = f"{LEVEL}{phase.last:g}"
         if row["eval_return"] >= self._best_of(name):
             self._run.save(name, self._deployed(), {**self._counters(), **row})
         if phase.last == self._config.budget and row["eval_return"] >= self.best:

@@ -10,9 +10,8 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import DeltaMlpPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.phases import LEVEL
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
-
-LEVEL = "ops-"  # names of the checkpoints of the levels of pruning
 
 
 def find_start(start: str, runs: Path) -> RunFolder:

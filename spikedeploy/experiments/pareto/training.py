@@ -14,9 +14,8 @@ from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.resolve import differences, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.phases import phases
+from spikedeploy.trainers.sparse.phases import LEVEL, phases
 
-_LEVEL = "ops-"  # names of the checkpoints of every level of pruning
 _OWN = ("pool", "teacher_walks", "noisy_walks")  # settings that a rival takes from the experiment
 
 
@@ -81,7 +80,7 @@ class Training:
     @property
     def levels(self) -> list[str]:
         """Names of the checkpoints of all levels of pruning, most operations first."""
-        found = self.run.glob(f"checkpoints/{_LEVEL}*.safetensors") if self.run else ()
+        found = self.run.glob(f"checkpoints/{LEVEL}*.safetensors") if self.run else ()
         return sorted((path.stem for path in found), key=operations_of, reverse=True)
 
     def operations_of(self, level: str) -> float:
@@ -129,7 +128,7 @@ def changed(made: RunConfig, planned: RunConfig, own: tuple[str, ...]) -> list[s
 
 def operations_of(level: str) -> float:
     """Operations that a level of pruning aims at, from its checkpoint's name."""
-    return float(level.removeprefix(_LEVEL))
+    return float(level.removeprefix(LEVEL))
 
 
 def finished(run: Path) -> bool:

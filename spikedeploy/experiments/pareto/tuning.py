@@ -120,8 +120,7 @@ class RewardTraining:
 
     def planned(self, more: Sequence[str]) -> SparsePpoConfig:
         """The configuration of a new run, with more settings."""
-        settings = [*self.overrides, *more]
-        settings += [] if self.level == BEST else [f"start_checkpoint={self.level}"]
+        settings = [*self.overrides, *self._at_level, *more]
         return resolve(SparsePpoConfig, self.recipe, overrides=settings, seed=self.seed)
 
     def beginning(self) -> list[str]:
@@ -132,8 +131,11 @@ class RewardTraining:
                 f"{self.name} goes on from {self.start.name}, which is not trained yet. "
                 f"Run the experiment without --only, or with --only {self.start.name} first."
             )
-        level = [] if self.level == BEST else [f"start_checkpoint={self.level}"]
-        return [f"start={json.dumps(str(run))}", *level]
+        return [f"start={json.dumps(str(run))}", *self._at_level]
+
+    @property
+    def _at_level(self) -> list[str]:
+        return [] if self.level == BEST else [f"start_checkpoint={self.level}"]
 
     def arguments(self) -> dict[str, Any]:
         """The fields as arguments of `perform`."""

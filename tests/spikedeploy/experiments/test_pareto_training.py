@@ -143,6 +143,30 @@ def test_runs_with_reward_are_told_apart_by_the_runs_that_they_began_at(asked, r
     assert calls[0][1]["resume"] == theirs
 
 
+def test_reward_from_an_earlier_level_of_pruning_is_a_training_of_its_own(asked, calls):
+    run = leave(asked, whole(asked))
+    plain = tuned(asked)
+    early = RewardTraining(plain.recipe, plain.start, plain.overrides, "ops-45")
+    assert early.name == "kart-grid-tuned-sparse-ops-45-s1"
+    assert early.operations_of("best") == 45
+    mine = leave_tuned(plain, run.name, 5)
+    assert (plain.run, early.run) == (mine, None)
+    assert tuning.perform(**json.loads(json.dumps(early.arguments()))) is False
+    assert calls[0][1]["overrides"] == [
+        "iterations=5", f'start="{run}"', "start_checkpoint=ops-45"
+    ]  # fmt: skip
+    theirs = leave_tuned(early, run.name, 5)
+    assert (plain.run, early.run) == (mine, theirs)
+    assert early.trained
+    assert early.changed_settings == []
+
+
+def test_the_command_tasks_rival_goes_on_from_300_operations_too(tmp_path):
+    names = [each.name for each in ParetoDesign("hexapod-command", 1, str(tmp_path)).tunings()]
+    rivals = [name for name in names if "small-mlp" in name]
+    assert rivals == [f"hexapod-command-tuned-small-mlp{x}-s0" for x in ("", "-ops-300")]
+
+
 def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
     settings = ("walks=7", "tuned.iterations=9", "env.options.laps=2")
     design = ParetoDesign("kart-grid", 1, str(tmp_path), settings)
