@@ -35,6 +35,12 @@ def reproduce(
             help="Environment of your own that a record names, whose code may be run.",
         ),
     ] = None,
+    update: Annotated[
+        bool,
+        typer.Option(
+            "--update", help="Write the numbers found into cards, where all returns are equal."
+        ),
+    ] = False,
     workers: Workers = None,
     json: Json = False,
 ) -> None:
@@ -51,7 +57,7 @@ def reproduce(
         again.check_episodes(evaluation, episodes or 1)
     found = []
     for evaluation in evaluations:
-        found.append(again.reproduce(evaluation, episodes, workers))
+        found.append(again.reproduce(evaluation, episodes, workers, update))
         if not json:
             typer.echo("\n".join(_lines(found[-1])))
     if json:

@@ -4,7 +4,7 @@ import json
 import re
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -225,11 +225,27 @@ def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) 
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
+    return _evaluated(path.name, seeds, rows)
+
+
+def _evaluated(file: str, seeds: range, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The fields of a card that an evaluation fills."""
     return {
         "seeds": {"first": seeds[0], "count": len(seeds)},
         "evaluated_with": versions(),
-        "evaluation": [{**row, "file": path.name} for row in rows],
+        "evaluation": [{**row, "file": file} for row in rows],
     }
+
+
+def write_evaluation(card: Path, seeds: range, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows of a new evaluation into a card, its data and its page."""
+    record = json.loads(card.read_text(encoding="utf-8"))
+    kept = {key: value for key, value in record.items() if key not in ("file", "sha256")}
+    file = record["file"]
+    identity = {"file": file, "sha256": zoo.sha256(card.parent / file)}
+    record = identity | kept | _evaluated(file, seeds, rows)
+    write_text(card, as_text(record))
+    write_text(card.with_suffix(".md"), markdown(card.stem, record))
 
 
 def _copied(source: Path, target: Path) -> Path:

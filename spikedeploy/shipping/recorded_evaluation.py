@@ -51,6 +51,7 @@ class RecordedEvaluation:
     entries       policy and chip of each row
     versions      package -> version that it was made with, None for one that was not installed
     not_recorded  what it lacks, in words
+    card          of the policy; None of a report
     """
 
     name: str
@@ -61,6 +62,7 @@ class RecordedEvaluation:
     entries: Sequence[Entry]
     versions: Mapping[str, str | None]
     not_recorded: Sequence[str]
+    card: Path | None = None
 
 
 def recorded(reference: str, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
@@ -123,6 +125,7 @@ def _of_card(name: str, path: Path) -> RecordedEvaluation:
         entries=_entries(rows, settings, lambda _: str(file)),
         versions=card.get("evaluated_with") or card.get("versions", {}),
         not_recorded=lacks,
+        card=path,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.publish_run import write_evaluation
 from spikedeploy.shipping.recorded_evaluation import RecordedEvaluation, Row
 from spikedeploy.trainers.versions import versions
 
@@ -95,15 +96,21 @@ class Reproduction:
 
 
 def reproduce(
-    recorded: RecordedEvaluation, episodes: int | None = None, processes: int | None = None
+    recorded: RecordedEvaluation,
+    episodes: int | None = None,
+    processes: int | None = None,
+    update: bool = False,
 ) -> Reproduction:
     """Play an evaluation again and compare it with the record.
 
     episodes   the first of its seeds; by default all
     processes  one for each core by default
+    update     write what was found into the card, where every return is as recorded
     """
     count = len(recorded.seeds) if episodes is None else episodes
     check_episodes(recorded, count)
+    if update:
+        _check_update(recorded, count)
     started = monotonic()
     played = compare_policies(
         recorded.env,
@@ -119,6 +126,8 @@ def reproduce(
     labels = [entry.label for entry in recorded.entries]
     checked = list(_checked(labels, expected, found, recorded.seeds))
     verdict, first, differing = _judged(checked)
+    if update:
+        _update(recorded, found, checked)
     return Reproduction(
         name=recorded.name,
         episodes=count,
@@ -133,6 +142,32 @@ def reproduce(
         versions=_versions(recorded.versions),
         seconds=round(monotonic() - started, 1),
     )
+
+
+def _check_update(recorded: RecordedEvaluation, count: int) -> None:
+    """Refuse to update what is no card, or some of its episodes."""
+    if recorded.card is None:
+        raise ConfigError(
+            f"{recorded.name} is a report: --update is of cards; run its command again instead"
+        )
+    if count < len(recorded.seeds):
+        raise ConfigError("--update needs all episodes: leave --episodes out")
+
+
+def _update(
+    recorded: RecordedEvaluation,
+    found: Sequence[Row],
+    checked: Sequence[tuple[str, NumberThatDiffers]],
+) -> None:
+    """Write the rows into the card, unless a return differs: then the policy acts otherwise."""
+    for verdict, pair in checked:
+        if verdict == DIFFERS and pair.field == _RETURNS:
+            raise ConfigError(
+                f"{recorded.name}: {pair.describe()}. The card is kept: --update is for numbers "
+                "that are counted otherwise than before, not for other returns."
+            )
+    if recorded.card is not None:
+        write_evaluation(recorded.card, recorded.seeds, found)
 
 
 def check_episodes(recorded: RecordedEvaluation, count: int) -> None:

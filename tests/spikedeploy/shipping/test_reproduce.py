@@ -13,6 +13,7 @@ from spikedeploy.shipping.recorded_evaluation import recorded
 from spikedeploy.shipping.reproduce import CLOSE, DIFFERS, EQUAL, reproduce
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from tests import toy_stroll_env
+from tests.paths import ROOT
 
 EPISODES = 3
 
@@ -53,6 +54,35 @@ def test_a_published_card_is_reproduced_in_every_number(card):
     assert not found.not_compared
     assert not found.not_recorded
     assert found.versions["numpy"][0] == found.versions["numpy"][1]
+
+
+def test_an_update_writes_numbers_that_are_counted_otherwise_now(card):
+    whole = json.loads(card.read_text())
+    change(card, "evaluation", 1, "macs_dense", to=lambda macs: macs + 1)
+    document = change(card, "evaluation", 0, "return_iqm", to=lambda mean: mean + 1)
+    del document["sha256"]
+    card.write_text(json.dumps(document))
+    assert reproduce(recorded(str(card), settings), processes=1, update=True).differing == 2
+    assert json.loads(card.read_text()) == whole
+    assert list(json.loads(card.read_text()))[:2] == ["file", "sha256"]
+    assert "## Evaluation" in card.with_suffix(".md").read_text()
+    assert again(card).verdict == EQUAL
+
+
+def test_an_update_keeps_the_card_of_a_policy_that_acts_otherwise(card):
+    change(card, "evaluation", 0, "returns", 1, to=lambda total: total + 1)
+    before = card.read_text()
+    with pytest.raises(ConfigError, match=r"seed 10001, returns: .* The card is kept"):
+        reproduce(recorded(str(card), settings), processes=1, update=True)
+    assert card.read_text() == before
+
+
+def test_an_update_is_of_whole_cards(card):
+    with pytest.raises(ConfigError, match="all episodes"):
+        reproduce(recorded(str(card), settings), 1, processes=1, update=True)
+    reports = ROOT / "results/kart-steer"
+    with pytest.raises(ConfigError, match="--update is of cards"):
+        reproduce(recorded(str(reports), settings), update=True)
 
 
 def test_its_policy_file_names_the_same_card(card):
