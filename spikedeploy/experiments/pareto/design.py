@@ -29,9 +29,11 @@ LABELS = {
 }
 # shipped policies beside the teacher, where that is another one
 REFERENCES = {"hexapod-command": "hexapod-command/sac"}
-# earlier levels of pruning from which rivals go on with reward too: at their budgets they are below
-# the spiking networks
-EARLIER = {("hexapod-command", "small-mlp"): ("ops-300",)}
+# earlier levels of pruning from which float rivals go on with reward too: where they are strong
+EARLIER = {
+    ("hexapod", "small-mlp"): ("ops-130",),
+    ("hexapod-command", "small-mlp"): ("ops-300",),
+}
 _CHIPS = ("ideal", "loihi2", "xylo-a3")  # beside loihi1, on which all levels are evaluated
 _GRADED_CHIP = "loihi2"  # graded spikes run on it and on ideal
 _BITS = (6, 5, 4, 3, 2)
