@@ -15,11 +15,15 @@ from spikedeploy.trainers.config import (
 
 
 class SacConfig(RunConfig):
-    """Soft actor-critic with a scheduled, not learned, temperature (Haarnoja et al. 2018).
+    """Soft actor-critic with a scheduled or a learned temperature (Haarnoja et al. 2018).
 
     steps: environment steps in total; 500 episodes of 1,000
     warm_up: steps with uniform random actions before the first update
     update_every: environment steps per gradient update
+    temperature: weight of the entropy, along environment steps
+    learn_temperature: begin with `temperature.start` and learn it instead, so that the mean entropy
+        of the actor is minus one nat for each action (Haarnoja et al. 2018, "Algorithms and
+        Applications", section 5): it follows the size of the rewards
     epsilon: added inside the logarithm of the tanh correction
     averaging: weight of the newest parameters in the averaged policy, which is validated and
         saved; 1 saves the actor's own
@@ -44,6 +48,7 @@ class SacConfig(RunConfig):
     gamma: Share = 0.99
     tau: Share = 0.005
     temperature: Ramp = Ramp(start=0.05, end=0.02, begin=50_000, finish=180_000)
+    learn_temperature: bool = False
     epsilon: Rate = 1e-6
     averaging: Share = 1e-4
     mean_penalty: float = Field(default=0.05, ge=0)
@@ -55,6 +60,15 @@ class SacConfig(RunConfig):
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     log_every: Positive = 1_000
     checkpoint_every: Positive = 25_000
+
+    @model_validator(mode="after")
+    def _begins_above_zero(self) -> "SacConfig":
+        if self.learn_temperature and self.temperature.start <= 0:
+            raise ValueError(
+                f"temperature.start: {self.temperature.start:g} cannot be learned from, as its "
+                "logarithm is: begin above 0, or set learn_temperature=false"
+            )
+        return self
 
     @model_validator(mode="after")
     def _observes_everything(self) -> "SacConfig":

@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics import read
@@ -10,8 +11,8 @@ from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sac.learner import GaussianActor, SacLearner
 from spikedeploy.trainers.sac.replay import ReplayBatch
-from spikedeploy.trainers.sac.sac import GaussianActor, SacLearner
 from spikedeploy.trainers.train import train
 from spikedeploy.trainers.validation import Validator
 from tests.toy_pointing_env import QUICK, PointingEnv
@@ -170,3 +171,30 @@ def test_learning_moves_the_actor_and_leaves_the_saved_policy_to_the_average():
     sac.update(random_batch(), temperature=0.05)
     torch.testing.assert_close(sac.policy.layers[0].weight, before, rtol=0, atol=0)
     assert not torch.equal(sac.actor.policy.layers[0].weight, before)
+
+
+@pytest.mark.parametrize(("spread", "falls"), [(0.0, True), (-6.0, False)])
+def test_a_learned_temperature_moves_the_entropy_towards_minus_one_nat_an_action(spread, falls):
+    sac = learner("learn_temperature=true", "learning_rate=0.001")
+    torch.nn.init.constant_(sac.actor.log_std.bias, spread)
+    before = sac.temperature.value
+    entropy = sac.update(random_batch(), before)["entropy"]
+    assert (entropy > -2.0) == falls
+    assert (sac.temperature.value < before) == falls
+
+
+def test_a_learned_temperature_is_part_of_a_checkpoint():
+    first, second = (learner("learn_temperature=true") for _ in range(2))
+    for _ in range(3):
+        first.update(random_batch(), first.temperature.value)
+    named = first.tensors() | {f"policy.{k}": v for k, v in first.policy.state_dict().items()}
+    second.load(named)
+    for sac in (first, second):
+        torch.manual_seed(3)
+        sac.update(random_batch(), sac.temperature.value)
+    assert first.temperature.value == second.temperature.value != 0.05
+
+
+def test_a_temperature_of_zero_cannot_be_learned():
+    with pytest.raises(ConfigError, match="begin above 0"):
+        learner("learn_temperature=true", "temperature.start=0")
