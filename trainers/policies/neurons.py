@@ -98,9 +98,9 @@ class _CubaLif(torch.autograd.Function):
         gradient: _Surrogate,
     ) -> Tensor:
         state = torch.float32 if drive.dtype in _LOW_PRECISION else drive.dtype
-        membrane = torch.empty(drive.shape, dtype=state)  # before the reset, of every timestep
-        current = torch.zeros(drive.shape[1:], dtype=state)
-        previous = torch.zeros(drive.shape[1:], dtype=state)  # membrane after the reset
+        membrane = drive.new_empty(drive.shape, dtype=state)  # before the reset, of every timestep
+        current = drive.new_zeros(drive.shape[1:], dtype=state)
+        previous = drive.new_zeros(drive.shape[1:], dtype=state)  # membrane after the reset
         for x, v in zip(drive.to(state), membrane, strict=True):
             # I = alpha I + x ; V = beta V + I ; s = V > threshold ; V = (1 - s) V
             current.mul_(alpha).add_(x)
@@ -148,7 +148,7 @@ class _IntegrateAndFire(torch.autograd.Function):
         threshold: float,
         timesteps: int,
     ) -> Tensor:
-        spikes = torch.empty((timesteps, *drive.shape), dtype=drive.dtype)
+        spikes = drive.new_empty((timesteps, *drive.shape))
         membrane = torch.zeros_like(drive)
         for t in range(timesteps):
             # v = v + A ; s = v > threshold ; v = v - threshold s

@@ -35,6 +35,8 @@ class SacConfig(RunConfig):
         metrics and the choice of the best checkpoint stay with the environment's own reward
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
+    device: where gradients are computed; environments and validation stay on the CPU. "cuda" is
+        worth it from layers of 256 on, and does not give the same bits twice
     support_force: fraction of the full upward force on the robot, along environment steps
     """
 
@@ -58,6 +60,7 @@ class SacConfig(RunConfig):
     rate_target: Share = 0.13
     support_force: Ramp = Ramp(start=1.0, end=0.0, finish=150_000)
     precision: Literal["float32", "bfloat16"] = "bfloat16"
+    device: Literal["cpu", "cuda"] = "cpu"
     log_every: Positive = 1_000
     checkpoint_every: Positive = 25_000
 
@@ -68,6 +71,12 @@ class SacConfig(RunConfig):
                 f"temperature.start: {self.temperature.start:g} cannot be learned from, as its "
                 "logarithm is: begin above 0, or set learn_temperature=false"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _computes_in_float32(self) -> "SacConfig":
+        if self.device == "cuda" and self.precision != "float32":
+            raise ValueError("device: cuda computes in float32 here: set precision=float32 as well")
         return self
 
     @model_validator(mode="after")

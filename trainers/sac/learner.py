@@ -3,7 +3,9 @@
 import copy
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from spikedeploy.trainers.adam import adam, load, tensors, under
@@ -78,26 +80,54 @@ class SacLearner:
         self.actor = GaussianActor(copy.deepcopy(policy).requires_grad_(), config.epsilon)
         self.critic = TwinCritic(*sizes, config.critic_hidden)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
-        self.actor_optimizer = adam(self.actor, config.learning_rate)
-        self.critic_optimizer = adam(self.critic, config.learning_rate)
         self.temperature: Temperature | None = None
         if config.learn_temperature:
             self.temperature = Temperature(config.temperature.start, -float(policy.actions))
-            self.temperature_optimizer = adam(self.temperature, config.learning_rate)
+        self._optimise()
+
+    def _optimise(self) -> None:
+        """Make the optimisers of the networks where they are."""
+        rate = self._config.learning_rate
+        self.actor_optimizer = adam(self.actor, rate)
+        self.critic_optimizer = adam(self.critic, rate)
+        if self.temperature is not None:
+            self.temperature_optimizer = adam(self.temperature, rate)
+
+    @property
+    def _averaged(self) -> Policy:
+        """The averaged policy, where gradients are computed."""
+        return self.policy
 
     def adopt(self, moments: Moments) -> None:
         """Normalise observations by these statistics."""
-        for policy in (self.policy, self.actor.policy):
+        for policy in (self._averaged, self.actor.policy):
             policy.normalizer.adopt(moments)
 
     def average(self, updates: int) -> None:
         """Update the averaged policy (Polyak and Juditsky 1992)."""
         # spans the last tenth of the updates at first, later the last 1 / averaging of them
         share = max(self._config.averaging, _AVERAGED / (updates + _AVERAGED - 1))
-        move_towards(self.policy, self.actor.policy, share)
+        move_towards(self._averaged, self.actor.policy, share)
+
+    @torch.no_grad()
+    def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return actions (B, act) drawn from the actor's distribution."""
+        seen = torch.from_numpy(observation).float().to(self._config.device)
+        action: Tensor = self.actor(seen)[0]
+        return action.double().cpu().numpy()
+
+    def settle(self) -> None:
+        """Bring `policy` up to date, before it is validated or saved."""
 
     def update(self, batch: ReplayBatch, temperature: float) -> dict[str, Tensor]:
-        """Take one gradient step and return the losses."""
+        """Take one gradient step and return the losses.
+
+        temperature: the scheduled one, in place of which a learned one is used
+        """
+        learned = self.temperature
+        return self._step(batch, temperature if learned is None else learned.value)
+
+    def _step(self, batch: ReplayBatch, temperature: float | Tensor) -> dict[str, Tensor]:
         observation = self._normalized(batch.observation)
         with self._autocast():
             goal = self._goal(batch, temperature)
@@ -119,7 +149,7 @@ class SacLearner:
         return normalized
 
     @torch.no_grad()
-    def _goal(self, batch: ReplayBatch, temperature: float) -> Tensor:
+    def _goal(self, batch: ReplayBatch, temperature: float | Tensor) -> Tensor:
         """Return the targets of the critics (B,)."""
         action, log_prob, _ = self.actor(batch.following)
         value = torch.minimum(*self.target(self._normalized(batch.following), action))
@@ -133,7 +163,7 @@ class SacLearner:
         return nn.functional.mse_loss(first, goal) + nn.functional.mse_loss(second, goal)
 
     def _actor_loss(
-        self, observation: Tensor, batch: ReplayBatch, temperature: float
+        self, observation: Tensor, batch: ReplayBatch, temperature: float | Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return the actor's loss and the policy's entropy."""
         action, log_prob, latent = self.actor(batch.observation)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -12,6 +11,7 @@ from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import EnvRunner
 from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sac.cuda import CudaLearner
 from spikedeploy.trainers.sac.learner import SacLearner
 from spikedeploy.trainers.sac.replay import ReplayBuffer
 from spikedeploy.trainers.sac.shaping import check_shaping, shaped
@@ -58,7 +58,8 @@ class Sac(EnvRunner[SacConfig]):
         check_shaping(config.shaping, config.env)
         sizes = self._envs.observation.shape[1], self._envs.actions
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
-        self.learner = SacLearner(config, self.policy)
+        learner = CudaLearner if config.device == "cuda" else SacLearner
+        self.learner = learner(config, self.policy)
         self._buffer = ReplayBuffer(min(config.buffer, config.steps), *sizes)
         self.updates = 0
         self._losses: Mapping[str, Tensor] = {}
@@ -89,23 +90,25 @@ class Sac(EnvRunner[SacConfig]):
             self.learner.adopt(self._moments)
         self.env_steps += len(self._envs)
 
-    @torch.no_grad()
     def _actions(self) -> NDArray[np.float64]:
         """Return exploring actions (B, act): uniform during warm-up, then the actor's."""
         if self.env_steps < self._config.warm_up:
             return self._envs.uniform()
-        observation = torch.from_numpy(self._envs.observation).float()
-        action: Tensor = self.learner.actor(observation)[0]
-        return action.double().numpy()
+        return self.learner.explore(self._envs.observation)
 
     def _update(self) -> None:
         """Make the updates that are due after the steps so far."""
         wanted = (self.env_steps - self._config.warm_up) // self._config.update_every
+        scheduled = self._config.temperature.at(self.env_steps)
         while self.updates < wanted:
             batch = self._buffer.sample(self._config.batch, self._rng)
-            self._losses = self.learner.update(batch, self._temperature)
+            self._losses = self.learner.update(batch, scheduled)
             self.updates += 1
             self.learner.average(self.updates)
+
+    def _evaluate(self) -> dict[str, float]:
+        self.learner.settle()
+        return super()._evaluate()
 
     def _row(self) -> dict[str, float]:
         self._count_episodes()
@@ -123,6 +126,7 @@ class Sac(EnvRunner[SacConfig]):
 
     def _checkpoint(self) -> None:
         """Save everything that resuming needs; a finished run needs no replay."""
+        self.learner.settle()
         if not self.finished:
             self._buffer.save(self._run.replay)
         super()._checkpoint()
