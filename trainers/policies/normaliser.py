@@ -34,8 +34,8 @@ class TorchNormaliser(nn.Module):
 
     def adopt(self, moments: "Moments") -> None:
         """Use the mean and standard deviation of these statistics."""
-        self.mean.copy_(torch.from_numpy(moments.mean))
-        self.std.copy_(torch.from_numpy(moments.std))
+        for buffer, found in ((self.mean, moments.mean), (self.std, moments.std)):
+            buffer.copy_(torch.from_numpy(found).float(), non_blocking=True)  # also to a GPU
 
 
 @dataclass

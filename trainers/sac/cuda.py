@@ -2,23 +2,64 @@
 
 An update of soft actor-critic is some hundred small kernels, whose launches take longer than they
 compute. Captured once, the graph launches them all; its inputs lie in tensors that keep their place
-(https://docs.pytorch.org/docs/stable/notes/cuda.html#cuda-graphs).
+(https://docs.pytorch.org/docs/stable/notes/cuda.html#cuda-graphs). Nothing waits for the GPU: the
+replay has a copy there, and actions come from a copy of the actor on the CPU, which is refreshed
+when a transfer of the parameters has ended, a few updates late.
 """
 
 import copy
-from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.adam import adam
+from spikedeploy.trainers.policies.normaliser import Moments
 from spikedeploy.trainers.policies.policy import Policy
 from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.learner import SacLearner
-from spikedeploy.trainers.sac.replay import ReplayBatch
+from spikedeploy.trainers.sac.learner import GaussianActor, SacLearner
+from spikedeploy.trainers.sac.replay import ReplayBatch, ReplayBuffer
 
+_LATE = 8  # steps of the environments that actions may be behind a transfer
 _EAGER = 3  # updates before the capture, in which PyTorch sets up what cannot be captured
+
+
+class CudaReplay(ReplayBuffer):
+    """A replay buffer with a copy on the GPU; the batches that it returns share one place."""
+
+    def __init__(self, capacity: int, observations: int, actions: int) -> None:
+        super().__init__(capacity, observations, actions)
+        self._copy = torch.zeros(self.rows.shape, device="cuda")
+        self._drawn = torch.zeros((0, self.rows.shape[1]), device="cuda")
+
+    def add(
+        self,
+        observation: NDArray[np.float64],
+        action: NDArray[np.float64],
+        reward: NDArray[np.float64],
+        terminated: NDArray[np.bool_],
+        following: NDArray[np.float64],
+    ) -> None:
+        """Add transitions, one for each row of the arguments (B, ...)."""
+        places = np.arange(self.next, self.next + len(reward)) % len(self.rows)
+        super().add(observation, action, reward, terminated, following)
+        self._copy.index_copy_(0, _on_gpu(places), _on_gpu(self.rows[places]))
+
+    def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
+        """Return transitions drawn uniformly with replacement."""
+        if len(self._drawn) != count:
+            self._drawn = self._copy.new_zeros((count, self._copy.shape[1]))
+        places = _on_gpu(rng.integers(self.size, size=count))
+        torch.index_select(self._copy, 0, places, out=self._drawn)
+        return self.split(self._drawn)
+
+    def load(self, path: Path) -> None:
+        """Load the transitions of a file; if there are too many, the newest."""
+        super().load(path)
+        self._copy.copy_(torch.from_numpy(self.rows))
 
 
 class CudaLearner(SacLearner):
@@ -29,10 +70,10 @@ class CudaLearner(SacLearner):
             raise ConfigError("device: this PyTorch finds no CUDA device; set device=cpu")
         super().__init__(config, policy)
         self._mean_policy = copy.deepcopy(policy).to("cuda")
+        self._acting = _Follower(self.actor)
         for module in self._modules().values():
             module.to("cuda")
         self._optimise()
-        self._batch: ReplayBatch | None = None
         self._scheduled = torch.zeros((), device="cuda")
         self._graph: torch.cuda.CUDAGraph | None = None
         self._losses: dict[str, Tensor] = {}
@@ -42,30 +83,30 @@ class CudaLearner(SacLearner):
     def _averaged(self) -> Policy:
         return self._mean_policy
 
+    def adopt(self, moments: Moments) -> None:
+        """Normalise observations by these statistics."""
+        super().adopt(moments)
+        self._acting.actor.policy.normalizer.adopt(moments)
+
+    def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return actions (B, act) drawn from the distribution of a recent actor."""
+        self._acting.follow(self.actor)
+        return self._drawn(self._acting.actor, torch.from_numpy(observation).float())
+
     def settle(self) -> None:
         """Copy the averaged policy from the GPU."""
         self.policy.load_state_dict(self._mean_policy.state_dict())
 
     def update(self, batch: ReplayBatch, temperature: float) -> dict[str, Tensor]:
-        """Take one gradient step and return the losses."""
-        held = self._hold(batch)
+        """Take one gradient step on a batch of a CudaReplay, and return the losses."""
         self._scheduled.fill_(temperature)
         if self._graph is not None:
             self._graph.replay()
         elif self._eager < _EAGER:
-            self._losses = self._eagerly(held)
+            self._losses = self._eagerly(batch)
         else:
-            self._capture(held)
+            self._capture(batch)
         return self._losses
-
-    def _hold(self, batch: ReplayBatch) -> ReplayBatch:
-        """Return the batch on the GPU, always in the same place."""
-        if self._batch is None:
-            parts = {f.name: getattr(batch, f.name).to("cuda") for f in fields(batch)}
-            self._batch = ReplayBatch(**{k: v.contiguous() for k, v in parts.items()})
-        for field in fields(batch):
-            getattr(self._batch, field.name).copy_(getattr(batch, field.name))
-        return self._batch
 
     def _eagerly(self, batch: ReplayBatch) -> dict[str, Tensor]:
         self._eager += 1
@@ -97,3 +138,41 @@ class CudaLearner(SacLearner):
         """Restore the tensors of a checkpoint, the policy's under "policy." included."""
         super().load(named)
         self._mean_policy.load_state_dict(self.policy.state_dict())
+        self._acting.actor.load_state_dict(self.actor.state_dict())
+
+
+class _Follower:
+    """A copy of the actor on the CPU, which follows the one on the GPU a little late.
+
+    actor: the copy
+    """
+
+    def __init__(self, actor: GaussianActor) -> None:
+        self.actor = copy.deepcopy(actor)
+        count = sum(p.numel() for p in actor.parameters())
+        self._pinned = torch.empty(count, pin_memory=True)
+        self._sent: Any = None  # torch.cuda.Event, which has no types
+        self._late = 0
+
+    @torch.no_grad()
+    def follow(self, source: GaussianActor) -> None:
+        """Take over the parameters that have arrived, and send for newer ones."""
+        if self._sent is not None and not self._arrived():
+            return
+        if self._sent is not None:
+            nn.utils.vector_to_parameters(self._pinned.clone(), self.actor.parameters())
+        flat = nn.utils.parameters_to_vector(source.parameters())
+        self._pinned.copy_(flat, non_blocking=True)
+        self._sent, self._late = torch.cuda.Event(), 0  # type: ignore[no-untyped-call]
+        self._sent.record()
+
+    def _arrived(self) -> bool:
+        self._late += 1
+        if self._late >= _LATE:
+            self._sent.synchronize()
+        return bool(self._sent.query())
+
+
+def _on_gpu(array: NDArray[np.float32] | NDArray[np.int64]) -> Tensor:
+    # from memory that is not pinned CUDA copies to its own buffer first, so the array may change
+    return torch.from_numpy(array).to("cuda", non_blocking=True)

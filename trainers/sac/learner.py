@@ -109,12 +109,14 @@ class SacLearner:
         share = max(self._config.averaging, _AVERAGED / (updates + _AVERAGED - 1))
         move_towards(self._averaged, self.actor.policy, share)
 
-    @torch.no_grad()
     def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return actions (B, act) drawn from the actor's distribution."""
-        seen = torch.from_numpy(observation).float().to(self._config.device)
-        action: Tensor = self.actor(seen)[0]
-        return action.double().cpu().numpy()
+        return self._drawn(self.actor, torch.from_numpy(observation).float())
+
+    @torch.no_grad()
+    def _drawn(self, actor: nn.Module, observation: Tensor) -> NDArray[np.float64]:
+        action: Tensor = actor(observation)[0]
+        return action.double().numpy()
 
     def settle(self) -> None:
         """Bring `policy` up to date, before it is validated or saved."""

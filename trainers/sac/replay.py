@@ -61,7 +61,10 @@ class ReplayBuffer:
 
     def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
         """Return transitions drawn uniformly with replacement."""
-        rows = torch.from_numpy(self.rows[rng.integers(self.size, size=count)])
+        return self.split(torch.from_numpy(self.rows[rng.integers(self.size, size=count)]))
+
+    def split(self, rows: Tensor) -> ReplayBatch:
+        """Return the transitions of rows (B, all numbers of a transition)."""
         observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
         return ReplayBatch(observation, action, reward[:, 0], terminated[:, 0], following)
 

@@ -11,7 +11,7 @@ from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import EnvRunner
 from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.cuda import CudaLearner
+from spikedeploy.trainers.sac.cuda import CudaLearner, CudaReplay
 from spikedeploy.trainers.sac.learner import SacLearner
 from spikedeploy.trainers.sac.replay import ReplayBuffer
 from spikedeploy.trainers.sac.shaping import check_shaping, shaped
@@ -58,9 +58,9 @@ class Sac(EnvRunner[SacConfig]):
         check_shaping(config.shaping, config.env)
         sizes = self._envs.observation.shape[1], self._envs.actions
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
-        learner = CudaLearner if config.device == "cuda" else SacLearner
-        self.learner = learner(config, self.policy)
-        self._buffer = ReplayBuffer(min(config.buffer, config.steps), *sizes)
+        gpu = config.device == "cuda"
+        self.learner = (CudaLearner if gpu else SacLearner)(config, self.policy)
+        self._buffer = (CudaReplay if gpu else ReplayBuffer)(min(config.buffer, config.steps), *sizes)
         self.updates = 0
         self._losses: Mapping[str, Tensor] = {}
 
