@@ -10,6 +10,8 @@ from spikedeploy.emulation.open_loop import emulate_file
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ArtifactError, ChipError, ConfigError, RuleError
+from spikedeploy.trainers.config import PopsanConfig
+from tests import toy_stroll_env
 from tests.paths import ROOT
 from tests.project.test_import_rules import loaded_by
 
@@ -127,3 +129,26 @@ def test_the_example_of_a_policy_of_ones_own_races(tmp_path):
     found = example["main"](tmp_path / "own.nir", rounds=1, steps=40, episodes=1)
     chips = [row["chip"] for row in found.rows if row["policy"] == "own"]
     assert chips == ["float", "loihi1"]
+
+
+def test_a_file_is_read_as_its_author_meant_it_and_checked_so():
+    file = ROOT / "tests/golden/exports/snntorch_leaky.nir"
+    net = sd.load(file, written_by="snntorch")
+    assert net.artifact.convention.reset == "subtract-delayed"
+    assert not net.check("loihi1").passed  # its reset is none of Loihi's
+    assert sd.load(file, written_by="snntorch", reset="zero").check("loihi1").passed
+
+
+def test_a_loaded_policy_is_compared_on_its_chip_and_as_its_file_says(stroll):
+    path = stroll.parent / next(stroll.glob("zoo/*/*.nir"))
+    rows = sd.compare("stroll", [sd.load(path).on("loihi2")], episodes=1).rows
+    assert {row["chip"] for row in rows} >= {"float", "loihi2"}
+    other = sd.load(path, reset="subtract")
+    with pytest.raises(ArtifactError, match="loaded with other options than it states"):
+        sd.compare("stroll", [other], episodes=1)
+
+
+def test_the_last_run_is_compared_by_its_name(stroll):
+    toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    rows = sd.compare("stroll", ["last"], episodes=1).rows
+    assert "loihi1" in {row["chip"] for row in rows}
