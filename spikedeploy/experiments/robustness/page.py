@@ -65,7 +65,7 @@ def text(folder: Path) -> str:
 
 
 def _section(env: str, rows: list[dict[str, Any]], made: dict[str, Any]) -> list[str]:
-    head = [f"## {env}", f"    {made['command']}", made["missing"]]
+    head = [f"## {rows[0]['env'] if rows else env}", f"    {made['command']}", made["missing"]]
     if not any(row["part"] == UNDISTURBED for row in rows):
         return [*head, "Nothing is evaluated yet."]
     loses = any((row["return_mean"] or 0) < 0 for row in rows if row["part"] == UNDISTURBED)
