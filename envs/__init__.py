@@ -171,9 +171,9 @@ def _foreign(
     name: str, disturb: Sequence[str], success: str | None, options: dict[str, Any]
 ) -> gymnasium.Env[Any, Any]:
     if disturb:
-        raise EnvError(
-            f"--disturb {disturb[0]}: disturbances are of {', '.join(ENVS)}; {name} has none"
-        )
+        from spikedeploy.envs.disturbances.disturbed import disturbed_foreign
+
+        return disturbed_foreign(name, disturb, options, success)
     from spikedeploy.envs.foreign import make_foreign
 
     return make_foreign(name, options, success)

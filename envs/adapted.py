@@ -29,7 +29,9 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
     """An environment of somebody else.
 
     inner       as gymnasium made it
+    name        as it was asked for
     given       options that make it again
+    one_hot     whether it observes one of several
     CONTROL_DT  time of a control step [s]; None where it is not known
     """
 
@@ -40,10 +42,11 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         given: Mapping[str, Any],
         success: str | None = None,
     ) -> None:
-        self.inner, self.given = inner, given
+        self.inner, self.name, self.given = inner, name, given
+        self.one_hot = isinstance(inner.observation_space, Discrete)
         self.metadata, self.render_mode = inner.metadata, inner.render_mode
         self.spec = Registration("Adapted-v0")
-        self.spec.id = self._name = name  # not above: gymnasium parses names, not targets
+        self.spec.id = name  # not above: gymnasium parses names, not targets
         space, self._observed = _observed(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
         self.action_space, self._acted = _acted(name, inner.action_space)
@@ -67,7 +70,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         over = bool(terminated or truncated)
         if self._steps >= _LONGEST and not over:
             raise EnvError(
-                f"{self._name}: an episode did not end in {_LONGEST:,} steps: give it a time "
+                f"{self.name}: an episode did not end in {_LONGEST:,} steps: give it a time "
                 "limit with the option max_episode_steps=N"
             )
         numbers = {**_numbers(info), **self._success(info, over)}
@@ -85,7 +88,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         vector = self._observed(observation)
         if vector.shape != self.observation_space.shape or not np.isfinite(vector).all():
             raise EnvError(
-                f"{self._name}: observation of step {self._steps} is no vector of "
+                f"{self.name}: observation of step {self._steps} is no vector of "
                 f"{self.observation_space.shape} finite numbers: {vector}"
             )
         return vector
@@ -96,7 +99,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
             return {} if self._threshold is None else {"success": self._total >= self._threshold}
         if over and self._key not in info:
             raise EnvError(
-                f"{self._name}: --success {self._key}: the info of the last step has no such key; "
+                f"{self.name}: --success {self._key}: the info of the last step has no such key; "
                 f"it has {', '.join(map(str, info)) or 'none'}"
             )
         return {"success": bool(info.get(self._key, False))}

@@ -11,23 +11,23 @@ Each name does what a command does, by the same functions: `run` what `emulate` 
 """
 
 import shlex
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spikedeploy.emulation.design_report import DesignReport, design_report, network_path
+from spikedeploy.emulation.design_report import DesignReport, network_path, report_of
 from spikedeploy.emulation.open_loop import Emulation, emulate_artifact
 from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
+from spikedeploy.reports.notebook import card, picture, table
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError
@@ -80,7 +80,7 @@ class LoadedNetwork:
 
     def check(self, *chips: str) -> DesignReport:
         """Whether the network fits on chips, rule by rule; by default on its own."""
-        return design_report(str(self.path), chips or (self.chip,))
+        return report_of(str(self.path), self.artifact, chips or (self.chip,))
 
     def controller(self, sampled: bool = False) -> SpikingController:
         """A robot's controller: an observation in, an action out; the file must hold a codec."""
@@ -102,7 +102,7 @@ class LoadedNetwork:
             "convention": self.artifact.convention.describe(),
             **({"made for": origin.env, "recipe": origin.recipe} if origin else {}),
         }
-        return _card(self.path.name, facts)
+        return card(self.path.name, facts)
 
     def _size(self) -> str:
         """`3 × CubaLIF, 4 × Affine`."""
@@ -139,19 +139,11 @@ class NetworkRun(Emulation):
             counts["synaptic operations"] = self.ledger.total("sop")
         facts = {name: f"{count:,}" for name, count in counts.items()}
         facts |= {f"energy, {name}": f"{joules:.3g} J" for name, joules in self.energy.items()}
-        return _card(f"One inference on {self.chip}", facts) + self._picture()
+        shown = picture(self.plot()) if self.spikes else ""
+        return card(f"One inference on {self.chip}", facts) + shown
 
     def _spikes(self) -> int:
         return sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
-
-    def _picture(self) -> str:
-        from io import BytesIO
-
-        if not self.spikes:
-            return ""
-        memory = BytesIO()
-        self.plot().savefig(memory, format="png", dpi=80, bbox_inches="tight")
-        return f'<img src="data:image/png;base64,{b64encode(memory.getvalue()).decode()}">'
 
 
 @dataclass(frozen=True)
@@ -190,10 +182,7 @@ class ComparedPolicies:
 
     def _repr_html_(self) -> str:
         """The table and its sentences, for notebooks."""
-        head, *rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._cells())
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        return f"{table}<p>{escape(self.meaning)}</p>"
+        return table(self._cells(), self.meaning)
 
     def _cells(self) -> list[list[str]]:
         """Heads, then a line for each row."""
@@ -204,20 +193,35 @@ class ComparedPolicies:
         return [heads, *([column.cell(row) for column in columns] for row in self.rows)]
 
 
-def load(path: str | Path, **convention: Any) -> LoadedNetwork:  # noqa: ANN401
+def load(
+    path: str | Path,
+    *,
+    written_by: str | None = None,
+    like: str | None = None,
+    dt: float | None = None,
+    reset: Reset | None = None,
+    integrator: Integrator | None = None,
+    delay: int | None = None,
+    state: State | None = None,
+    spikes: Spikes | None = None,
+    floor: Floor | None = None,
+) -> LoadedNetwork:
     """The network of a `.nir` file, or a shipped policy that spikes, in float.
 
-    convention  dt, reset, integrator, delay, state, spikes, floor or like, as the command line has
+    written_by  the tool that exported the file, as whose author meant it: `--from`
+    like        the tool as whose import reads it
+    dt          [s]; like what follows an option of Convention, and precedes the file
     """
     file = network_path(str(path))
-    return LoadedNetwork(file, files.load(file, **convention))
+    found = files.load(file, dt, reset, integrator, delay, state, spikes, floor, like, written_by)
+    return LoadedNetwork(file, found)
 
 
 def compare(
     env: str,
     policies: Sequence[str | Path | LoadedNetwork] = (),
     *,
-    chips: Sequence[str] = (DEFAULT_CHIP,),
+    chips: Sequence[str] = (),
     episodes: int = 20,
     seed: int = EVALUATION,
     workers: int = 1,
@@ -225,8 +229,8 @@ def compare(
 ) -> ComparedPolicies:
     """Policies on the same seeds; the float ANN, built-in players and controls are added.
 
-    policies  names of shipped ones, files or run folders; all that are shipped by default
-    chips     for those that spike
+    policies  names of shipped ones, files, run folders or "last"; all that are shipped by default
+    chips     for those that spike; by default those of loaded networks, else loihi1
     seed      the first; from 10,000 on, which no training uses
     workers   processes; with several, a script needs `if __name__ == "__main__"`
     options   of the environment
@@ -234,8 +238,10 @@ def compare(
     from spikedeploy.comparison.lineup import line_up
     from spikedeploy.comparison.rounds import compare_policies
     from spikedeploy.reports import report
+    from spikedeploy.shipping.exported_run import runnable
 
-    names = [_named(policy) for policy in policies]
+    names = [runnable(_named(policy)) for policy in policies]
+    chips = chips or _chips(policies)
     entries = line_up(env, names, tuple(chips))
     comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
     words = ["spikedeploy", "compare", env, *names, "--chips", ",".join(chips)]
@@ -244,12 +250,24 @@ def compare(
     return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})
 
 
+def _chips(policies: Sequence[str | Path | LoadedNetwork]) -> tuple[str, ...]:
+    """Chips that loaded networks are on; without one the default."""
+    networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
+    found = dict.fromkeys(each.chip for each in networks if each.chip != FLOAT)
+    return tuple(found) or (DEFAULT_CHIP,)
+
+
 def _named(policy: "str | Path | LoadedNetwork") -> str:
     """A policy as the command line names it."""
     if not isinstance(policy, LoadedNetwork):
         return str(policy)
     if policy.artifact.codec is None:
         raise ArtifactError(f"{policy.path} holds no codec, so it cannot drive a robot")
+    if files.digest(policy.artifact) != files.digest(files.load(policy.path)):
+        raise ArtifactError(
+            f"{policy.path} was loaded with other options than it states, and is compared as the "
+            "file says: save the artifact with spikedeploy.runtime.save, and compare that file"
+        )
     return str(policy.path)
 
 
@@ -268,9 +286,3 @@ def make(env: str, **options: Any) -> "gymnasium.Env[Any, Any]":  # noqa: ANN401
     from spikedeploy.make_env import make_env
 
     return make_env(env, options)
-
-
-def _card(title: str, facts: Mapping[str, str]) -> str:
-    """A title, and names with values, as HTML."""
-    rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in facts.items())
-    return f"<b>{escape(title)}</b><table>{rows}</table>"

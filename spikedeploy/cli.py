@@ -41,6 +41,7 @@ COMMANDS = {
         "doctor": "checks",
     },
 }
+_LEFT = 141  # as shells say of SIGPIPE
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 app = typer.Typer(
@@ -81,13 +82,18 @@ def _options(
 def main() -> None:
     """Run the command line; an error that a user can act on becomes one line on stderr.
 
-    Exit codes: 0 done, 1 does not fit or is not equal, 2 bad input, 130 stopped by Ctrl-C.
+    Exit codes: 0 done, 1 does not fit or is not equal, 2 bad input, 130 stopped by Ctrl-C, 141
+    where the reader of a pipe left.
     """
     for name in THREADS:  # before numpy loads: small networks run faster on one thread
         os.environ.setdefault(name, "1")
     prepare_streams()
     try:
         app()
+    except SystemExit as stop:  # 1 of rich's or typer's where the reader of a pipe left
+        if isinstance(stop.__context__, BrokenPipeError):
+            sys.exit(_LEFT)
+        raise
     except Exception as error:
         line = one_line(error)
         if line is None:

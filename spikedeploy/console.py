@@ -20,7 +20,7 @@ PAUSE = 10.0  # seconds between two lines of progress where there is no terminal
 _COLOURS = {"✓": "green", "✗": "red"}
 # for terminals that know ASCII alone
 _ASCII = {
-    "–": "-", "−": "-", "·": "|", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "±": "+-", "×": "x",
+    "–": "-", "−": "-", "·": "-", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "±": "+-", "×": "x",
     "µ": "u", "✓": "+", "✗": "x", "≠": "!=", "“": '"', "”": '"', "’": "'",
 }  # fmt: skip
 

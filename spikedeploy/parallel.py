@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import TypeVar
 
 from spikedeploy.runtime.errors import SpikedeployError
@@ -56,6 +56,7 @@ def workers(count: int | None) -> Iterator[_Jobs]:
         yield _Jobs(None)
         return
     context = get_context("spawn")
+    others = set(active_children())
     with (
         _environment(WORKER_ENVIRONMENT),
         ProcessPoolExecutor(count, context, initializer=_ignore_interrupts) as pool,
@@ -63,6 +64,8 @@ def workers(count: int | None) -> Iterator[_Jobs]:
         try:
             yield _Jobs(pool)
         except BaseException:
+            for worker in set(active_children()) - others:
+                worker.terminate()  # Ctrl-C ends at once; jobs are pure, so nothing is lost
             pool.shutdown(cancel_futures=True)
             raise
 

@@ -80,4 +80,23 @@ class Levels(gymnasium.Env):
         return self._now
 
 
+class Dials(gymnasium.Env):
+    """Twelve numbers, six choices, five steps."""
+
+    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (12,), np.float32)
+    action_space = gymnasium.spaces.Discrete(6)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self._left = 5
+        return self._seen(), {}
+
+    def step(self, action):
+        self._left -= 1
+        return self._seen(), float(action), self._left == 0, False, {}
+
+    def _seen(self):
+        return self.np_random.uniform(-1.0, 1.0, 12).astype(np.float32)
+
+
 gymnasium.register("OwnLevels-v3", Levels, reward_threshold=2.0)

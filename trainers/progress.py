@@ -19,7 +19,7 @@ _SHOWN = {
     "walks": "{:,.0f} walks",
     "operations": "{:,.0f} operations",
 }
-PAUSE = 30.0  # seconds between two lines where there is no terminal
+PAUSE = 10.0  # seconds between two lines where there is no terminal
 _WIDTH = 80  # of a pipe
 
 

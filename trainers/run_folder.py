@@ -160,7 +160,7 @@ def _newest(runs: Path, recipe: str) -> Path:
     if not usable:
         none = f"; {len(found)} without a checkpoint" if found else ""
         raise ConfigError(
-            f"no run{f' of recipe {recipe}' if recipe else ''} in {runs}/ to continue{none}"
+            f"no run{f' of recipe {recipe}' if recipe else ''} in {runs}/{none}: train one first"
         )
     return max(usable, key=lambda path: (path / "config.json").stat().st_mtime_ns)
 

@@ -2,11 +2,13 @@
 
 `spikedeploy.envs.make(name, disturb=["noise:2", "payload=0.4"])` puts them on an environment, as
 `--disturb` does. They are drawn per episode from its seed, apart from the draws of the environment,
-which stay what they were. A new kind is a Kind and a line in DISTURBANCES.
+which stay what they were. Environments of other people have those of observations and commands. A
+new kind is a Kind and a line in DISTURBANCES.
 
 kind       what a kind of disturbance is: meaning, unit, levels in each world
 disturbed  requests read, and the environment with them
 seeded     wrappers with draws of their own
+scales     the unit of noise and bias
 sensors    noise, bias and dropout of observations
 delays     observations and commands that are late, commands that are lost
 body       weak motors, payload, slope, friction, pushes

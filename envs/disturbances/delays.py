@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from spikedeploy.envs.disturbances.kind import HEXAPOD, KART, Kind
+from spikedeploy.envs.disturbances.kind import FOREIGN, HEXAPOD, KART, Kind
 from spikedeploy.envs.disturbances.seeded import FloatArray, SeededWrapper, columns
 from spikedeploy.envs.errors import EnvError
 
@@ -77,7 +77,10 @@ class LostCommands(SeededWrapper):
 
 
 def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
-    """No residual of a walker; a kart's first action, which does nothing."""
+    """No residual of a walker; a kart's first action, which does nothing.
+
+    Of other environments the middle of the bounds, or the first choice.
+    """
     space = env.action_space
     return 0 if isinstance(space, gymnasium.spaces.Discrete) else np.zeros(space.shape or ())
 
@@ -85,7 +88,7 @@ def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
 DELAY = Kind(
     meaning="measurements that are seen late, the LIDAR's too",
     unit="control steps",
-    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6)},
+    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6), FOREIGN: (1, 2, 3)},
     bounds=(0, _LONGEST),
     source="20 to 60 ms of a walker, where Tan et al. 2018 measured 15 to 19 ms and trained with 0 "
     "to 40; 17 to 100 ms of a kart",
@@ -94,7 +97,7 @@ DELAY = Kind(
 COMMAND_DELAY = Kind(
     meaning="commands that take effect late",
     unit="control steps",
-    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6)},
+    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6), FOREIGN: (1, 2, 3)},
     bounds=(0, _LONGEST),
     source="as the delay of measurements",
     wrap=LateCommands,
@@ -102,7 +105,7 @@ COMMAND_DELAY = Kind(
 COMMAND_LOSS = Kind(
     meaning="commands that are lost: the last one that arrived is held",
     unit="probability of each",
-    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8)},
+    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8), FOREIGN: (0.05, 0.2, 0.5)},
     bounds=(0.0, 1.0),
     source="chosen, as the dropout of measurements",
     wrap=LostCommands,

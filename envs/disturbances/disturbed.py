@@ -11,8 +11,9 @@ from typing import Any
 import gymnasium
 
 from spikedeploy.envs.disturbances import DISTURBANCES
-from spikedeploy.envs.disturbances.kind import Kind, Options
+from spikedeploy.envs.disturbances.kind import FOREIGN, HEXAPOD, KART, Kind, Options
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.foreign import make_foreign
 
 LEVELS = (1, 2, 3)
 
@@ -27,7 +28,12 @@ def kind(name: str) -> Kind:
 def kinds_of(world: str) -> dict[str, Kind]:
     """The kinds that a world has, by name."""
     every = {name: kind(name) for name in DISTURBANCES}
-    return {name: found for name, found in every.items() if world in found.levels}
+    return {name: found for name, found in every.items() if row(world) in found.levels}
+
+
+def row(world: str) -> str:
+    """The key of a world in Kind.levels: its folder, or FOREIGN."""
+    return world if world in (HEXAPOD, KART) else FOREIGN
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ def _read(text: str, world: str) -> Disturbance:
     if name not in found:
         raise EnvError(f"--disturb {text}: {world} has no {name!r}; it has {', '.join(found)}")
     if level:
-        numbers = (0.0, *found[name].levels[world])
+        numbers = (0.0, *found[name].levels[row(world)])
         if given not in map(str, range(len(numbers))):
             raise EnvError(
                 f"--disturb {text}: {given!r} is no level from 0 to {LEVELS[-1]}; "
@@ -127,7 +133,21 @@ def disturbed(
     for each in found:
         if each.kind.change is not None:
             changed = each.kind.change(changed, each.number, lambda o: _default(target, o), world)
-    env: gymnasium.Env[Any, Any] = gymnasium.make(id_, **changed)
+    return _wrapped(gymnasium.make(id_, **changed), found, options)
+
+
+def disturbed_foreign(
+    name: str, texts: Sequence[str], options: Mapping[str, Any], success: str | None = None
+) -> gymnasium.Env[Any, Any]:
+    """The environment of somebody else, disturbed in what is observed and commanded."""
+    env = make_foreign(name, options, success)
+    found = disturbances(texts, name)
+    return _wrapped(env, found, env.given) if found else env
+
+
+def _wrapped(
+    env: gymnasium.Env[Any, Any], found: Sequence[Disturbance], options: Mapping[str, Any]
+) -> Disturbed:
     for each in found:
         if each.kind.wrap is not None:
             env = each.kind.wrap(env, each.number)

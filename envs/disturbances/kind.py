@@ -14,6 +14,7 @@ Change = Callable[[Options, float, Defaults, str], Options]
 Wrap = Callable[[gymnasium.Env[Any, Any], float], gymnasium.Env[Any, Any]]
 
 HEXAPOD, KART = "hexapod", "kart"  # worlds: folders of envs
+FOREIGN = "foreign"  # environments of other people
 
 
 @dataclass(frozen=True)

@@ -58,9 +58,11 @@ def columns(env: gymnasium.Env[Any, Any], *without: str) -> NDArray[np.intp]:
     """Places (k,) of what sensors measure in an observation, without some entries of it.
 
     Last command, gait phase and the command to follow are the controller's own: nothing that
-    happens to sensors changes them.
+    happens to sensors changes them. Of an environment of other people everything is measured.
     """
-    entries: dict[str, slice] = env.unwrapped.OBSERVATION  # type: ignore[attr-defined]
+    entries: dict[str, slice] | None = getattr(env.unwrapped, "OBSERVATION", None)
+    if entries is None:
+        return np.arange((env.observation_space.shape or (0,))[0])
     places = [
         np.arange(place.start, place.stop)
         for name, place in entries.items()

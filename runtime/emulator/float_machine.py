@@ -1,6 +1,7 @@
 """The float twin with the calls of a Machine, and a ledger."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,14 +34,26 @@ class FloatMachine:
         self._ledger: LedgerBuilder | None = None
         # whether anything came in that is no spike
         self._real = False
+        self._states: RuleError | None = None  # why no chip has its currents and membranes
         try:
-            self._program: Program | RuleError = compile_program(artifact, chip("ideal"))
+            self._program: Program | RuleError = self._counted(artifact)
         except RuleError as error:
             # a graph that no chip can hold still runs in float; it only cannot be counted
             self._program = error
         else:
             self._ledger = LedgerBuilder(self._program, ledger)
         self._calls = SerialCalls()
+
+    def _counted(self, artifact: Artifact) -> Program:
+        """The program without rounding; a reset that no chip has costs what another does."""
+        try:
+            return compile_program(artifact, chip("ideal"))
+        except RuleError as error:
+            if artifact.convention.reset in ("zero", "subtract"):
+                raise
+            self._states = error
+        other = artifact.convention.with_options({"reset": "subtract"})
+        return compile_program(replace(artifact, convention=other), chip("ideal"))
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything between two calls, so that a copy made during one is whole."""
@@ -99,6 +112,8 @@ class FloatMachine:
     @property
     def recordings(self) -> dict[str, Recording]:
         """Of the program without rounding, which runs the last raster once more from zero."""
+        if self._states is not None:
+            raise self._states
         raster = self.program.joined(self._input)
         machine = Machine(self.program, len(raster), ledger="none", trace=True)
         machine.infer(raster)

@@ -7,19 +7,25 @@ import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
+    Delay,
     Disturb,
+    Dt,
     Energy,
     EnvOptions,
     FaultsOption,
+    Floor,
+    From,
     Headroom,
     Json,
     LimitsOption,
     Metrics,
     PolicyChip,
     Quantise,
+    Reset,
     Rounding,
     Seed,
     Specimen,
+    Spikes,
     Success,
     Tables,
     Thresholds,
@@ -63,6 +69,20 @@ def run(
     headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
+    from_: From = None,
+    codec: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="With --from: .json, how observations become spikes and output actions.",
+        ),
+    ] = None,
+    dt: Dt = None,
+    reset: Reset = None,
+    delay: Delay = None,
+    spikes: Spikes = None,
+    floor: Floor = None,
     json: Json = False,
 ) -> None:
     """Run one policy in its environment: returns, successes and costs."""
@@ -72,6 +92,7 @@ def run(
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
+    from spikedeploy.policies.adopted import adopted
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison, print_verdict
     from spikedeploy.runtime.faults.request import faults
@@ -82,6 +103,13 @@ def run(
     metrics = checked_metrics(metric or ())
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
+    convention = {"dt": dt, "reset": reset, "delay": delay, "spikes": spikes, "floor": floor}
+    given = [*(name for name, value in convention.items() if value is not None)]
+    given += [] if codec is None else ["codec"]
+    if from_ is not None:
+        policy = str(adopted(policy, codec, written_by=from_, **convention))
+    elif given:
+        raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     comparison = run_policy(
         runnable(policy),
         env or trained_in(policy),

@@ -45,7 +45,19 @@ def experiment(
     ] = None,
     set_: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="One setting of every training."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="One setting of every training; robustness: an option of the environment.",
+        ),
+    ] = None,
+    policies: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME,…",
+            help="robustness: policies, as `compare` takes them; needed for other people's ENV.",
+            show_default="all that are shipped",
+        ),
     ] = None,
     episodes: Annotated[
         int | None,
@@ -108,7 +120,8 @@ def experiment(
     given = {
         "env": env, "seeds": seeds, "controls": controls, "finishes": finishes,
         "set": tuple(set_) if set_ else None, "episodes": episodes, "chip-episodes": chip_episodes,
-        "levels": levels, "chip": chip, "runs": folder and str(folder), "quick": quick or None,
+        "policies": tuple(policies) if policies else None, "levels": levels, "chip": chip,
+        "runs": folder and str(folder), "quick": quick or None,
     }  # fmt: skip
     run, asked = (
         getattr(import_module(module), function)

@@ -59,7 +59,11 @@ def design_report(reference: str, chips: Sequence[str], **convention: Any) -> De
     chips       names, or "all"
     convention  options of artifact.load; they take precedence over the file
     """
-    artifact = load(network_path(reference), **convention)
+    return report_of(reference, load(network_path(reference), **convention), chips)
+
+
+def report_of(reference: str, artifact: Artifact, chips: Sequence[str]) -> DesignReport:
+    """The design rules of chips on a network that was read from a file."""
     names = tuple(CHIPS) if ALL in chips else tuple(dict.fromkeys(chips))
     checks = [check_on(artifact, chip(name)) for name in names]
     return DesignReport(reference, artifact, checks, ALL in chips)

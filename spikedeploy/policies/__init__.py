@@ -7,6 +7,7 @@ interface    Candidate (before loading), Player (loaded), and the Protocol of a 
 registry     the table of formats; find, open_policy and price
 costs        spikes, operations and energy of an inference
 host_terms   energy of what the host does for a spiking policy
+adopted      files of other tools, with a codec beside them, as NIR files of ours
 nir          NIR files: spiking policies, on an emulated chip or as their float twin
 onnx         ONNX files: float networks, on one thread
 run          run folders: the best checkpoint, in torch

@@ -14,5 +14,6 @@ terminal      what commands print of comparisons, emulations, drifts, files and 
 check_tables  a network against the design rules: by chip, by layer, by rule
 drift_tables  drift by layer and by rounding
 entries       one chip, energy table or policy in full
+notebook      HTML that notebooks show
 listings      the chips side by side; the energy tables; the break-even lines
 """

@@ -71,7 +71,12 @@ def test_an_unknown_name_is_refused_with_the_nearest(name, said):
         ("tests.own_env:OwnLevels-v9", {}, "registers no OwnLevels-v9"),
         (REACH, {"stebs": 3}, "has no option 'stebs'"),
         ("tests.own_env:refused", {}, "needs 'space' and 'kind': give each with --set"),
-        (REACH, {"disturb": ["noise:1"]}, "--disturb noise:1: .* has none"),
+        (REACH, {"disturb": ["payload:1"]}, "has no .payload.; it has noise, bias"),
+        (
+            "tests.own_env:Levels",
+            {"disturb": ["bias:1"]},
+            "one of 3 levels, in which there is neither",
+        ),
         ("hexapod", {"success": "fall"}, "hexapod defines success itself"),
     ],
 )
@@ -178,3 +183,56 @@ def test_the_adapter_keeps_an_environments_own_seeds():
     theirs, _ = gymnasium.make("CartPole-v1").reset(seed=7)
     ours, _ = envs.make("CartPole-v1").reset(seed=7)
     np.testing.assert_array_equal(ours, theirs)
+
+
+def walk(env, seed=3):
+    """Observations of an episode of actions that are drawn."""
+    rng, space = np.random.default_rng(seed), env.action_space
+    seen, over = [env.reset(seed=seed)[0]], False
+    while not over:
+        drawn = rng.integers(2) if hasattr(space, "n") else rng.uniform(-1.0, 1.0, space.shape)
+        observation, _, terminated, truncated, _ = env.step(drawn if np.ndim(drawn) else int(drawn))
+        seen.append(observation)
+        over = terminated or truncated
+    return np.array(seen)
+
+
+@pytest.mark.parametrize("name", ["CartPole-v1", "Pendulum-v1", REACH])
+@pytest.mark.parametrize(
+    "what", ["noise", "bias", "dropout", "delay", "command-delay", "command-loss"]
+)
+def test_what_is_observed_and_commanded_is_disturbed_in_any_environment(name, what):
+    calm, first = walk(envs.make(name)), walk(envs.make(name, disturb=[f"{what}:3"]))
+    again = walk(envs.make(name, disturb=[f"{what}:3"]))
+    assert np.array_equal(first, again)
+    assert np.array_equal(walk(envs.make(name, disturb=[f"{what}:0"])), calm)
+    if name != REACH or not what.startswith("command"):  # which does not observe its valves
+        assert first.shape != calm.shape or not np.array_equal(first, calm)
+
+
+def test_noise_is_in_standard_deviations_under_random_actions():
+    calm = walk(envs.make("Pendulum-v1"))  # 200 steps of each
+    noisy = walk(envs.make("Pendulum-v1", disturb=["noise=0.5"]))
+    apart = (noisy - calm).std(0)
+    env = envs.make("Pendulum-v1")
+    rng, seen = np.random.default_rng(5), []
+    for seed in range(10):
+        seen.append(env.reset(seed=seed)[0])
+        seen += [env.step(rng.uniform(-1.0, 1.0, 1))[0] for _ in range(200)]
+    np.testing.assert_allclose(apart, 0.5 * np.std(seen, 0), rtol=0.25)
+
+
+def test_numbers_that_never_change_have_no_noise():
+    noisy = walk(envs.make(REACH, disturb=["noise:3", "bias:3"]))
+    assert (noisy[:, [1, 3]] == [100.0, 0.0]).all()
+
+
+def test_one_of_several_levels_is_lost_as_a_whole():
+    seen = walk(envs.make("tests.own_env:Levels", disturb=["dropout:3"]))
+    assert (seen.sum(1) == 1.0).all()
+
+
+def test_a_disturbed_environment_of_yours_can_be_made_again():
+    env = envs.make(REACH, disturb=["delay:2"], steps=6, success="close")
+    assert env.given == {"steps": 6, "success": "close", "disturb": ["delay:2"]}
+    assert np.array_equal(walk(envs.make(REACH, **env.given)), walk(env))

@@ -1,5 +1,6 @@
 """Three lines of Python: lazy, typed, and the same numbers as the commands."""
 
+import importlib
 import json
 
 import numpy as np
@@ -10,6 +11,8 @@ from spikedeploy.emulation.open_loop import emulate_file
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ArtifactError, ChipError, ConfigError, RuleError
+from spikedeploy.trainers.config import PopsanConfig
+from tests import toy_stroll_env
 from tests.paths import ROOT
 from tests.project.test_import_rules import loaded_by
 
@@ -127,3 +130,67 @@ def test_the_example_of_a_policy_of_ones_own_races(tmp_path):
     found = example["main"](tmp_path / "own.nir", rounds=1, steps=40, episodes=1)
     chips = [row["chip"] for row in found.rows if row["policy"] == "own"]
     assert chips == ["float", "loihi1"]
+
+
+def test_the_example_of_an_environment_of_ones_own_is_trained_and_compared(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    own_env = importlib.import_module("own_env")
+    small = ("steps=128", "env.count=2", "horizon=16", "epochs=1", "minibatch=16")
+    less = ("critic_hidden=[8]", "policy.hidden=[8,8]", "policy.timesteps=2", "validation.every=64")
+    found = own_env.main(*small, *less, "validation.episodes=1", episodes=1)
+    assert [row["chip"] for row in found.rows] == ["float", "loihi1", None]
+    assert {row["success_rate"] for row in found.rows} <= {0.0, 1.0}
+    assert "random" in str(found)
+
+
+def test_a_file_is_read_as_its_author_meant_it_and_checked_so():
+    file = ROOT / "tests/golden/exports/snntorch_leaky.nir"
+    net = sd.load(file, written_by="snntorch")
+    assert net.artifact.convention.reset == "subtract-delayed"
+    assert not net.check("loihi1").passed  # its reset is none of Loihi's
+    assert sd.load(file, written_by="snntorch", reset="zero").check("loihi1").passed
+
+
+def test_a_loaded_policy_is_compared_on_its_chip_and_as_its_file_says(stroll):
+    path = stroll.parent / next(stroll.glob("zoo/*/*.nir"))
+    rows = sd.compare("stroll", [sd.load(path).on("loihi2")], episodes=1).rows
+    assert {row["chip"] for row in rows} >= {"float", "loihi2"}
+    other = sd.load(path, reset="subtract")
+    with pytest.raises(ArtifactError, match="loaded with other options than it states"):
+        sd.compare("stroll", [other], episodes=1)
+
+
+def test_the_last_run_is_compared_by_its_name(stroll):
+    toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
+    rows = sd.compare("stroll", ["last"], episodes=1).rows
+    assert "loihi1" in {row["chip"] for row in rows}
+
+
+SCRIPT = """
+import numpy as np
+import spikedeploy as sd
+
+net = sd.load("net.nir", dt=1e-3, written_by=None).on("loihi1", limits=False)
+out = net.run(np.zeros((10, 16), np.uint8))
+spikes: int = int(out.spikes["hidden"].sum())
+joules: float = out.energy["davies2018"]
+total: int = out.ledger.total("sop") if out.ledger is not None else 0
+rows: list[dict[str, object]] = list(sd.compare("hexapod", [net], chips=["loihi1"]).rows)
+run: str = str(sd.train("hexapod-sac", seed=1))
+steps: object = sd.make("CartPole-v1").reset(seed=0)
+version: str = sd.__version__
+"""
+
+
+def test_a_users_script_is_typed(tmp_path, monkeypatch):
+    api = pytest.importorskip("mypy.api")
+    monkeypatch.chdir(ROOT)
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT + "net.rum(1)\nsd.load('net.nir', dt='a')\n", encoding="utf-8")
+    said, wrong, _ = api.run(["--config-file=pyproject.toml", "--hide-error-context", str(script)])
+    errors = [line for line in said.splitlines() if "error:" in line]
+    assert wrong == ""
+    assert len(errors) == 2, said
+    assert 'has no attribute "rum"' in errors[0]
+    assert 'Argument "dt" to "load" has incompatible type "str"' in errors[1]

@@ -1,6 +1,7 @@
 """Jobs: the same results in one process and in several, and clean failures."""
 
 import os
+import time
 
 import pytest
 
@@ -14,6 +15,10 @@ def square(number):
 
 def environment(name):
     return os.environ.get(name)
+
+
+def sleep(seconds):
+    time.sleep(seconds)
 
 
 def die(number):
@@ -39,3 +44,14 @@ def test_workers_have_one_thread_and_leave_this_process_alone():
 def test_a_killed_worker_is_one_clear_line():
     with workers(2) as jobs, pytest.raises(SpikedeployError, match="fewer --workers"):
         jobs.run(die, [1, 1], lambda: None)
+
+
+def test_ctrl_c_ends_at_once_and_does_not_wait_for_jobs():
+    began = time.monotonic()
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), workers(2) as jobs:
+        jobs.run(sleep, [0, 300, 300], interrupt)
+    assert time.monotonic() - began < 60

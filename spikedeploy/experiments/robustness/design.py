@@ -1,46 +1,25 @@
 """The design of the robustness experiment: policies, conditions, episodes."""
 
-import hashlib
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from spikedeploy import envs, zoo
-from spikedeploy.envs.disturbances.disturbed import LEVELS, kinds_of
-from spikedeploy.policies.interface import Candidate
-from spikedeploy.policies.registry import find
+from spikedeploy import envs
+from spikedeploy.envs.disturbances.disturbed import LEVELS, kinds_of, row
+from spikedeploy.envs.disturbances.kind import Kind
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.experiments.robustness.lineup import Tested, files_of, named, shipped
+from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS
 from spikedeploy.runtime.faults.request import fault
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
+_OF_NUMBERS = ("noise", "bias")
 UNDISTURBED, DISTURBANCE, FAULT = "undisturbed", "disturbance", "fault"
-# float controls beside the float ANN, as far as they are shipped, from the strongest on
-_SMALL = ("mlp-32", "pruned", "small", "linear")
-
-
-@dataclass(frozen=True)
-class Tested:
-    """A policy of the line-up.
-
-    candidate  the policy
-    chip       on which it runs if it spikes, else None
-    """
-
-    candidate: Candidate
-    chip: str | None
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of its file."""
-        return hashlib.sha256(Path(self.candidate.path).read_bytes()).hexdigest()
-
-    @property
-    def label(self) -> str:
-        """`popsan · loihi1`, `sac`."""
-        return f"{self.candidate.name} · {self.chip}" if self.chip else self.candidate.name
 
 
 @dataclass(frozen=True)
@@ -70,13 +49,15 @@ class Condition:
 class RobustnessDesign:
     """The parts of the experiment in one environment.
 
-    env        short name
+    env        short name, id of gymnasium, or module:Class
     runs       folder of the rows, a file each
     episodes   of each policy in each condition, from seed EVALUATION on
     specimens  faulty chips of each fault and level, among which the episodes are divided
     chip       on which spiking policies run
     limit      control steps that an episode may take; None for all
     quick      whether it is a first look, of seconds
+    files      of policies; those that are shipped by default
+    options    of the environment
     """
 
     env: str
@@ -86,22 +67,25 @@ class RobustnessDesign:
     chip: str = "loihi1"
     limit: int | None = None
     quick: bool = False
+    files: Sequence[str] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.env not in ENVS:
+        try:
+            foreign = envs.spec(self.env).foreign
+        except EnvError as error:
             raise ConfigError(
-                f"the robustness experiment has no environment {self.env!r}; known: "
-                f"{', '.join(ENVS)}"
+                f"the robustness experiment has no environment {self.env!r}: {error}"
+            ) from error
+        if foreign and not self.files:
+            raise ConfigError(
+                f"no policies for {self.env} are shipped: name yours, as in --policies last"
             )
 
     @cached_property
     def policies(self) -> list[Tested]:
-        """The shipped float ANNs, small float networks, and spiking policies on the chip."""
-        shipped = [find(str(path)) for path in zoo.policies(self.env)]
-        small = [c for name in _SMALL for c in shipped if c.name == name and c.kind != "snn"]
-        found = [c for c in shipped if c.kind == "ann" and c not in small]
-        spiking = [c for c in shipped if c.kind == "snn" and c.format == ".nir"]
-        return [Tested(c, None) for c in [*found, *small]] + [Tested(c, self.chip) for c in spiking]
+        """Those that were named, or all that are shipped; spiking ones on the chip."""
+        return named(self.files, self.chip) if self.files else shipped(self.env, self.chip)
 
     def conditions(self, name: str) -> list[Condition]:
         """The conditions of a part: every level of a disturbance or fault, or the undisturbed."""
@@ -112,8 +96,8 @@ class RobustnessDesign:
             numbers: Sequence[float] = kind.levels
             unit = kind.unit
         else:
-            disturbance = kinds_of(self._world)[name]
-            numbers, part = disturbance.levels[self._world], DISTURBANCE
+            disturbance = self._kinds[name]
+            numbers, part = disturbance.levels[row(self._world)], DISTURBANCE
             unit = disturbance.unit
         pairs = zip(LEVELS, numbers, strict=True)
         return [Condition(part, name, level, number, unit) for level, number in pairs]
@@ -121,7 +105,18 @@ class RobustnessDesign:
     @property
     def parts(self) -> list[str]:
         """The undisturbed, then names of disturbances and faults."""
-        return [UNDISTURBED, *kinds_of(self._world), *FAULTS]
+        return [UNDISTURBED, *self._kinds, *FAULTS]
+
+    @cached_property
+    def _kinds(self) -> dict[str, Kind]:
+        """Disturbances that the world has; one of several levels has neither noise nor bias."""
+        found = kinds_of(self._world)
+        if envs.spec(self.env).foreign:
+            world = make_env(self.env, self.options)
+            if getattr(world.unwrapped, "one_hot", False):
+                found = {name: kind for name, kind in found.items() if name not in _OF_NUMBERS}
+            world.close()
+        return found
 
     @property
     def _world(self) -> str:
@@ -137,7 +132,7 @@ class RobustnessDesign:
         return asdict(self)
 
 
-_OPTIONS = ("env", "runs", "episodes", "chip", "quick")
+_OPTIONS = ("env", "runs", "episodes", "chip", "quick", "policies", "set")
 _QUICK = {"episodes": 2, "specimens": 2, "limit": 25}
 
 
@@ -147,6 +142,16 @@ def asked(options: Mapping[str, Any]) -> RobustnessDesign:
         raise ConfigError(f"the experiment robustness has no {other[0]}. Leave it out.")
     if "env" not in options:
         raise ConfigError(f"the experiment robustness needs an environment: {', '.join(ENVS)}")
-    quick = options.get("quick", False)
-    runs = Path("runs") / ("robustness-quick" if quick else "robustness") / options["env"]
-    return RobustnessDesign(**{"runs": str(runs), **(_QUICK if quick else {}), **options})
+    env, quick = options["env"], options.get("quick", False)
+    runs = Path("runs") / ("robustness-quick" if quick else "robustness") / file_name(env)
+    given = {name: value for name, value in options.items() if name not in ("policies", "set")}
+    settings = parse_options(options.get("set", ()))
+    names = [name for text in options.get("policies", ()) for name in text.split(",") if name]
+    files = files_of(names, env, settings) if names else ()
+    found = {"runs": str(runs), **(_QUICK if quick else {}), **given}
+    return RobustnessDesign(**found, files=files, options=settings)
+
+
+def file_name(env: str) -> str:
+    """The name of an environment in names of files: `my_module:MyEnv` is `my_module-MyEnv`."""
+    return re.sub(r"[^\w.-]+", "-", env)

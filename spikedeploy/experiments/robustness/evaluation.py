@@ -16,8 +16,8 @@ from spikedeploy.experiments.robustness.design import (
     FAULT,
     Condition,
     RobustnessDesign,
-    Tested,
 )
+from spikedeploy.experiments.robustness.lineup import Tested
 from spikedeploy.experiments.stored_row import StoredRow
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
@@ -46,6 +46,7 @@ def stored(design: RobustnessDesign, condition: Condition, tested: Tested) -> St
         "first_seed": EVALUATION,
         "limit": design.limit,
         "version": _VERSION,
+        **({"options": dict(design.options)} if design.options else {}),
     }
     folder = Path(design.runs) / condition.text.replace(":", "-")
     name = f"{tested.candidate.name}{f'@{tested.chip}' if tested.chip else ''}.json"
@@ -93,7 +94,7 @@ def _complete(asked: RobustnessDesign, part: str) -> None:
 
 def _episodes(design: RobustnessDesign, condition: Condition) -> Episodes:
     disturb = [condition.text] if condition.part == DISTURBANCE else []
-    options = {"disturb": disturb} if disturb else {}
+    options = {**design.options, **({"disturb": disturb} if disturb else {})}
     config = EnvConfig(name=design.env, options=options, count=design.episodes)
     return Episodes(config, design.episodes, design.limit)
 
@@ -104,6 +105,7 @@ def _evaluated(
     """What the policy earns, episode by episode, and what faults of the chip hit."""
     seeds = range(EVALUATION, EVALUATION + design.episodes)
     returns, successes = np.zeros(design.episodes), np.zeros(design.episodes, np.bool_)
+    known = True  # whether the environment says what a success is
     damages: list[Sequence[Damage]] = []
     groups = groups_of(design, condition)
     for specimen in range(max(groups) + 1 if condition.part == FAULT else 1):
@@ -114,7 +116,8 @@ def _evaluated(
         player = _Player(tested, broken, [seeds[k] for k in places])
         _, earned, infos = episodes.play([seeds[k] for k in places], player.controller)
         returns[places] = earned
-        successes[places] = [bool(info["success"]) for info in infos]
+        successes[places] = [bool(info.get("success", False)) for info in infos]
+        known = known and all("success" in info for info in infos)
         damages.append(player.damage)
     return {
         "env": design.env,
@@ -128,11 +131,11 @@ def _evaluated(
         "unit": condition.unit,
         "episodes": design.episodes,
         "return_mean": float(returns.mean()),
-        "success_rate": float(successes.mean()),
+        "success_rate": float(successes.mean()) if known else None,
         **_hits(damages),
         "groups": groups,
         "returns": returns.tolist(),
-        "successes": successes.astype(int).tolist(),
+        "successes": successes.astype(int).tolist() if known else None,
     }
 
 

@@ -16,6 +16,7 @@ from spikedeploy.experiments.robustness.design import (
     FAULT,
     UNDISTURBED,
     RobustnessDesign,
+    file_name,
 )
 from spikedeploy.experiments.robustness.evaluation import all_rows, missing
 from spikedeploy.experiments.robustness.plot import draw
@@ -42,7 +43,7 @@ def write(design: RobustnessDesign, results: Path) -> list[Path]:
     Where there are no rows, the table that is there is kept.
     """
     found, folder = list(all_rows(design)), results / "robustness"
-    table = folder / f"{design.env}.csv"
+    table = folder / f"{file_name(design.env)}.csv"
     if found or not table.is_file():
         records.write(found, table)
         write_text(table.with_suffix(".json"), as_text(_made(design)))
@@ -54,7 +55,8 @@ def write(design: RobustnessDesign, results: Path) -> list[Path]:
 def text(folder: Path) -> str:
     """The page, of the tables in the folder."""
     parts = ["# Robustness", _INTRODUCTION]
-    for env in ENVS:
+    others = sorted(path.stem for path in folder.glob("*.csv") if path.stem not in ENVS)
+    for env in (*ENVS, *others):
         path = folder / f"{env}.csv"
         if path.is_file():
             made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
@@ -63,13 +65,15 @@ def text(folder: Path) -> str:
 
 
 def _section(env: str, rows: list[dict[str, Any]], made: dict[str, Any]) -> list[str]:
-    head = [f"## {env}", f"    {made['command']}", made["missing"]]
+    head = [f"## {rows[0]['env'] if rows else env}", f"    {made['command']}", made["missing"]]
     if not any(row["part"] == UNDISTURBED for row in rows):
         return [*head, "Nothing is evaluated yet."]
+    loses = any((row["return_mean"] or 0) < 0 for row in rows if row["part"] == UNDISTURBED)
     disturbances, faults = (tables.kept_table(rows, part) for part in (DISTURBANCE, FAULT))
     return [
         *head,
         "\n".join(tables.sentences(rows)),
+        "Returns below 0 have no shares: their cells are mean returns." if loses else "",
         f"![% of the undisturbed return against the level](robustness/{env}.png)",
         "### Undisturbed",
         tables.undisturbed_table(rows),
@@ -103,4 +107,10 @@ def _command(design: RobustnessDesign) -> str:
     words += ["--quick"] if design.quick else []
     words += ["--episodes", f"{design.episodes}"]
     words += ["--chip", design.chip] if design.chip != "loihi1" else []
+    words += ["--policies", ",".join(design.files)] if design.files else []
+    words += [word for name, value in design.options.items() for word in _setting(name, value)]
     return shlex.join(words)
+
+
+def _setting(name: str, value: Any) -> list[str]:  # noqa: ANN401
+    return ["--set", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]

@@ -21,11 +21,15 @@ def undisturbed_table(rows: Sequence[Record]) -> str:
     """Returns and successes where nothing is wrong."""
     lines = [["policy", "return", "success", "episodes"]]
     lines += [
-        [r["policy"], f"{r['return_mean']:,.0f}", f"{r['success_rate']:.0%}", f"{r['episodes']}"]
+        [r["policy"], f"{r['return_mean']:,.0f}", _success(r), f"{r['episodes']}"]
         for r in rows
         if r["part"] == UNDISTURBED
     ]
     return markdown_text(lines)
+
+
+def _success(row: Record) -> str:
+    return ABSENT if row["success_rate"] is None else f"{row['success_rate']:.0%}"
 
 
 def kept_table(rows: Sequence[Record], part: str) -> str:
@@ -45,9 +49,11 @@ def kept_table(rows: Sequence[Record], part: str) -> str:
 
 
 def kept(row: Record | None) -> str:
-    """`97% [95, 99]`; a dash where there is no row, or no return to keep."""
-    if row is None or row.get("kept") is None:
+    """`97% [95, 99]`; the return itself where it is a loss; a dash where there is no row."""
+    if row is None:
         return ABSENT
+    if row.get("kept") is None:
+        return f"{row['return_mean']:,.0f}" if row.get("return_mean", 0) < 0 else ABSENT
     return f"{row['kept']:.0%} [{100 * row['kept_low']:.0f}, {100 * row['kept_high']:.0f}]"
 
 

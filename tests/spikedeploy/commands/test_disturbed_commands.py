@@ -111,7 +111,7 @@ def test_what_cannot_be_is_refused_in_a_line(command, words, said):
 
 def test_the_page_lists_every_disturbance_and_fault_with_its_numbers():
     page = (ROOT / "docs/robustness.md").read_text(encoding="utf-8")
-    for world in ("hexapod", "kart"):
+    for world in ("hexapod", "kart", "foreign"):
         for name, kind in kinds_of(world).items():
             assert f"| `{name}` | {kind.meaning} | {kind.unit} |" in page
             assert " / ".join(f"{number:g}" for number in kind.levels[world]) in page

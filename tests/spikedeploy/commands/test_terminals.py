@@ -92,6 +92,12 @@ def test_a_reader_that_leaves_is_no_error():
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+def test_a_reader_that_leaves_is_not_a_network_that_does_not_fit():
+    piped = "spikedeploy energy; echo $? >&2"
+    done = called(f"({piped}) | true")
+    assert done.stderr.strip().split(b"\n")[-1] == b"141"
+
+
 def test_progress_comes_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
     with progress("quick", 2) as done:
         done()

@@ -13,7 +13,12 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs.disturbances.disturbed import kinds_of
 from spikedeploy.experiments import workers
 from spikedeploy.experiments.robustness import page, records, tables
-from spikedeploy.experiments.robustness.design import UNDISTURBED, RobustnessDesign, asked
+from spikedeploy.experiments.robustness.design import (
+    UNDISTURBED,
+    RobustnessDesign,
+    asked,
+    file_name,
+)
 from spikedeploy.experiments.robustness.evaluation import missing, perform, stored
 from spikedeploy.experiments.robustness.experiment import experiment
 from spikedeploy.experiments.workers import JobEnd
@@ -21,6 +26,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS
 from spikedeploy.runtime.faults.request import faults
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.train import train
 
 ENV = "kart-grid"
 PARTS = (UNDISTURBED, "lidar-noise", "dead-neurons", "lost-spikes")
@@ -203,8 +209,52 @@ def test_options_of_other_experiments_are_refused():
         asked({})
     with pytest.raises(ConfigError, match="no environment 'moon'"):
         asked({"env": "moon"})
+    with pytest.raises(ConfigError, match="CartPole-v1 are shipped: name yours"):
+        asked({"env": "CartPole-v1"})
+    with pytest.raises(ConfigError, match="--policies random is built in"):
+        asked({"env": "CartPole-v1", "policies": ["random"]})
+    with pytest.raises(ConfigError, match="was made for"):
+        asked({"env": "CartPole-v1", "policies": ["kart-grid/snn"]})
+    with pytest.raises(ConfigError, match="two are called snn"):
+        asked({"env": ENV, "policies": ["kart-grid/snn,kart-grid/snn"]})
     assert asked({"env": ENV, "quick": True}).episodes == 2
     assert asked({"env": ENV, "quick": True, "episodes": 4}).episodes == 4
+
+
+def test_shipped_policies_can_be_chosen():
+    found = asked({"env": ENV, "policies": ["kart-grid/snn,kart-grid/ann"]}).policies
+    assert [tested.label for tested in found] == ["ann", "snn · loihi1"]
+
+
+@pytest.mark.parametrize(("env", "kind"), [("tests.own_env:Reach", "losing"), ("CartPole-v1", "")])
+def test_policies_of_other_environments_are_disturbed_and_broken_too(
+    env, kind, ran, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    small = [
+        "steps=64", "env.count=2", "horizon=16", "epochs=1", "minibatch=16", "critic_hidden=[8]",
+        "policy.hidden=[8,8]", "policy.timesteps=2", "policy.populations=2", "validation.every=64",
+        "validation.episodes=1",
+    ]  # fmt: skip
+    train("ppo-snn", env=env, overrides=small, quiet=True)
+    design = asked({"env": env, "policies": ["last"], "quick": True, "episodes": 2})
+    parts = ("undisturbed", "noise", "command-delay", "lost-spikes")
+    outcome = experiment(design, parts, 1, tmp_path / "results")
+    assert (outcome.done, outcome.failed) == (4, {})
+    text = (tmp_path / "results/robustness.md").read_text(encoding="utf-8")
+    assert f"## {env}" in text
+    assert "--policies runs/" in text
+    assert ("cells are mean returns" in text) == bool(kind)
+    rows = records.read(tmp_path / "results/robustness" / f"{file_name(env)}.csv")
+    assert {row["name"] for row in rows} == {None, *parts[1:]}
+    assert {row["success_rate"] for row in rows} <= ({None} if kind else {0.0, 0.5, 1.0})
+
+
+def test_one_of_several_levels_has_no_noise_and_no_bias(tmp_path):
+    design = RobustnessDesign("tests.own_env:Levels", files=("policy.nir",))
+    assert design.parts[:4] == [UNDISTURBED, "dropout", "delay", "command-delay"]
+    with_numbers = RobustnessDesign("tests.own_env:Dials", files=("policy.nir",))
+    assert with_numbers.parts[1:3] == ["noise", "bias"]
 
 
 def test_an_unknown_part_is_refused(design, tmp_path):

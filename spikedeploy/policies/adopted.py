@@ -1,0 +1,67 @@
+"""A network of another tool as a policy: the file as its author meant it, and a codec beside it.
+
+A file of another tool says neither how observations become spikes nor how output becomes actions.
+A codec in JSON does, with the fields of `runtime.codec.codec.Codec`:
+
+    {"timesteps": 16, "squash": "argmax",
+     "normaliser": {"mean": [0, 0], "std": [1, 2], "clip": 3},
+     "encoder": {"kind": "rate", "mode": "regular", "low": [-1, -1], "high": [1, 1]}}
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spikedeploy.console import say
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.runtime.metadata import Record
+
+
+def adopted(file: str, codec: Path | None, **convention: Any) -> Path:  # noqa: ANN401
+    """Write FILE.policy.nir beside a file of another tool, and return it.
+
+    codec       JSON file
+    convention  written_by and options of artifact.load
+    """
+    path = Path(file)
+    artifact = load(path, **convention)
+    if codec is None:
+        raise ConfigError(
+            f"{file} says neither how observations become spikes nor how its output becomes "
+            "actions: give --codec FILE.json; docs/own-network.md has one"
+        )
+    target = path.with_suffix(".policy.nir")
+    save(replace(artifact, codec=read_codec(codec)), target)
+    say(f"{file}: {artifact.convention.describe()}")
+    say(f"wrote {target}: a policy as any other")
+    return target
+
+
+def read_codec(path: Path) -> Codec:
+    """The codec in a JSON file."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ArtifactError(f"{path} is no JSON that can be read: {error}") from error
+    if not isinstance(record, dict):
+        raise ArtifactError(f"{path} holds no codec, but a {type(record).__name__}")
+    try:
+        return Codec.from_record(Record(_arrays(record), str(path)))
+    except ArtifactError as error:
+        raise ArtifactError(f"--codec {error}; docs/own-network.md has a whole one") from error
+
+
+def _arrays(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with arrays for lists."""
+    return {name: _array(value) for name, value in record.items()}
+
+
+def _array(value: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, dict):
+        return _arrays(value)
+    return np.asarray(value) if isinstance(value, list) else value

@@ -1,0 +1,95 @@
+"""`run FILE --from TOOL`: a network of another tool drives, read as its author meant it."""
+
+import json
+import shutil
+
+import pytest
+
+from tests.paths import ROOT
+
+EXPORTS = ROOT / "tests/golden/exports"
+ENV = ("--env", "tests.own_env:Dials")
+CODEC = {
+    "timesteps": 8,
+    "squash": "argmax",
+    "normaliser": {"mean": [0] * 12, "std": [1.0] * 12, "clip": 3},
+    "encoder": {"kind": "rate", "mode": "regular", "low": [-1] * 12, "high": [1] * 12},
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("snntorch_leaky", "norse_lifcell", "spikingjelly_lif"):
+        shutil.copy(EXPORTS / f"{name}.nir", tmp_path)
+    (tmp_path / "codec.json").write_text(json.dumps(CODEC))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "recorded", "options"),
+    [
+        ("snntorch_leaky", "snntorch_leaky_default", ()),
+        ("snntorch_leaky", "snntorch_leaky_zero", ("--reset", "zero")),
+        ("norse_lifcell", "norse_lifcell", ()),
+        ("spikingjelly_lif", "spikingjelly_lif", ()),
+    ],
+)
+def test_a_network_of_another_tool_drives_and_spikes_as_its_author_meant(
+    name, recorded, options, here, command
+):
+    tool = name.partition("_")[0]
+    words = (f"{name}.nir", "--from", tool, "--codec", "codec.json", *ENV, "--chip", "float")
+    code, out, err = command("run", *words, *options, "--json")
+    assert code == 0, err
+    assert ("not in the file, so assumed" in err) == (not options)
+    assert f"wrote {name}.policy.nir" in err
+    assert json.loads(out)["rows"][0]["chip"] == "float"
+    kept = f"{name}.policy.nir"
+    code, out, _ = command("check", kept, "--against", EXPORTS / f"{recorded}.npz")
+    assert "your framework = our float: equal" in out
+
+
+def test_it_runs_on_a_chip_and_stays_a_policy(here, command):
+    words = ("--from", "norse", "--codec", "codec.json", *ENV, "--json")
+    first = json.loads(command("run", "norse_lifcell.nir", *words)[1])["rows"][0]
+    again = json.loads(command("run", "norse_lifcell.policy.nir", *ENV, "--json")[1])["rows"][0]
+    assert first["chip"] == "loihi1"
+    assert (first["returns"], first["sops_per_inference"]) == (
+        again["returns"],
+        again["sops_per_inference"],
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--from", "snntorch"), "give --codec FILE.json"),
+        (("--from", "snntorc", "--codec", "codec.json"), "snntorc"),
+        (("--codec", "codec.json"), "--codec goes with --from"),
+        (("--reset", "zero"), "--reset goes with --from"),
+        (("--from", "snntorch", "--codec", "snntorch_leaky.nir"), "no JSON that can be read"),
+        (("--from", "snntorch", "--codec", "list.json"), "holds no codec"),
+        (("--from", "snntorch", "--codec", "short.json"), "short.json.normaliser is missing"),
+    ],
+)
+def test_what_is_missing_is_asked_for(words, said, here, command):
+    (here / "list.json").write_text("[1]")
+    (here / "short.json").write_text('{"timesteps": 4}')
+    code, out, err = command("run", "snntorch_leaky.nir", *ENV, *words)
+    assert code == 2
+    assert out == ""
+    assert said in " ".join(err.split())
+
+
+def test_a_reset_that_the_chip_does_not_have_is_exit_code_1(here, command):
+    words = ("--from", "snntorch", "--codec", "codec.json", "--chip", "loihi1")
+    code, _, err = command("run", "snntorch_leaky.nir", *ENV, *words)
+    assert code == 1
+    assert "rule reset" in err
+
+
+def test_a_reset_that_no_chip_has_is_counted_in_float(here, command):
+    words = ("snntorch_leaky.nir", "--from", "snntorch", "--codec", "codec.json", *ENV)
+    row = json.loads(command("run", *words, "--chip", "float", "--json")[1])["rows"][0]
+    assert row["sops_per_inference"] > 0
