@@ -60,7 +60,8 @@ class Sac(EnvRunner[SacConfig]):
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
         gpu = config.device == "cuda"
         self.learner = (CudaLearner if gpu else SacLearner)(config, self.policy)
-        self._buffer = (CudaReplay if gpu else ReplayBuffer)(min(config.buffer, config.steps), *sizes)
+        capacity = min(config.buffer, config.steps)
+        self._buffer = (CudaReplay if gpu else ReplayBuffer)(capacity, *sizes)
         self.updates = 0
         self._losses: Mapping[str, Tensor] = {}
 
