@@ -90,7 +90,7 @@ def test_a_force_that_is_nearly_always_zero_is_not_binary():
 
 def test_values_that_the_sample_lacks_count(monkeypatch):
     monkeypatch.setattr("spikedeploy.trainers.sparse.steps._SAMPLE", 10)
-    seen = np.tile([[0.0], [0.0], [1.0], [1.0]], (10, 1))
+    seen = (np.arange(40.0) % 3 == 0)[:, None].astype(float)  # every fourth is looked at
     assert binary_columns(seen).tolist() == [True]
     seen[1] = 0.5
     assert binary_columns(seen).tolist() == [False]
