@@ -98,6 +98,13 @@ ANY_ENV_RECIPES: dict[str, Recipe] = {
             _SPIKING_MLP,
         ),
         (
+            "distill-popsan",
+            "distill",
+            "any ENV with continuous actions: a PopSAN with 256-256, --set teacher=RUN",
+            _DISTILL,
+            {"kind": "popsan", "hidden": [256, 256]},
+        ),
+        (
             "distill-sparse",
             "sparse",
             "any ENV: events into 64 LIF neurons, pruned to --budget sops=N, --set teacher=RUN",
