@@ -111,9 +111,10 @@ def _missing(design: GymnasiumDesign, trainings: Sequence[TaskTraining]) -> str:
     lack = [training.name for training in trainings if missing(design, training)]
     notes = []
     if lack:
-        named = f"{', '.join(lack[:6])}{' and others' if len(lack) > 6 else ''}"
+        more = " and others" if len(lack) > _NAMED else ""
         notes.append(
-            f"{len(lack)} of {len(trainings)} trainings or their rows are missing: {named}."
+            f"{len(lack)} of {len(trainings)} trainings, or their rows, are missing: "
+            f"{', '.join(lack[:_NAMED])}{more}."
         )
     if design.limit:
         notes.append(

@@ -22,6 +22,9 @@ def write(found: Iterable[Record], path: Path) -> Path:
 
 
 def _energy(row: Record) -> Record:
+    """The energy of a new row; a row that was read again keeps its own."""
+    if row.get(ENERGY) is not None:
+        return {}
     return {name: joules for name, joules in energies(row).items() if name == ENERGY}
 
 

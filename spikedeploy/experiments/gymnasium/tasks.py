@@ -9,8 +9,6 @@ RATE = 0.15  # of a dense network that is not trained here: spikes of a neuron a
 
 _SAC = ("learn_temperature=true", "policy.hidden=[256,256]", "critic_hidden=[256,256]", "batch=256")
 _MUJOCO = (*_SAC, "steps=1000000", "update_every=2")
-# two events of an observation fill the 16 inputs of a Xylo with four observations
-_NARROW = ("policy.most=2",)
 _WIDE = ("policy.hidden=64",)
 
 
@@ -59,11 +57,11 @@ TASKS = {
     for task in (
         Task(
             "CartPole-v1", 4, 2, "ppo-mlp", (),
-            ("policy.hidden=16", *_NARROW), ("policy.hidden=[16]",), 40, 475,
+            ("policy.hidden=16",), ("policy.hidden=[16]",), 40, 475,
         ),
         Task(
             "Pendulum-v1", 3, 1, "sac-mlp", (*_SAC, "steps=20000"),
-            ("policy.hidden=32", *_NARROW), ("policy.hidden=[32]",), 60, -200,
+            ("policy.hidden=32",), ("policy.hidden=[32]",), 60, -200,
         ),
         Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _WIDE, (), 300),
         Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _WIDE, (), 600),

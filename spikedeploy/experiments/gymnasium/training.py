@@ -66,8 +66,8 @@ class TaskTraining:
         """Whether a run has the recipe, seed, settings and sources of this training."""
         if (made.get("recipe"), made.get("seed")) != (self.recipe, self.seed):
             return False
-        wanted = [setting for setting in self.overrides if not setting.startswith(_HOW)]
-        # the last of settings of one name counts
+        every = [*self.overrides, *self._more]  # the last one of a name counts
+        wanted = [setting for setting in every if not setting.startswith(_HOW)]
         if not _within(merged({}, *map(parse_override, wanted)), made):
             return False
         return all(_names(made.get(key), source.run) for key, source in self.sources.items())
