@@ -20,7 +20,7 @@ _EVALUATION = "spikedeploy.experiments.gymnasium.evaluation"
 
 
 @dataclass(frozen=True)
-class _Part:
+class _TaskPart:
     """A training, or its evaluation.
 
     job  what does it
@@ -80,7 +80,7 @@ def experiment(
 class _Look:
     """Says from time to time what runs, and how far it is."""
 
-    def __init__(self, parts: Sequence[_Part]) -> None:
+    def __init__(self, parts: Sequence[_TaskPart]) -> None:
         self._trainings = {part.job.name: part.training for part in parts if not part.evaluates}
         self._said = time.monotonic()
 
@@ -95,7 +95,7 @@ class _Look:
         return job.name if training is None else f"{job.name}: {training.share:.0%}"
 
 
-def _check_what_comes_before(parts: Sequence[_Part]) -> None:
+def _check_what_comes_before(parts: Sequence[_TaskPart]) -> None:
     """Refuse parts that need a training which is neither complete nor among them."""
     names = {part.job.name for part in parts}
     for part in parts:
@@ -108,7 +108,7 @@ def _check_what_comes_before(parts: Sequence[_Part]) -> None:
             TaskTraining(**{**vars(part.training), "sources": lacking}).beginning()
 
 
-def _parts(design: GymnasiumDesign) -> list[_Part]:
+def _parts(design: GymnasiumDesign) -> list[_TaskPart]:
     """All parts: each training, and its evaluation after it."""
     return [
         part
@@ -117,11 +117,11 @@ def _parts(design: GymnasiumDesign) -> list[_Part]:
     ]
 
 
-def _part(design: GymnasiumDesign, training: TaskTraining, evaluates: bool) -> _Part:
+def _part(design: GymnasiumDesign, training: TaskTraining, evaluates: bool) -> _TaskPart:
     name = f"{training.name}: evaluation" if evaluates else training.name
     before = [training] if evaluates else training.sources.values()
     call = f"{_EVALUATION}:{'perform' if evaluates else 'train'}"
     log = Path(design.runs) / "logs" / f"{name.replace(': ', '-')}.log"
     arguments = {"design": design.arguments(), "name": training.name}
     job = Job(name, call, log, arguments, [each.name for each in before])
-    return _Part(job, training, evaluates, design)
+    return _TaskPart(job, training, evaluates, design)

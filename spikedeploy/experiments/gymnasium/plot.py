@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.experiments.gymnasium.design import DENSE, RIVAL, SPARSE, TEACHER, TUNED
-from spikedeploy.experiments.gymnasium.points import Point, reference
+from spikedeploy.experiments.gymnasium.points import TaskPoint, reference
 from spikedeploy.experiments.gymnasium.tables import ENOUGH, FEW, LABELS
 from spikedeploy.experiments.gymnasium.tasks import TASKS
 from spikedeploy.reports.plots import BLUE, VERMILION, save
@@ -25,7 +25,7 @@ _GREY = "#8A939E"
 _LOWEST = -5.0  # [%]
 
 
-def draw(found: Mapping[str, Sequence[Point]], chip: str, path: Path) -> Path:
+def draw(found: Mapping[str, Sequence[TaskPoint]], chip: str, path: Path) -> Path:
     """Write the picture of the points of each task."""
     from matplotlib.figure import Figure
 
@@ -43,7 +43,7 @@ def draw(found: Mapping[str, Sequence[Point]], chip: str, path: Path) -> Path:
     return save(figure, path)
 
 
-def _panel(axes: "Axes", env: str, found: Sequence[Point], chip: str) -> None:
+def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> None:
     axes.set_title(env, fontsize=9)
     limit = FEW * reference(env, found, chip).operations
     axes.axvline(limit, color=_GREY, linewidth=0.8, linestyle="--")
@@ -66,6 +66,6 @@ def _panel(axes: "Axes", env: str, found: Sequence[Point], chip: str) -> None:
     axes.set_axisbelow(True)
 
 
-def _drawn(point: Point, chip: str) -> bool:
+def _drawn(point: TaskPoint, chip: str) -> bool:
     """Whether a point is drawn: spiking policies on the chip, float ones where they are."""
     return point.place == chip or point.role in (TEACHER, RIVAL)

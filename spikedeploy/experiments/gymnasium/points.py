@@ -13,7 +13,7 @@ from spikedeploy.experiments.gymnasium.tasks import TASKS
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class TaskPoint:
     """A policy at a place, in all its trainings.
 
     role, place  as in its rows
@@ -45,7 +45,7 @@ class Point:
         return float(np.mean(found)) if found else None
 
 
-def points(rows: Sequence[Record]) -> list[Point]:
+def points(rows: Sequence[Record]) -> list[TaskPoint]:
     """All points of a task, role by role; none before the teacher is evaluated."""
     scores = {row["role"]: row["scores"] for row in rows if row.get("scores")}
     teacher, drawn = scores.get(TEACHER), scores.get(RANDOM)
@@ -57,7 +57,7 @@ def points(rows: Sequence[Record]) -> list[Point]:
         if row.get("scores") and len(row["scores"]) == len(teacher):
             groups.setdefault((row["role"], row["place"]), []).append(row)
     order = (TEACHER, DENSE, SPARSE, TUNED, *ROLES, RANDOM)
-    found = [Point(*key, of, teacher, lowest) for key, of in groups.items()]
+    found = [TaskPoint(*key, of, teacher, lowest) for key, of in groups.items()]
     return sorted(found, key=lambda point: order.index(point.role))
 
 
@@ -69,7 +69,7 @@ class Reference:
     measured: bool
 
 
-def reference(env: str, found: Sequence[Point], chip: str) -> Reference:
+def reference(env: str, found: Sequence[TaskPoint], chip: str) -> Reference:
     """Those of the PopSAN that was trained, else what layer sizes and a rate give."""
     for point in found:
         if (point.role, point.place) == (DENSE, chip):
@@ -77,7 +77,7 @@ def reference(env: str, found: Sequence[Point], chip: str) -> Reference:
     return Reference(TASKS[env].dense_operations(), measured=False)
 
 
-def judged(found: Sequence[Point], chip: str) -> Point | None:
+def judged(found: Sequence[TaskPoint], chip: str) -> TaskPoint | None:
     """The policy that a verdict is about: with reward where it was trained so, on the chip."""
     at = {point.role: point for point in found if point.place == chip}
     return at.get(TUNED) or at.get(SPARSE)

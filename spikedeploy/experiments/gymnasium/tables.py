@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.experiments.csv_rows import Record
 from spikedeploy.experiments.gymnasium.design import DENSE, RANDOM, RIVAL, SPARSE, TEACHER, TUNED
-from spikedeploy.experiments.gymnasium.points import Point, Reference, judged, points, reference
+from spikedeploy.experiments.gymnasium.points import Reference, TaskPoint, judged, points, reference
 from spikedeploy.experiments.gymnasium.records import ENERGY
 from spikedeploy.experiments.gymnasium.tasks import RATE, TASKS
 from spikedeploy.experiments.pareto.costs import spikes
@@ -39,7 +39,7 @@ def task_table(env: str, rows: Sequence[Record], chip: str) -> str:
     return markdown_text(lines)
 
 
-def _line(point: Point, dense: Reference) -> list[str]:
+def _line(point: TaskPoint, dense: Reference) -> list[str]:
     operations, joules = point.mean("operations"), point.mean(ENERGY)
     unit = "SOPs" if spikes(point.rows[0]) else "MACs"
     counted = ABSENT if operations is None else f"{operations:,.0f} {unit}"
