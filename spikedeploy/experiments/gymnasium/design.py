@@ -107,7 +107,7 @@ class GymnasiumDesign:
                 self._training(task, TUNED, "distill-sparse-tuned", seed, (), start),
             ]
             if task.continuous and seed == 0:
-                found.append(self._training(task, DENSE, "distill-popsan", 0, (), taught))
+                found.append(self._training(task, DENSE, "distill-popsan", 0, task.dense, taught))
             rival, walks = (budget, *task.rival), {**taught, "pool": sparse}
             found.append(self._training(task, RIVAL, "distill-small-mlp", seed, rival, walks))
         return found

@@ -76,9 +76,13 @@ def verdict(env: str, rows: Sequence[Record], chip: str) -> str:
         f"* {'✓' if good and few else '✗'} **{env}**: {_estimate(point.earned)}, "
         f"{share(point.of_teacher)} of the teacher, with {operations:,.0f} SOPs a control step on "
         f"{chip}, {operations / dense.operations:.2%} of the PopSAN's {dense.operations:,.0f} "
-        f"({_how(dense)}), {LABELS[point.role]}, {len(point.rows)} training seeds. "
+        f"({_how(dense)}), {LABELS[point.role]}, {_seeds(point)}. "
         f"Asked for: {goal} at {FEW:.0%}{_lack(good, few)}."
     )
+
+
+def _seeds(point: TaskPoint) -> str:
+    return f"{len(point.rows)} training seed{'s' if len(point.rows) > 1 else ''}"
 
 
 def _how(dense: Reference) -> str:

@@ -10,6 +10,8 @@ RATE = 0.15  # of a dense network that is not trained here: spikes of a neuron a
 _SAC = ("learn_temperature=true", "policy.hidden=[256,256]", "critic_hidden=[256,256]", "batch=256")
 _MUJOCO = (*_SAC, "steps=1000000", "update_every=2")
 _WIDE = ("policy.hidden=64",)
+# episodes of 1,000 steps: more states, and validations that are not most of the time
+_DENSE = ("iterations=6", "states=10000", "updates=8000", "validation.every=1000")
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,7 @@ class Task:
     student                settings of the sparse spiking policy
     rival                  settings of the float MLP
     budget                 operations of a control step of both
+    dense                  settings of the dense PopSAN
     wanted                 return on the chip that is asked for; None for a share of the teacher's
     """
 
@@ -34,6 +37,7 @@ class Task:
     rival: Sequence[str]
     budget: float
     wanted: float | None = None
+    dense: Sequence[str] = ()
 
     @property
     def continuous(self) -> bool:
@@ -63,8 +67,8 @@ TASKS = {
             "Pendulum-v1", 3, 1, "sac-mlp", (*_SAC, "steps=20000"),
             ("policy.hidden=32",), ("policy.hidden=[32]",), 60, -200,
         ),
-        Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _WIDE, (), 300),
-        Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _WIDE, (), 600),
-        Task("Ant-v5", 105, 8, "sac-mlp", _MUJOCO, _WIDE, (), 1_200),
+        Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _WIDE, (), 300, dense=_DENSE),
+        Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _WIDE, (), 600, dense=_DENSE),
+        Task("Ant-v5", 105, 8, "sac-mlp", _MUJOCO, _WIDE, (), 1_200, dense=_DENSE),
     )
 }  # fmt: skip
