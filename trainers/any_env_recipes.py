@@ -61,6 +61,22 @@ _DISTILL: Settings = {
 
 _FLOAT: Settings = {"kind": "mlp", "hidden": [64, 64]}
 
+# episodes that end early are short: windows before their ends show what keeps the robot up
+_SPARSE: Settings = {
+    "env": {"name": ""},
+    "budget": 300,
+    "teacher_walks": 40,
+    "noisy_walks": 20,
+    "walks": 25,
+    "crash_windows": 0.2,
+    "validation": {"episodes": 20},
+}
+
+# as far-sighted as the teachers are
+_TUNED: Settings = {"env": {"name": ""}, "gamma": 0.99, "validation": {"episodes": 20}}
+
+_EVENTS: Settings = {"kind": "delta-snn", "hidden": 64}
+
 ANY_ENV_RECIPES: dict[str, Recipe] = {
     name: Recipe(algorithm, summary, merged(settings, {"policy": policy}), any_env=True)
     for name, algorithm, summary, settings, policy in (
@@ -80,6 +96,41 @@ ANY_ENV_RECIPES: dict[str, Recipe] = {
             "any ENV with continuous actions: 64-64 LIF neurons, --set teacher=RUN",
             _DISTILL,
             _SPIKING_MLP,
+        ),
+        (
+            "distill-popsan",
+            "distill",
+            "any ENV with continuous actions: a PopSAN with 256-256, --set teacher=RUN",
+            _DISTILL,
+            {"kind": "popsan", "hidden": [256, 256]},
+        ),
+        (
+            "distill-sparse",
+            "sparse",
+            "any ENV: events into 64 LIF neurons, pruned to --budget sops=N, --set teacher=RUN",
+            _SPARSE,
+            _EVENTS,
+        ),
+        (
+            "distill-sparse-tuned",
+            "sparse-ppo",
+            "any ENV: reward after a run of distill-sparse, --set start=RUN",
+            _TUNED,
+            _EVENTS,
+        ),
+        (
+            "distill-small-mlp",
+            "sparse",
+            "any ENV: control, a float MLP, pruned to --budget macs=N, --set teacher=RUN",
+            _SPARSE,
+            {"kind": "pruned-mlp", "hidden": [64]},
+        ),
+        (
+            "distill-small-linear",
+            "sparse",
+            "any ENV: control, a float linear policy, pruned to --budget macs=N",
+            _SPARSE,
+            {"kind": "pruned-mlp", "hidden": []},
         ),
     )
 }

@@ -9,14 +9,16 @@ from spikedeploy.commands.options import Json
 
 
 def experiment(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Which: kart, pareto, robustness.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="kart, pareto, robustness or gymnasium.")
+    ],
     env: Annotated[
         str | None,
-        typer.Argument(metavar="[ENV]", help="Environment of pareto and robustness."),
+        typer.Argument(metavar="[ENV]", help="Environment; of kart none, of gymnasium one task."),
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(min=1, help="Trainings of each network.", show_default="kart 5, pareto 3"),
+        typer.Option(min=1, help="Trainings of each network.", show_default="kart 5, others 3"),
     ] = None,
     controls: Annotated[
         int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="5")
@@ -64,7 +66,7 @@ def experiment(
         typer.Option(
             min=1,
             help="Episodes of each evaluation.",
-            show_default="100; karts of pareto 300; robustness 30",
+            show_default="100; karts of pareto 300; robustness 30; gymnasium 50",
         ),
     ] = None,
     chip_episodes: Annotated[
@@ -88,7 +90,7 @@ def experiment(
             "--folder",
             "--runs",
             help="Where the run folders are.",
-            show_default="runs/experiment-kart, runs/NAME/ENV",
+            show_default="runs/experiment-kart, runs/NAME/ENV, runs/gymnasium",
         ),
     ] = None,
     output: Annotated[

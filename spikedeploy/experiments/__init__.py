@@ -12,6 +12,7 @@ csv_rows      rows of results as CSV, and read again
 kart          the kart experiment: how soon networks learn to drive, and how well they do
 pareto        the pareto experiment: return against operations and energy
 robustness    the robustness experiment: return under disturbances and faults
+gymnasium     the gymnasium experiment: sparse policies on the field's own tasks
 """
 
 # what runs it, and what makes its design of the options that were given
@@ -27,5 +28,9 @@ EXPERIMENTS = {
     "robustness": (
         "spikedeploy.experiments.robustness.experiment:experiment",
         "spikedeploy.experiments.robustness.design:asked",
+    ),
+    "gymnasium": (
+        "spikedeploy.experiments.gymnasium.experiment:experiment",
+        "spikedeploy.experiments.gymnasium.design:asked",
     ),
 }

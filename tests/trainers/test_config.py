@@ -6,6 +6,7 @@ from spikedeploy.trainers.config import Ramp
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import differences, parse_override, resolve, validated
 from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sparse.budget import with_budget
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
 from spikedeploy.trainers.train import algorithm
@@ -165,3 +166,16 @@ def test_the_sac_of_any_environment_has_nothing_of_a_hexapods():
     for recipe in ("sac-mlp", "sac-popsan"):
         config = resolve(SacConfig, recipe)
         assert (config.support_force.at(0), config.mean_penalty, config.shaping) == (0.0, 0.0, {})
+
+
+@pytest.mark.parametrize("student", ["sparse", "small-mlp", "small-linear"])
+def test_the_levels_of_any_environment_follow_its_budget(student):
+    config = resolve(SparseConfig, f"distill-{student}", overrides=['env.name="CartPole-v1"'])
+    unit = "sops" if student == "sparse" else "macs"
+    assert with_budget(config, f"{unit}=40").rounds == (120.0, 80.0, 60.0, 48.0, 40.0)
+
+
+def test_reward_after_imitation_trains_in_any_environment():
+    overrides = ['env.name="Hopper-v5"', "start=a-run"]
+    config = resolve(SparsePpoConfig, "distill-sparse-tuned", overrides=overrides)
+    assert (config.env.name, config.start) == ("Hopper-v5", "a-run")

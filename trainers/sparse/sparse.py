@@ -215,9 +215,10 @@ class Sparse(Runner[SparseConfig]):
     def _evaluate(self) -> dict[str, float]:
         controller = on_chip(self._deployed(), self._chip)
         _, returns, infos = self._episodes.play(self._validation_seeds, controller)
+        share = np.mean(returns) / self.teacher_return if self.teacher_return else math.nan
         row = {
             "eval_return": float(np.mean(returns)),
-            "eval_of_teacher": float(np.mean(returns)) / self.teacher_return,
+            "eval_of_teacher": float(share),
             "eval_operations": operations(self._student.synapses()),
         }
         for key, column in (("fall", "eval_falls"), ("finish", "eval_finish")):

@@ -17,12 +17,22 @@ _PROJECTIONS = 8
 _SMALLEST, _LARGEST = 0.1, 4.0  # steps [standard deviations]
 _STILL = 1e-3  # standard deviation of an activation that hardly varies
 _SAMPLE = 20_000  # states that show whether an observation is binary
+_RARE = 2  # states: a value that fewer have is an outlier, as of a force that is nearly always zero
+_SWING = 1e-2  # between two values; below it they are one value with noise
 
 
 def binary_columns(observation: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which observations (obs,) take exactly two values, as contacts do."""
+    """Which observations (obs,) take exactly two values, as contacts do, and each repeatedly."""
     some = observation[:: max(1, len(observation) // _SAMPLE)]
-    return np.array([len(np.unique(column)) == 2 for column in some.T])
+    found = np.array([_two_values(column) for column in some.T], np.bool_)
+    # a sample may lack the rest of the values
+    found[found] = [_two_values(column) for column in observation.T[found]]
+    return found
+
+
+def _two_values(column: NDArray[np.float64]) -> bool:
+    values, counts = np.unique(column, return_counts=True)
+    return len(values) == 2 and counts.min() >= _RARE and values[1] - values[0] >= _SWING
 
 
 def retuned(

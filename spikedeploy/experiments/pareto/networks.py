@@ -21,8 +21,8 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.shipping.export_run import kind_of
-from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
+from spikedeploy.shipping.export_run import SPIKING, kind_of
+from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.pruned import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.collect import BatchController, Stateless
@@ -47,12 +47,13 @@ class LevelNetwork:
 def network(run: Path, level: str, place: str, stem: Path) -> LevelNetwork:
     """The policy of a level of a run at a place (ParetoDesign.places), exported.
 
-    stem  of the exported file, without a suffix
+    level  name of a checkpoint
+    stem   of the exported file, without a suffix
 
     Raises RuleError where the chip refuses it.
     """
     policy = RunFolder(run).policy(level)
-    if isinstance(policy, DeltaSnnPolicy):
+    if policy.kind in SPIKING:
         path = stem.with_name(f"{stem.name}.nir")
         return _spiking(policy, run_record.origin(run, level), path, place)
     if isinstance(policy, PrunedMlpPolicy):
@@ -75,7 +76,7 @@ class _OnChip:
         self.spiking.reset(0)
 
 
-def _spiking(policy: DeltaSnnPolicy, origin: Provenance, path: Path, place: str) -> LevelNetwork:
+def _spiking(policy: Policy, origin: Provenance, path: Path, place: str) -> LevelNetwork:
     path.parent.mkdir(parents=True, exist_ok=True)
     running = _OnChip(to_nir(policy, origin, path), place)
     return LevelNetwork(running, lambda walks: _counted(running, walks))

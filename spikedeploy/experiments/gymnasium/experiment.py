@@ -1,0 +1,127 @@
+"""The gymnasium experiment: runs the missing parts in order, writes its page."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from spikedeploy.console import console
+from spikedeploy.experiments import workers
+from spikedeploy.experiments.gymnasium import page
+from spikedeploy.experiments.gymnasium.design import GymnasiumDesign
+from spikedeploy.experiments.gymnasium.evaluation import missing
+from spikedeploy.experiments.gymnasium.training import TaskTraining
+from spikedeploy.experiments.pareto.training import check
+from spikedeploy.experiments.workers import Job, JobEnd, Outcome, chosen
+from spikedeploy.files import check_folder
+
+_EVERY = 300.0  # [s] between two lines on what runs
+_EVALUATION = "spikedeploy.experiments.gymnasium.evaluation"
+
+
+@dataclass(frozen=True)
+class _TaskPart:
+    """A training, or its evaluation.
+
+    job  what does it
+    """
+
+    job: Job
+    training: TaskTraining
+    evaluates: bool
+    design: GymnasiumDesign
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is missing."""
+        if self.evaluates:
+            return not missing(self.design, self.training)
+        return self.training.trained
+
+
+def experiment(
+    design: GymnasiumDesign,
+    only: Sequence[str],
+    count: int | None,
+    results: Path,
+    train: bool = True,
+) -> Outcome:
+    """Run the missing parts of the experiment.
+
+    only     prefixes of the names of parts; empty for all
+    count    processes in parallel; None for one
+    results  folder of gymnasium.md
+    train    False only writes the page
+    """
+    check_folder("--runs", Path(design.runs))
+    check_folder("--output", results)
+    for training in design.trainings():
+        check(training)
+    parts = _parts(design)
+    names = chosen([part.job.name for part in parts], only)
+    to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
+    _check_what_comes_before(to_do)
+    failed: dict[str, str] = {}
+    said = console(stderr=True)
+    said.print(f"{len(to_do)} of {len(parts)} parts to do", markup=False)
+
+    def ended(end: JobEnd) -> None:
+        said.print(end.line(f"{end.seconds / 60:.1f} min"), markup=False, soft_wrap=True)
+        if end.failed:
+            failed[end.job.name] = end.last_line
+        page.write(design, results)
+
+    whole = workers.run([part.job for part in to_do], count or 1, ended, _Look(parts))
+    files = page.write(design, results)
+    done = [part.done for part in parts]
+    return Outcome(sum(done), len(done), failed, not whole, files)
+
+
+class _Look:
+    """Says from time to time what runs, and how far it is."""
+
+    def __init__(self, parts: Sequence[_TaskPart]) -> None:
+        self._trainings = {part.job.name: part.training for part in parts if not part.evaluates}
+        self._said = time.monotonic()
+
+    def __call__(self, running: Sequence[Job]) -> None:
+        if time.monotonic() - self._said > _EVERY:
+            self._said = time.monotonic()
+            line = "; ".join(map(self._progress, running))
+            console(stderr=True).print(f"running: {line}", markup=False, soft_wrap=True)
+
+    def _progress(self, job: Job) -> str:
+        training = self._trainings.get(job.name)
+        return job.name if training is None else f"{job.name}: {training.share:.0%}"
+
+
+def _check_what_comes_before(parts: Sequence[_TaskPart]) -> None:
+    """Refuse parts that need a training which is neither complete nor among them."""
+    names = {part.job.name for part in parts}
+    for part in parts:
+        if not part.evaluates and not names.issuperset(part.job.after):
+            lacking = {
+                key: source
+                for key, source in part.training.sources.items()
+                if source.name not in names
+            }
+            TaskTraining(**{**vars(part.training), "sources": lacking}).beginning()
+
+
+def _parts(design: GymnasiumDesign) -> list[_TaskPart]:
+    """All parts: each training, and its evaluation after it."""
+    return [
+        part
+        for training in design.trainings()
+        for part in (_part(design, training, False), _part(design, training, True))
+    ]
+
+
+def _part(design: GymnasiumDesign, training: TaskTraining, evaluates: bool) -> _TaskPart:
+    name = f"{training.name}: evaluation" if evaluates else training.name
+    before = [training] if evaluates else training.sources.values()
+    call = f"{_EVALUATION}:{'perform' if evaluates else 'train'}"
+    log = Path(design.runs) / "logs" / f"{name.replace(': ', '-')}.log"
+    arguments = {"design": design.arguments(), "name": training.name}
+    job = Job(name, call, log, arguments, [each.name for each in before])
+    return _TaskPart(job, training, evaluates, design)

@@ -1,0 +1,74 @@
+"""Tasks of the gymnasium experiment, and the dense PopSAN beside which operations are counted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+# a PopSAN as published for these tasks (Tang et al. 2020)
+_WIDTH, _POPULATION, TIMESTEPS = 256, 10, 5
+RATE = 0.15  # of a dense network that is not trained here: spikes of a neuron and timestep
+
+_SAC = ("learn_temperature=true", "policy.hidden=[256,256]", "critic_hidden=[256,256]", "batch=256")
+_MUJOCO = (*_SAC, "steps=1000000", "update_every=2")
+_WIDE = ("policy.hidden=64",)
+# episodes of 1,000 steps: more states, and validations that are not most of the time
+_DENSE = ("iterations=6", "states=10000", "updates=8000", "validation.every=1000")
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task of gymnasium.
+
+    env                    its id
+    observations, actions  their numbers
+    recipe, settings       of the teacher
+    student                settings of the sparse spiking policy
+    rival                  settings of the float MLP
+    budget                 operations of a control step of both
+    dense                  settings of the dense PopSAN
+    wanted                 return on the chip that is asked for; None for a share of the teacher's
+    """
+
+    env: str
+    observations: int
+    actions: int
+    recipe: str
+    settings: Sequence[str]
+    student: Sequence[str]
+    rival: Sequence[str]
+    budget: float
+    wanted: float | None = None
+    dense: Sequence[str] = ()
+
+    @property
+    def continuous(self) -> bool:
+        """Whether actions are continuous, as SAC and PopSAN need them."""
+        return self.recipe == "sac-mlp"
+
+    @property
+    def synapses(self) -> int:
+        """Synapses of the dense PopSAN: encoder onto 256, onto 256, onto the coded actions."""
+        first, last = _POPULATION * self.observations, _POPULATION * self.actions
+        return first * _WIDTH + _WIDTH * _WIDTH + _WIDTH * last
+
+    def dense_operations(self, rate: float = RATE) -> float:
+        """SOPs of its control step where each neuron spikes with this rate."""
+        # SOPs = T rate sum(fan-outs)
+        return TIMESTEPS * rate * self.synapses
+
+
+TASKS = {
+    task.env: task
+    for task in (
+        Task(
+            "CartPole-v1", 4, 2, "ppo-mlp", (),
+            ("policy.hidden=16",), ("policy.hidden=[16]",), 40, 475,
+        ),
+        Task(
+            "Pendulum-v1", 3, 1, "sac-mlp", (*_SAC, "steps=20000"),
+            ("policy.hidden=32",), ("policy.hidden=[32]",), 60, -200,
+        ),
+        Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _WIDE, (), 300, dense=_DENSE),
+        Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _WIDE, (), 600, dense=_DENSE),
+        Task("Ant-v5", 105, 8, "sac-mlp", _MUJOCO, _WIDE, (), 1_200, dense=_DENSE),
+    )
+}  # fmt: skip
