@@ -10,4 +10,5 @@ sb3_teacher.py   from Stable-Baselines3
 sb3_file.py      its .zip files, read without running code
 own_function.py  from Python functions
 own_spaces.py    observations and actions as the author of an environment wrote them
+plan.py          what the command `distill` asks for, and what came of it
 """
