@@ -15,6 +15,7 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.teachers import score, teacher
 from spikedeploy.trainers.policies import MlpPolicy
+from tests.paths import ROOT
 
 REACH, LEVELS, CARTPOLE = "tests.own_env:Reach", "tests.own_env:OwnLevels-v3", "CartPole-v1"
 BEST = {"reach": None, "reach_scaled": "scaled", "reach_all": None}
@@ -106,6 +107,17 @@ def test_an_onnx_file_of_others_acts_in_the_units_of_the_environment(form, tmp_p
     np.testing.assert_allclose(found.act_all(batch), wanted, atol=1e-5)
     scaled = teacher(path, REACH, units="scaled").act_all(batch / 100.0)
     np.testing.assert_allclose(scaled, np.clip(batch / 100.0 @ weight, -1, 1), atol=1e-6)
+
+
+def test_an_export_of_rsl_rl_acts_as_its_policy_did():
+    folder = ROOT / "tests/golden/rsl_rl"  # recorded by benchmarks/rsl_rl_policy.py
+    with np.load(folder / "actions.npz") as file:
+        observation, action = file["observation"].astype(np.float64), file["action"]
+    found = teacher(str(folder / "policy.onnx"), REACH).act_all(observation)
+    low, high = np.array([-0.3, 5.0]), np.array([0.1, 9.0])
+    own = low + (found + 1.0) / 2.0 * (high - low)
+    np.testing.assert_allclose(own, np.clip(action, low, high), atol=1e-5)
+    assert 0.1 < (np.abs(found) < 1.0).mean() < 0.95
 
 
 def test_an_onnx_file_of_others_may_observe_in_the_environments_own_shape(tmp_path):
