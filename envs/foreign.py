@@ -69,15 +69,18 @@ def _registration(name: str) -> str | Registration:
     found = _TARGET.fullmatch(name)
     if found is None:
         return name
-    module = _imported(name, found[1])
+    module = imported(name, found[1])
     if _ID.fullmatch(found[2]):
         if found[2] not in gymnasium.registry:
             raise EnvError(f"{name}: {found[1]} was imported and registers no {found[2]}")
         return found[2]
-    return Registration(id=name.replace("/", "."), entry_point=_attribute(name, module, found[2]))
+    return Registration(id=name.replace("/", "."), entry_point=_maker(name, module, found[2]))
 
 
-def _imported(name: str, module: str) -> Any:  # noqa: ANN401
+def imported(
+    name: str, module: str, form: str = "ENV is module:Class, or module:Registered-v0"
+) -> Any:  # noqa: ANN401
+    """The module that a target names, from the current folder too; `form` is what targets are."""
     here = os.getcwd()
     if here not in sys.path:
         sys.path.append(here)
@@ -87,19 +90,24 @@ def _imported(name: str, module: str) -> Any:  # noqa: ANN401
         if not f"{module}.".startswith(f"{error.name}."):
             raise EnvError(f"{name}: importing {module} needs {error.name}: install it") from error
         raise EnvError(
-            f"{name}: there is no module {module}, neither installed nor in {here}; ENV is "
-            "module:Class, or module:Registered-v0"
+            f"{name}: there is no module {module}, neither installed nor in {here}; {form}"
         ) from error
 
 
-def _attribute(name: str, module: Any, attribute: str) -> Callable[..., Any]:  # noqa: ANN401
-    found = getattr(module, attribute, None)
+def attribute(name: str, module: Any, within: str) -> Any:  # noqa: ANN401
+    """What the target `name` means in its module."""
+    found = getattr(module, within, None)
     if found is None:
-        close = difflib.get_close_matches(attribute, dir(module), n=1)
+        close = difflib.get_close_matches(within, dir(module), n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise EnvError(f"{name}: {module.__name__} ({module.__file__}) has no {attribute!r}{hint}")
+        raise EnvError(f"{name}: {module.__name__} ({module.__file__}) has no {within!r}{hint}")
+    return found
+
+
+def _maker(name: str, module: Any, within: str) -> Callable[..., Any]:  # noqa: ANN401
+    found = attribute(name, module, within)
     if not callable(found) or (isinstance(found, type) and not issubclass(found, gymnasium.Env)):
-        raise EnvError(f"{name}: {attribute} is no gymnasium.Env, nor a function that makes one")
+        raise EnvError(f"{name}: {within} is no gymnasium.Env, nor a function that makes one")
     return found  # type: ignore[no-any-return]
 
 

@@ -24,6 +24,7 @@ COMMANDS = {
     },
     "Make": {
         "train": "training",
+        "distill": "distillation",
         "export": "training",
         "publish": "training",
         "experiment": "experiments",

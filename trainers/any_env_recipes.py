@@ -93,7 +93,7 @@ ANY_ENV_RECIPES: dict[str, Recipe] = {
         (
             "distill-snn",
             "distill",
-            "any ENV with continuous actions: 64-64 LIF neurons, --set teacher=RUN",
+            "any ENV: 64-64 LIF neurons, from a teacher; see `distill`",
             _DISTILL,
             _SPIKING_MLP,
         ),

@@ -9,6 +9,7 @@ open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
 training     train, visualize, export, publish
+distillation  distill
 experiments  experiment
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes

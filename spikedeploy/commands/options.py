@@ -20,6 +20,7 @@ AfterSpike = Literal[
 ]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
+Encoders = Literal["population", "rate", "delta"]
 SpikeCount = Literal["above", "reached", "many"]
 LowestMembrane = Literal["none", "zero", "threshold"]
 

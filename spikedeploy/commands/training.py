@@ -73,7 +73,6 @@ def train(
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
-    from spikedeploy.console import print_json, say
     from spikedeploy.trainers.train import Interrupt
     from spikedeploy.trainers.train import train as learn
 
@@ -90,15 +89,26 @@ def train(
         quiet=json,
         interrupt=interrupt,
     )
+    tell_end(run, interrupt.share, runs, json)
+
+
+def tell_end(run: Path, share: float | None, runs: Path, json: bool, remark: str = "") -> None:
+    """Print where a training is, and what to do next; after Ctrl-C, exit with 130.
+
+    share: of the training that is done, where it was stopped
+    remark: line for a training that ended
+    """
+    from spikedeploy.console import print_json, say
+
     if json:
         print_json({"run": str(run)})
-    if interrupt.share is not None:
+    if share is not None:
         where = "" if runs == Path("runs") else f" --runs {runs}"
         again = f"go on with `spikedeploy train --resume last{where}`"
-        say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
+        say(f"stopped at {100 * share:.0f} %; {again}")
         raise typer.Exit(130)
     if not json:
-        typer.echo(f"trained: {run}\nnext: spikedeploy visualize {run}")
+        typer.echo(f"trained: {run}\n{remark}next: spikedeploy visualize {run}")
 
 
 def export(

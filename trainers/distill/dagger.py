@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.trainers.distill.config import DistillConfig
-from spikedeploy.trainers.distill.teachers import FloatArray, Teacher
+from spikedeploy.trainers.distill.teacher import FloatArray, Teacher
 from spikedeploy.trainers.env_batch import EnvBatch
 
 
@@ -17,7 +18,7 @@ class DaggerDataset:
     """A growing set of labelled states, in float32.
 
     observation: (n, obs) raw
-    action: (n, act) of the teacher
+    action: (n, act) of the teacher, or its logits
     """
 
     def __init__(self, observations: int, actions: int) -> None:
@@ -53,7 +54,7 @@ class _Collected:
     """Labelled states of one iteration.
 
     observation: (n, obs) of every state
-    label: (n, act) the teacher's action in it
+    label: (n, act) the teacher's action in it, or its logits
     returns: of the episodes that ended
     """
 
@@ -88,6 +89,15 @@ def collect(
         taught = rng.random(len(envs)) < share
         action = labels[-1] if taught.all() else student.act_all(envs.observation)
         action = np.where(taught[:, None], labels[-1], action)
-        noise = config.noise * rng.standard_normal(action.shape)
-        envs.step(np.clip(action + noise, -1.0, 1.0))
+        envs.step(_executed(action, envs.head == "discrete", config.noise, rng))
     return _Collected(np.concatenate(visited), np.concatenate(labels), envs.returns)
+
+
+def _executed(
+    action: FloatArray, discrete: bool, noise: float, rng: np.random.Generator
+) -> NDArray[Any]:
+    """Return actions (B, act) with noise, or the choices (B,) of logits, some of them drawn."""
+    if not discrete:
+        return np.clip(action + noise * rng.standard_normal(action.shape), -1.0, 1.0)
+    drawn = rng.integers(action.shape[1], size=len(action))
+    return np.where(rng.random(len(action)) < noise, drawn, action.argmax(-1))

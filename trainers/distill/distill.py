@@ -17,6 +17,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import adam
 from spikedeploy.trainers.distill.config import DistillConfig
 from spikedeploy.trainers.distill.dagger import DaggerDataset, collect, iteration_envs
+from spikedeploy.trainers.distill.teacher import surprise
 from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
 from spikedeploy.trainers.policies import Policy, PopsanPolicy, from_config
 from spikedeploy.trainers.policies.neurons import excess_rate, firing_rates, mean_rate
@@ -62,16 +63,19 @@ class Distill(Runner[DistillConfig]):
             log_every=config.log_every,
             checkpoint_every=config.checkpoint_every,
         )
-        self._teacher = teacher(config.teacher, config.env.name)
+        self._teacher = teacher(
+            config.teacher, config.env.name, config.env.options, config.teacher_units
+        )
         envs = iteration_envs(config, 0)
-        envs.require_continuous("distill")
         sizes = envs.observation.shape[1], envs.actions
         if sizes != (self._teacher.observations, self._teacher.actions):
             raise ConfigError(
                 f"the teacher {config.teacher} takes {self._teacher.observations} observations and "
                 f"gives {self._teacher.actions} actions; {config.env.name} has {sizes}"
             )
-        self.policy = from_config(config.policy, *sizes, config.normaliser.clip, envs.columns)
+        self.policy = from_config(
+            config.policy, *sizes, config.normaliser.clip, envs.columns, envs.head
+        )
         self.learner = DistillLearner(config, self.policy)
         self.dataset = DaggerDataset(*sizes)
         self.updates = self.iterations = 0
@@ -161,25 +165,33 @@ class DistillLearner:
         self.optimizer = adam.adam(student, config.learning_rate)
 
     def update(self, observation: Tensor, label: Tensor, progress: float) -> dict[str, Tensor]:
-        """Take one gradient step towards labels (B, act); `progress` runs from 0 to 1."""
+        """Take one gradient step towards labels (B, act) at a `progress` from 0 to 1.
+
+        label: the teacher's actions, or its logits of discrete ones
+        """
         # lr = lr_0 (1 + cos(pi progress)) / 2
         rate = self._config.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        action, penalty = self._act(observation)
-        error = (action - label).square().mean()
+        found, penalty = self._act(observation)
+        if self.student.head == "discrete":
+            error = surprise(found, label, self._config.sharpness).mean()
+        else:
+            error = (found - label).square().mean()
         self.optimizer.zero_grad()
         (error + penalty).backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
         return {"loss": error.detach(), "rate_penalty": penalty.detach()}
 
     def _act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the student's actions (B, act), and the penalty of its firing rates."""
+        """Return the student's actions or logits (B, act), and the penalty of its firing rates."""
         enabled = self._config.precision == "bfloat16"
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
             if not isinstance(self.student, PopsanPolicy):
                 latent = self.student.latent(observation)
-                return self.student.decide(latent.mean), self._penalty((), latent.rates)
+                discrete = self.student.head == "discrete"
+                found = latent.mean if discrete else self.student.decide(latent.mean)
+                return found, self._penalty((), latent.rates)
             spikes = self.student.spikes(observation)
             action = torch.tanh(self.student.decode(firing_rates(spikes[-1])))
         encoder, *layers = (mean_rate(raster) for raster in spikes)

@@ -1,7 +1,7 @@
-"""Teachers: policies to imitate, from a run folder or a file."""
+"""Teachers by name: run folders, files, functions and shipped policies."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -9,59 +9,74 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from gymnasium.spaces import Discrete
 
 from spikedeploy import envs
+from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
+from spikedeploy.trainers.distill.onnx_teacher import onnx_teacher
+from spikedeploy.trainers.distill.own_function import own_function
+from spikedeploy.trainers.distill.own_spaces import OwnSpaces, Units
+from spikedeploy.trainers.distill.sb3_teacher import REMEDY, sb3_teacher
+from spikedeploy.trainers.distill.teacher import FloatArray, Teacher
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
-FloatArray = NDArray[np.float64]
+__all__ = ["FloatArray", "Teacher", "of_policy", "same_teacher", "score", "teacher"]
+
+_SHIPPED = (".onnx", ".nir")
+# files that Python reads by running what is in them
+_PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 
 
-@dataclass(frozen=True)
-class Teacher:
-    """A policy to imitate; also a controller of one robot.
+def teacher(
+    path: str, env: str, options: Mapping[str, Any] | None = None, units: Units | None = None
+) -> Teacher:
+    """Return the teacher that a path or name means, which must match the environment.
 
-    act_all: actions (B, act) for observations (B, obs), or logits of discrete ones
-    observations, actions: their numbers
-    env: short name or id of its environment, empty if unknown
-    """
-
-    act_all: Callable[[FloatArray], FloatArray]
-    observations: int
-    actions: int
-    env: str = ""
-
-    def reset(self, seed: int) -> None:
-        """Do nothing: teachers have no state."""
-
-    def act(self, observation: FloatArray) -> FloatArray:
-        """Return the action (act,) for one observation (obs,)."""
-        action: FloatArray = self.act_all(observation[None])[0]
-        return action
-
-
-def teacher(path: str, env: str) -> Teacher:
-    """Return the teacher in a run folder or file, which must match the environment.
-
-    path: or the name of a shipped policy, such as "hexapod/sac"
+    path: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, module:function, or the name
+        of a shipped policy, such as "hexapod/sac"
+    options: of the environment, whose own units teachers of other people act in
+    units: of their actions: "own", or "scaled" to [-1, 1]; None for what the kind of teacher has
     """
     if not path:
         raise ConfigError(
             "distillation needs a teacher: --set teacher=PATH, where PATH is a run folder, an "
-            ".onnx or .nir file, or a shipped policy such as hexapod/sac"
+            ".onnx, .nir or Stable-Baselines3 .zip file, my_module:function, or a shipped policy "
+            "such as hexapod/sac"
         )
     path = str(_shipped(path) or path)
-    read = _FILES.get(Path(path).suffix, _from_run)
-    if read is not _from_run and not Path(path).is_file():
-        raise ConfigError(f"there is no teacher at {path}")
-    found = read(path)
+
+    def spaces() -> OwnSpaces:
+        return OwnSpaces.of(env, options or {})
+
+    found = _read(path, spaces, units)
     if found.env and envs.spec(found.env).id != envs.spec(env).id:
         raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")
     return found
+
+
+def _read(path: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Teacher:
+    """Return what a path means by its form."""
+    suffix = Path(path).suffix
+    if is_target(path) and not Path(path).exists():
+        return own_function(path, spaces(), units or "own")
+    if suffix in (*_SHIPPED, ".zip", *_PICKLES) and not Path(path).is_file():
+        raise ConfigError(f"there is no teacher at {path}")
+    if suffix in _PICKLES:
+        raise ConfigError(
+            f"the teacher {path} is a pickle, which could run code when it is read, and is not "
+            f"read. {REMEDY}"
+        )
+    if suffix == ".onnx":
+        return onnx_teacher(path, spaces, units)
+    if units is not None:
+        raise ConfigError(f"the teacher {path} says itself how it acts: leave teacher_units out")
+    if suffix == ".zip":
+        return sb3_teacher(path, spaces())
+    return _from_nir(path) if suffix == ".nir" else _from_run(path)
 
 
 def _shipped(name: str) -> Path | None:
@@ -72,7 +87,7 @@ def _shipped(name: str) -> Path | None:
 def _zoo() -> dict[str, Path]:
     """Files of the shipped policies by name, such as "hexapod/sac"."""
     folder = Path(str(files("spikedeploy"))) / "zoo"
-    found = [path for suffix in _FILES for path in sorted(folder.glob(f"*/*{suffix}"))]
+    found = [path for suffix in _SHIPPED for path in sorted(folder.glob(f"*/*{suffix}"))]
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 
@@ -100,9 +115,12 @@ def of_policy(policy: Policy, env: str = "") -> Teacher:
 
 def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
     """Return the teacher's mean return on the validation seeds."""
+    logits = teacher.act_all
     name = "max_episode_steps" if envs.spec(env.name).foreign else "max_steps"
     limit: Mapping[str, Any] = {} if config.limit is None else {name: config.limit}
     made = envs.make(env.name, **{**env.options, **limit})
+    if isinstance(made.action_space, Discrete):
+        teacher = replace(teacher, act_all=lambda seen: logits(seen).argmax(-1))
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     return float(np.mean([rollout(made, teacher, seed).total for seed in seeds]))
 
@@ -120,21 +138,6 @@ def _from_run(path: str) -> Teacher:
     return of_policy(policy, str(settings["env"]["name"]))
 
 
-def _from_onnx(path: str) -> Teacher:
-    from spikedeploy.trainers.onnx_session import session
-
-    network = session(path)
-    entry, exit_ = network.get_inputs()[0], network.get_outputs()[0]
-
-    def act_all(observation: FloatArray) -> FloatArray:
-        feed = {entry.name: observation.astype(np.float32)}
-        action: FloatArray = network.run([exit_.name], feed)[0].astype(np.float64)
-        return action
-
-    env = network.get_modelmeta().custom_metadata_map.get("env", "")
-    return Teacher(act_all, entry.shape[1], exit_.shape[1], env)
-
-
 def _from_nir(path: str) -> Teacher:
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.float_model.graph import FloatGraph
@@ -149,7 +152,8 @@ def _from_nir(path: str) -> Teacher:
 
     def act_all(observation: FloatArray) -> FloatArray:
         output = graph.run(codec.encode(observation))["output"].astype(np.float64)
-        return codec.decode(output).astype(np.float64)
+        found = codec.scores(output) if codec.chooses else codec.decode(output)
+        return found.astype(np.float64)
 
     actions = graph.outputs[0].size
     env = artifact.provenance.env if artifact.provenance else ""
@@ -161,6 +165,3 @@ def _remembers(path: str) -> ConfigError:
         f"the teacher {path} acts on the observations before, too, and a teacher labels single "
         "ones. Give the float policy that it was made from"
     )
-
-
-_FILES: dict[str, Callable[[str], Teacher]] = {".onnx": _from_onnx, ".nir": _from_nir}

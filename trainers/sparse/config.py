@@ -10,7 +10,7 @@ from spikedeploy.trainers.config import Count, Positive, Rate, RunConfig, Share,
 class SparseConfig(RunConfig):
     """DAgger over whole walks, then pruning by operations in rounds (docs/sparse.md).
 
-    teacher: policy to imitate: a run folder, or an .onnx or .nir file
+    teacher, teacher_units: policy to imitate, as in DistillConfig
     pool: run folder whose walks are taken over as well
     budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
         float one
@@ -45,6 +45,7 @@ class SparseConfig(RunConfig):
     """
 
     teacher: str = ""
+    teacher_units: Literal["own", "scaled"] | None = None
     pool: str = ""
     budget: Rate = 100.0
     levels: tuple[Rate, ...] = ()

@@ -75,7 +75,9 @@ class Sparse(Runner[SparseConfig]):
             log_every=config.log_every,
             checkpoint_every=config.checkpoint_every,
         )
-        self._teacher = teacher(config.teacher, config.env.name)
+        self._teacher = teacher(
+            config.teacher, config.env.name, config.env.options, config.teacher_units
+        )
         envs = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
         self._discrete = envs.head == "discrete"
         sizes = envs.observation.shape[1], envs.actions

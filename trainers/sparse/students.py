@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import adam
+from spikedeploy.trainers.distill.teacher import surprise
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta_graph import delta_codec, delta_encoder, live_neurons
 from spikedeploy.trainers.policies.delta_snn import DeltaWeights
@@ -57,8 +57,7 @@ def imitation(mean: Tensor, label: Tensor, policy: Policy, sharpness: float) -> 
     """Return the error of means (..., act) against the teacher's actions or logits (..., act)."""
     if policy.head == "continuous":
         return (torch.tanh(mean) - label).square().mean(-1)
-    target = torch.softmax(sharpness * label, -1)
-    return -(target * functional.log_softmax(mean, -1)).sum(-1)
+    return surprise(mean, label, sharpness)
 
 
 class DeltaStudent:

@@ -68,7 +68,9 @@ class SparsePpo(Runner[SparsePpoConfig]):
             checkpoint_every=config.checkpoint_every,
         )
         self._source = source
-        self._teacher = teacher(source.teacher, config.env.name)
+        self._teacher = teacher(
+            source.teacher, config.env.name, source.env.options, source.teacher_units
+        )
         self._chip = chip(source.chip)
         count = max(config.episodes, config.validation.episodes)
         self._episodes = Episodes(config.env, count, config.validation.limit)

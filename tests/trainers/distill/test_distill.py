@@ -23,7 +23,12 @@ from spikedeploy.trainers.distill.teachers import (
     teacher,
 )
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
+from spikedeploy.trainers.policies import (
+    MlpPolicy,
+    PopsanPolicy,
+    SpikingMlpPolicy,
+    from_config,
+)
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
@@ -31,7 +36,7 @@ from spikedeploy.trainers.train import train
 from tests.delta_policies import delta_policy
 from tests.networks import event_driven
 
-HEXAPOD = "spikedeploy/Hexapod-v0"
+HEXAPOD, LEVELS = "spikedeploy/Hexapod-v0", "tests.own_env:Levels"
 CONTROLS = {
     "phase": "phase",
     "bilinear": "bilinear",
@@ -313,6 +318,49 @@ def test_a_run_with_discrete_actions_teaches_by_its_logits_as_its_file_does(tmp_
     expected = teacher(str(file), "kart-grid").act_all(observation)
     np.testing.assert_allclose(of_policy(policy).act_all(observation), expected, atol=1e-5)
     assert expected.shape == (6, 3)
+
+
+def test_a_student_learns_the_choices_of_its_teacher_from_logits():
+    torch.manual_seed(0)
+    student = MlpPolicy(4, 3, hidden=(16,), head="discrete")
+    observation = torch.randn(256, 4)
+    label = 5.0 * observation[:, :3]
+    learner = DistillLearner(config(learning_rate=2e-2, precision="float32"), student)
+    errors = [float(learner.update(observation, label, k / 200)["loss"]) for k in range(200)]
+    target = torch.softmax(label, -1)
+    least = float(-(target * target.log()).sum(-1).mean())  # entropy of the teacher
+    assert least < errors[-1] < least + 0.1 * (errors[0] - least)
+    assert float((student(observation) == label.argmax(-1)).float().mean()) > 0.95
+
+
+def test_discrete_actions_are_executed_as_choices_of_which_noise_draws_some():
+    settings = config(env=EnvConfig(name=LEVELS, count=2), states=40)
+    labels = Teacher(lambda seen: 9.0 * np.eye(3, 4)[seen.argmax(-1)], 3, 4)
+    found = collect(settings, 0, labels, labels, never)
+    assert found.label.shape == (40, 4)
+    assert set(found.returns) == {5.0}
+    noisy = collect(settings.model_copy(update={"noise": 0.5}), 0, labels, labels, never)
+    assert 0.0 < np.mean(noisy.returns) < 5.0
+
+
+def test_a_student_of_choices_earns_what_its_teacher_earns(tmp_path):
+    changes = ["states=80", "iterations=2", "updates=200", "policy.hidden=[16]", "env.count=2"]
+    changes += ["policy.timesteps=4", "validation.every=100", "validation.episodes=2"]
+    changes += ['teacher="tests.own_teachers:level"', "normaliser.finish=80"]
+    run = train("distill-snn", env=LEVELS, overrides=changes, runs=tmp_path, quiet=True)
+    best = json.loads((run / "checkpoints" / "best.json").read_text())
+    assert best["teacher_return"] == 5.0
+    assert best["eval_return"] > 4.0
+    assert load_policy(run).head == "discrete"
+
+
+def test_a_spiking_file_with_discrete_actions_teaches_by_its_scores(tmp_path):
+    policy = SpikingMlpPolicy(4, 2, hidden=(8,), timesteps=4, head="discrete").eval()
+    file = to_nir(policy, Provenance("CartPole-v1"), tmp_path / "t.nir")
+    seen = np.random.default_rng(0).normal(size=(6, 4))
+    found = teacher(str(file), "CartPole-v1").act_all(seen)
+    assert found.shape == (6, 2)
+    np.testing.assert_array_equal(found.argmax(-1), policy(torch.from_numpy(seen).float()))
 
 
 def test_a_teacher_is_the_same_under_its_name_its_path_and_as_a_copy(onnx, tmp_path):

@@ -294,7 +294,7 @@ def test_reward_teaches_what_the_teacher_does_not_know(world, taught, tmp_path, 
     actions = 2 if world is PointingEnv else 4
     toy = Teacher(taught, 2, actions)
     for module in ("sparse.sparse", "sparse_ppo.sparse_ppo"):
-        monkeypatch.setattr(f"spikedeploy.trainers.{module}.teacher", lambda path, env: toy)
+        monkeypatch.setattr(f"spikedeploy.trainers.{module}.teacher", lambda *_: toy)
     run = train("smoke-sparse", overrides=TOY, runs=tmp_path, quiet=True)
     better = train(
         "smoke-sparse-tuned", overrides=[f"start={run}", *REWARDED], runs=tmp_path, quiet=True

@@ -1,0 +1,80 @@
+"""What the command `distill` asks for, as recipe and settings, and what came of it."""
+
+import json
+from pathlib import Path
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.run_folder import RunFolder
+
+_DENSE, _SPARSE = "distill-snn", "distill-sparse"
+_CODINGS = {"population": "population", "rate": "regular"}
+
+
+def student_settings(
+    teacher: str | None,
+    size: str | None,
+    encoder: str | None,
+    timesteps: int | None,
+    sparse: bool,
+) -> tuple[str, list[str]]:
+    """Return the recipe and the overrides of a student; what is None stays the recipe's.
+
+    size: neurons of the hidden layers, "64,64"
+    encoder: "population", "rate" or "delta"
+    sparse: whether the student has a budget of operations
+    """
+    settings = [] if teacher is None else [f"teacher={json.dumps(teacher)}"]
+    if size is not None:
+        settings.append(f"policy.hidden={_hidden(size, sparse)}")
+    if sparse:
+        _check_sparse(encoder, timesteps)
+        return _SPARSE, settings
+    if encoder == "delta":
+        raise ConfigError(
+            "--encoder delta is of event-driven students: give them a budget of operations, as in "
+            "--budget sops=200"
+        )
+    if encoder is not None:
+        settings.append(f"policy.coding={_CODINGS[encoder]}")
+    if timesteps is not None:
+        settings.append(f"policy.timesteps={timesteps}")
+    return _DENSE, settings
+
+
+def _hidden(size: str, sparse: bool) -> str:
+    """Return the neurons of hidden layers as a setting."""
+    parts = size.split(",")
+    if not all(part.strip().isascii() and part.strip().isdigit() for part in parts):
+        raise ConfigError(f"--size {size}: neurons of the hidden layers, as in --size 64,64")
+    if sparse and len(parts) > 1:
+        raise ConfigError(
+            f"--size {size}: a student with --budget has one hidden layer, as in --size 32"
+        )
+    numbers = [int(part) for part in parts]
+    return str(numbers[0] if sparse else numbers)
+
+
+def _check_sparse(encoder: str | None, timesteps: int | None) -> None:
+    if encoder not in (None, "delta"):
+        raise ConfigError(
+            f"--encoder {encoder}: a student with --budget sends events by the delta code; leave "
+            "one of the two out"
+        )
+    if timesteps not in (None, 1):
+        raise ConfigError(
+            f"--timesteps {timesteps}: a student with --budget computes one timestep in a control "
+            "step and keeps its states; leave one of the two out"
+        )
+
+
+def earned(run: Path) -> str:
+    """Return a line on the validation returns of student and teacher; empty where not known."""
+    folder = RunFolder(run)
+    if not folder.checkpoint("best").is_file():
+        return ""
+    best, last = folder.load("best")[0], folder.load("last")[0]
+    first = folder.settings()["validation"]["episodes"]
+    teacher, student = last.get("teacher_return"), best["eval_return"]
+    if teacher is None:
+        return ""
+    return f"validation, {first} episodes: teacher {teacher:,.4g}, student {student:,.4g}\n"

@@ -1,0 +1,190 @@
+"""Teachers from Stable-Baselines3: PPO, A2C, SAC, TD3, DDPG and DQN with MlpPolicy.
+
+The state dict says the sizes, the JSON beside it the activation function where it is not the
+algorithm's own. Actions are those of `model.predict(observation, deterministic=True)`.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Discrete
+from torch import nn
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.distill.own_spaces import OwnSpaces
+from spikedeploy.trainers.distill.sb3_file import Sb3File, read_sb3
+from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, certain
+
+REMEDY = (
+    "Export the policy to ONNX, or name a function of yours that acts with it: "
+    "docs/own-teacher.md#stable-baselines3"
+)
+# functions whose arguments Stable-Baselines3 leaves at their defaults
+_ACTIVATIONS = ("Tanh", "ReLU", "ELU", "GELU", "LeakyReLU", "Mish", "SELU", "SiLU", "Sigmoid")
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Where a family of policies has its layers.
+
+    hidden: prefix of the layers in a Sequential; out: name of the last layer, None if among them
+    activation: unless the file names another
+    squashed: whether actions go through tanh, and are then scaled to the bounds
+    """
+
+    hidden: str
+    out: str | None
+    activation: str
+    squashed: bool = False
+
+
+_KINDS = {  # by the module of the policy's class
+    "stable_baselines3.common.policies": _Kind("mlp_extractor.policy_net", "action_net", "Tanh"),
+    "stable_baselines3.sac.policies": _Kind("actor.latent_pi", "actor.mu", "ReLU", squashed=True),
+    "stable_baselines3.td3.policies": _Kind("actor.mu", None, "ReLU", squashed=True),
+    "stable_baselines3.dqn.policies": _Kind("q_net.q_net", None, "ReLU"),
+}
+
+
+def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:
+    """Return the teacher in a .zip file, or refuse it with the remedy."""
+    file = read_sb3(path)
+    module = _text(file.data, "policy_class", "__module__")
+    _check(file, module)
+    kind = _KINDS[module]
+    _check_actions(file, spaces)
+    layers = _layers(file, kind)
+    network = _network(layers, _activation(file, kind))
+    first, last = layers[0].in_features, layers[-1].out_features
+    act_all = _acting(path, network, kind, module.endswith("dqn.policies"), spaces)
+    return Teacher(act_all, first, last)
+
+
+def _acting(
+    path: str, network: nn.Module, kind: _Kind, values: bool, spaces: OwnSpaces
+) -> Callable[[FloatArray], FloatArray]:
+    """Return what the network does: actions in [-1, 1], or logits.
+
+    values: whether its outputs are values of actions, of which the largest is chosen
+    """
+
+    @torch.no_grad()
+    def act_all(observation: FloatArray) -> FloatArray:
+        out: FloatArray = network(torch.from_numpy(observation).float()).double().numpy()
+        if values:
+            return certain(out.argmax(-1), out.shape[1])
+        if kind.squashed:  # to be scaled to the bounds as policies of ours are
+            return spaces.labels(path, np.tanh(out), len(out), "scaled")
+        return spaces.labels(path, out, len(out), "own")
+
+    return act_all
+
+
+def _check(file: Sb3File, module: str) -> None:
+    """Refuse policies that are more than an MLP of the observation."""
+    if "recurrent" in module or any("lstm" in name for name in file.tensors):
+        raise _refused(file, "it is recurrent, and a teacher labels single observations")
+    if "Dict" in _text(file.data, "observation_space", ":type:"):
+        raise _refused(file, "it is a MultiInputPolicy, and students observe one vector")
+    if any("features_extractor" in name for name in file.tensors):
+        raise _refused(file, "it has a features extractor with weights, such as a CnnPolicy's")
+    if module not in _KINDS:
+        raise _refused(file, f"its policy is of {module or 'an unknown class'}, not MlpPolicy")
+    if file.data.get("use_sde"):
+        raise _refused(file, "it was trained with state-dependent exploration (use_sde)")
+    # algorithms with a rollout buffer set it for VecNormalize alone; others set it always
+    on_policy = _KINDS[module].out == "action_net"
+    if on_policy and file.data.get("_last_original_obs") is not None:
+        raise _refused(
+            file,
+            "it was trained behind VecNormalize, whose statistics are in a pickle beside it, "
+            "which could run code and stays unread",
+        )
+
+
+def _check_actions(file: Sb3File, spaces: OwnSpaces) -> None:
+    """Refuse a policy that was trained for other actions than the environment's."""
+    found = _text(file.data, "action_space", ":type:")
+    kind = "Discrete" if isinstance(spaces.action, Discrete) else "Box"
+    if f".{kind}'" not in found:
+        raise _refused(file, f"its actions are {found or 'unknown'}; {spaces.name} takes a {kind}")
+    if kind == "Discrete":
+        return
+    for side, ours in zip(("low", "high"), spaces.bounds(), strict=True):
+        theirs = _numbers(_text(file.data, "action_space", side))
+        if theirs.shape == ours.shape and not np.allclose(theirs, ours, rtol=1e-5, atol=1e-6):
+            raise _refused(
+                file,
+                f"it was trained for actions with {side} {theirs.tolist()}, and {spaces.name} has "
+                f"{ours.tolist()}",
+            )
+
+
+def _numbers(text: str) -> FloatArray:
+    """Return the numbers of an array as NumPy prints it; none where it leaves some out."""
+    words = text.replace("[", " ").replace("]", " ").split()
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError:
+        return np.array([])
+
+
+def _layers(file: Sb3File, kind: _Kind) -> list[nn.Linear]:
+    """Return the layers from observation to action."""
+    pattern = re.compile(rf"{re.escape(kind.hidden)}\.(\d+)\.(weight|bias)")
+    places = sorted({int(m[1]) for name in file.tensors if (m := pattern.fullmatch(name))})
+    if places != list(range(0, 2 * len(places), 2)) or not (places or kind.out):
+        raise _refused(file, f"its layers {kind.hidden} are {places}: not an MLP's")
+    names = [f"{kind.hidden}.{place}" for place in places]
+    layers = [_linear(file, name) for name in (*names, *([kind.out] if kind.out else []))]
+    if any(a.out_features != b.in_features for a, b in pairwise(layers)):
+        raise _refused(file, "its layers do not fit one another")
+    return layers
+
+
+def _linear(file: Sb3File, name: str) -> nn.Linear:
+    weight, bias = (file.tensors.get(f"{name}.{part}") for part in ("weight", "bias"))
+    if weight is None or bias is None or weight.ndim != 2 or bias.shape != weight.shape[:1]:
+        raise _refused(file, f"it has no layer {name} with weight and bias")
+    if not all(t.is_floating_point() and bool(t.isfinite().all()) for t in (weight, bias)):
+        raise _refused(file, f"its layer {name} has weights that are no finite numbers")
+    layer = nn.Linear(weight.shape[1], weight.shape[0])
+    layer.load_state_dict({"weight": weight.float(), "bias": bias.float()})
+    return layer
+
+
+def _activation(file: Sb3File, kind: _Kind) -> str:
+    """Return the name of the activation function in torch.nn."""
+    settings = file.data.get("policy_kwargs")
+    named = settings.get("activation_fn") if isinstance(settings, dict) else None
+    if named is None:
+        return kind.activation
+    found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", str(named))
+    if found is None or found[1] not in _ACTIVATIONS:
+        raise _refused(
+            file, f"its activation function is {named}; known are {', '.join(_ACTIVATIONS)}"
+        )
+    return found[1]
+
+
+def _network(layers: list[nn.Linear], activation: str) -> nn.Module:
+    chain: list[nn.Module] = []
+    for layer in layers:
+        chain += [layer, getattr(nn, activation)()]
+    return nn.Sequential(*chain[:-1]).eval()
+
+
+def _text(data: Any, *keys: str) -> str:  # noqa: ANN401
+    """Return a text in nested tables, empty where there is none."""
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data if isinstance(data, str) else ""
+
+
+def _refused(file: Sb3File, why: str) -> ConfigError:
+    return ConfigError(f"the teacher {file.path} cannot be read: {why}. {REMEDY}")
