@@ -9,7 +9,8 @@ RATE = 0.15  # of a dense network that is not trained here: spikes of a neuron a
 
 _SAC = ("learn_temperature=true", "policy.hidden=[256,256]", "critic_hidden=[256,256]", "batch=256")
 _MUJOCO = (*_SAC, "steps=1000000", "update_every=2")
-_WIDE = ("policy.hidden=64",)
+# fast changes need finer and more events than walking does
+_FINE = ("policy.hidden=128", "policy.most=8", "policy.integrated=true", "step=0.25")
 # episodes of 1,000 steps: more states, and validations that are not most of the time
 _DENSE = ("iterations=6", "states=10000", "updates=8000", "validation.every=1000")
 
@@ -67,8 +68,8 @@ TASKS = {
             "Pendulum-v1", 3, 1, "sac-mlp", (*_SAC, "steps=20000"),
             ("policy.hidden=32",), ("policy.hidden=[32]",), 60, -200,
         ),
-        Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _WIDE, (), 300, dense=_DENSE),
-        Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _WIDE, (), 600, dense=_DENSE),
-        Task("Ant-v5", 105, 8, "sac-mlp", _MUJOCO, _WIDE, (), 1_200, dense=_DENSE),
+        Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _FINE, (), 600, dense=_DENSE),
+        Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _FINE, (), 900, dense=_DENSE),
+        Task("Ant-v5", 105, 8, "sac-mlp", _MUJOCO, _FINE, (), 2_400, dense=_DENSE),
     )
 }  # fmt: skip
