@@ -15,12 +15,16 @@ from spikedeploy.envs.errors import EnvError
 
 def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     """Write the arrays atomically."""
-    target = Path(path)
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise EnvError(f"{path} is no plain file, and is not replaced")
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         with partial.open("wb") as file:
             np.savez_compressed(file, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)

@@ -66,10 +66,14 @@ def save(artifact: Artifact, path: str | Path) -> None:
 
     Raises ArtifactError where it cannot be written.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("it is no plain file")
         nir.write(part, _stamped(artifact))
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
         part.replace(path)
     except (OSError, TypeError, ValueError) as error:
         raise ArtifactError(
