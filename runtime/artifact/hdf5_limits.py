@@ -171,7 +171,7 @@ def _size(name: str, dataset: h5py.Dataset) -> int:
             "them into it."
         )
     values = max(int(dataset.size or 0), math.prod(dataset.chunks or (0,)))
-    return values * max(_SMALLEST_NUMBER, dataset.dtype.itemsize)
+    return values * max(_SMALLEST_NUMBER, int(dataset.dtype.itemsize))
 
 
 def _address(group: h5py.Group) -> tuple[int, int]:
