@@ -122,7 +122,11 @@ def _check_rows(arrays: Mapping[str, Any], infos: Mapping[str, Any]) -> None:
     """Raise ValueError where the arrays are not those of one episode of numbers."""
     steps = arrays["reward"].shape
     rows = {"observation": (steps[0] + 1,) if len(steps) == 1 else (), "action": steps}
-    for name, found in {**{n: arrays[n] for n in rows}, "reward": arrays["reward"], **infos}.items():
+    for name, found in {
+        **{n: arrays[n] for n in rows},
+        "reward": arrays["reward"],
+        **infos,
+    }.items():
         wanted = rows.get(name, steps)
         fits = found.shape[: len(wanted)] == wanted if name in rows else found.shape == wanted
         if found.dtype.kind not in "biuf" or len(steps) != 1 or not fits or found.ndim > 2:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import FLOAT_TABLES, UNCOUNTED, Costs
 from spikedeploy.policies.interface import Candidate, env_id
+from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metrics.energy import TABLES, mac_energy, mac_energy_estimate
@@ -57,7 +58,7 @@ class OnnxController:
 
     def act(self, observation: Floats) -> Floats:
         """The action (act,) or ()."""
-        return np.asarray(self.replay(observation[None])[0])
+        return np.asarray(self.replay(observed_numbers(observation)[None])[0])
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
@@ -107,7 +108,8 @@ class OnnxController:
         ]
 
     def _run(self, outputs: list[Any], observations: Floats) -> list[Floats]:
-        batch = self._checked(observations).astype(self._dtype)
+        with np.errstate(over="ignore"):  # 1e308 is finite, and infinite in float32
+            batch = self._checked(observed_numbers(observations)).astype(self._dtype)
         names = [each.name for each in outputs]
         parts = batch[:, None] if self._single else [batch]
         runs = [self._session.run(names, {self._input.name: part}) for part in parts]
