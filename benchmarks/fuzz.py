@@ -3,7 +3,8 @@
     python benchmarks/fuzz.py [--files 10000] [--seed 0] [--only .onnx] [--keep FOLDER]
 
 Valid files of every primitive, with and without our metadata, ONNX policies, traces, tracks,
-rasters, ghosts, rollouts, TOML files and configurations of runs are mutated: bytes; values, shapes, types, links and edges of the HDF5 tree; values of JSON. Each is
+rasters, ghosts, rollouts, TOML files and configurations of runs are mutated: bytes; values,
+shapes, types, links and edges of the HDF5 tree; values of JSON; arrays of archives. Each is
 loaded, written again, read as another tool would, compiled for every chip with and without limits,
 and run for three timesteps on some; traces are verified. That happens in a process of its own with
 a memory limit; one that dies or takes too long is a violation, like any other error, and

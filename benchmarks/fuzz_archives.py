@@ -29,7 +29,7 @@ def other_array(path: Path, rng: Rng) -> None:
         old[None], old.ravel()[:0], old.ravel()[:1], np.array("text"), np.array("[" * 100_000),
         np.full(old.shape, 2**62), np.array({}, dtype=object), np.zeros(old.shape, "M8[s]"),
         np.zeros((3, 3, 3)), np.array('{"version": 1, "env_id": 3, "options": []}'),
-        np.zeros(1 << 25), np.zeros(old.shape, [("a", "f8")]),
+        np.zeros(1 << 20), np.zeros(old.shape, [("a", "f8")]),
     ]  # fmt: skip
     arrays[name] = values[rng.integers(len(values))]
     _write(path, arrays)
@@ -45,7 +45,8 @@ def missing_array(path: Path, rng: Rng) -> None:
 def archive_bomb(path: Path, rng: Rng) -> None:
     """A member that unpacks to hundreds of megabytes."""
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("more.npy", bytes(int(rng.choice([1 << 20, 1 << 27]))))
+        name, size = f"more{rng.integers(1 << 30)}.npy", int(rng.choice([1 << 20, 70 << 20]))
+        archive.writestr(name, bytes(size), compresslevel=1)
 
 
 def toml_line(path: Path, rng: Rng) -> None:
