@@ -71,7 +71,7 @@ def records(folder: Path) -> None:
 
 def policy(path: Path) -> None:
     """A float policy with our metadata."""
-    names = {"w": np.ones((4, 3), np.float32), "v": np.ones((3, 2), np.float32)}
+    names = {"w": np.ones((4, 300), np.float32), "v": np.ones((300, 2), np.float32)}
     nodes = [
         helper.make_node("MatMul", ["x", "w"], ["h"]),
         helper.make_node("Relu", ["h"], ["r"]),
@@ -79,13 +79,13 @@ def policy(path: Path) -> None:
     ]
     x, y, r = (
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width])
-        for name, width in (("x", 4), ("y", 2), ("r", 3))
+        for name, width in (("x", 4), ("y", 2), ("r", 300))
     )
     constants = [numpy_helper.from_array(array, name) for name, array in names.items()]
     graph = helper.make_graph(nodes, "policy", [x], [y, r], constants)
     opsets = [helper.make_opsetid("", 17)]
     model = helper.make_model(graph, opset_imports=opsets, ir_version=8)
-    helper.set_model_props(model, {"env": "spikedeploy/Hexapod-v0", "macs": "18", "seed": "0"})
+    helper.set_model_props(model, {"env": "spikedeploy/Hexapod-v0", "macs": "1800", "seed": "0"})
     path.write_bytes(model.SerializeToString())
 
 
