@@ -6,13 +6,18 @@ from pathlib import Path
 
 import nir
 import numpy as np
+from onnx import TensorProto, helper, numpy_helper
 
 from spikedeploy import envs
+from spikedeploy.envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.rollout import Rollout
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser, PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.resolve import resolve
 
 TWO = np.array([2, 2])
 ORIGIN = Provenance(
@@ -43,7 +48,45 @@ def write_corpus(folder: Path) -> list[Path]:
     (folder / "track.json").write_bytes(track.read_bytes())
     np.save(folder / "raster.npy", np.eye(4, dtype=np.uint8))
     np.savez_compressed(folder / "rasters.npz", a=np.eye(2), b=np.ones((2, 1, 2)))
+    records(folder)
+    policy(folder / "policy.onnx")
     return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def records(folder: Path) -> None:
+    """A ghost file, a rollout, settings in TOML, and the configuration of a run."""
+    poses, reward = np.zeros((3, 3), np.float32), np.ones(2, np.float32)
+    drive = Ghost(poses, poses[:, 0], np.array([1, 2]), reward, True, False, 1)
+    Ghosts("spikedeploy/KartSteer-v0", [drive, drive], {"track": "big_S"}).save(
+        folder / "drives.ghosts"
+    )
+    numbers = {"x": np.zeros(2), "y": np.ones(2)}
+    episode = (np.zeros((3, 4)), np.ones((2, 1)), np.ones(2), True, False, numbers)
+    Rollout("spikedeploy/Hexapod-v0", 1, *episode, {"slope": 1}).save(folder / "walk.rollout")
+    tables = ("steps = 1000", "[env]", "count = 2", "[policy]", "hidden = [8, 8]")
+    (folder / "settings.toml").write_text("\n".join(tables))
+    made = resolve(PpoConfig, "kart-grid-ann", seed=0).model_dump(mode="json")
+    (folder / "run.config").write_text(json.dumps(made))
+
+
+def policy(path: Path) -> None:
+    """A float policy with our metadata."""
+    names = {"w": np.ones((4, 300), np.float32), "v": np.ones((300, 2), np.float32)}
+    nodes = [
+        helper.make_node("MatMul", ["x", "w"], ["h"]),
+        helper.make_node("Relu", ["h"], ["r"]),
+        helper.make_node("MatMul", ["r", "v"], ["y"]),
+    ]
+    x, y, r = (
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width])
+        for name, width in (("x", 4), ("y", 2), ("r", 300))
+    )
+    constants = [numpy_helper.from_array(array, name) for name, array in names.items()]
+    graph = helper.make_graph(nodes, "policy", [x], [y, r], constants)
+    opsets = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opsets, ir_version=8)
+    helper.set_model_props(model, {"env": "spikedeploy/Hexapod-v0", "macs": "1800", "seed": "0"})
+    path.write_bytes(model.SerializeToString())
 
 
 def lif(*shape: int, tau: float = 4e-3, gain: float = 4.0) -> nir.LIF:

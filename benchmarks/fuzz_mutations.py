@@ -6,12 +6,21 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from benchmarks.fuzz_archives import ARCHIVES, TOML
 from benchmarks.fuzz_bytes import BYTES, flip
 from benchmarks.fuzz_hdf5 import HDF5
 from benchmarks.fuzz_json import JSON
 
 Rng: TypeAlias = np.random.Generator
-STRUCTURED: dict[str, list[Callable[[Path, Rng], None]]] = {".nir": HDF5, ".json": JSON}
+STRUCTURED: dict[str, list[Callable[[Path, Rng], None]]] = {
+    ".nir": HDF5,
+    ".json": JSON,
+    ".config": JSON,
+    ".npz": ARCHIVES,
+    ".ghosts": ARCHIVES,
+    ".rollout": ARCHIVES,
+    ".toml": TOML,
+}
 
 
 def mutate(source: Path, target: Path, rng: Rng) -> str:

@@ -42,12 +42,15 @@ class Outcome:
     megabytes: float
 
 
-def fuzz(numbers: range, seed: int, folder: Path, keep: Path | None = None) -> Iterator[Outcome]:
+def fuzz(
+    numbers: range, seed: int, folder: Path, keep: Path | None = None, only: str = ""
+) -> Iterator[Outcome]:
     """The outcome of each number, tried one after the other in a process of their own.
 
     keep: folder for the files that violate.
+    only: a format, such as ".onnx"; all by default.
     """
-    corpus = write_corpus(folder / "corpus")
+    corpus = [path for path in write_corpus(folder / "corpus") if path.suffix.endswith(only)]
     worker = Worker(corpus, seed, folder)
     for number in numbers:
         outcome = worker.outcome(number)
@@ -55,7 +58,7 @@ def fuzz(numbers: range, seed: int, folder: Path, keep: Path | None = None) -> I
             worker = Worker(corpus, seed, folder)
         if outcome.violation and keep:
             keep.mkdir(parents=True, exist_ok=True)
-            for file in folder.glob("file.*"):
+            for file in filter(Path.is_file, folder.glob("file.*")):
                 shutil.copy(file, keep / f"{number}-{file.name}")
         yield outcome
     worker.end()
@@ -106,10 +109,10 @@ def tried(number: int, corpus: list[Path], seed: int, folder: Path) -> Outcome:
     """The outcome of one file."""
     rng = np.random.default_rng([seed, number])
     networks = [path for path in corpus if path.suffix == ".nir"]
-    some = networks if rng.random() < NETWORKS else corpus
+    some = networks if networks and rng.random() < NETWORKS else corpus
     source = some[rng.integers(len(some))]
     for old in folder.glob("file.*"):
-        old.unlink()
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
     path = folder / f"file{source.suffix}"
     damage = mutate(source, path, rng)
     _forget_highest()

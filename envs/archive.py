@@ -12,25 +12,47 @@ import numpy as np
 
 from spikedeploy.envs.errors import EnvError
 
+# bytes that an archive may unpack to for each of its own, and besides those
+_MAX_EXPANSION = 100
+_FREE_BYTES = 64 << 20
+
 
 def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     """Write the arrays atomically."""
-    target = Path(path)
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise EnvError(f"{path} is no plain file, and is not replaced")
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         with partial.open("wb") as file:
             np.savez_compressed(file, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
 
 
+def _check_size(path: str | os.PathLike[str], what: str) -> None:
+    """Refuse an archive that unpacks to far more than it is: zeros shrink a thousandfold."""
+    with zipfile.ZipFile(path) as archive:
+        claimed = sum(member.file_size for member in archive.infolist())
+    if claimed > (most := _FREE_BYTES + _MAX_EXPANSION * Path(path).stat().st_size):
+        raise EnvError(
+            f"{path} unpacks to {claimed} bytes, at most {most} of a {what} of its size: it is "
+            "damaged or made to fill the memory"
+        )
+
+
 def read(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     """The arrays of a file; `what` names the expected kind of file in errors."""
     try:
+        if Path(path).exists() and not Path(path).is_file():
+            raise EnvError(f"{path}: no file, so no {what}")
         if not zipfile.is_zipfile(path) and Path(path).is_file():
             raise EnvError(f"{path}: not a whole {what}, which is a .npz archive")
+        _check_size(path, what)
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             return dict(archive)
     except FileNotFoundError:

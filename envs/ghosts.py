@@ -131,8 +131,9 @@ class Ghosts:
         arrays = archive.read(path, "ghost file")
         header = _header(arrays, path)
         try:
+            _check_arrays(arrays)
             drives = _drives(arrays)
-        except (KeyError, ValueError, IndexError) as error:
+        except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
             raise EnvError(f"{path}: its arrays do not fit together ({error})") from error
         return cls(header["env_id"], drives, header["options"])
 
@@ -186,11 +187,34 @@ def _header(arrays: dict[str, Any], path: str | os.PathLike[str]) -> dict[str, A
         raise EnvError(f"{path}: not a ghost file, {', '.join(sorted(missing))} missing")
     try:
         header: dict[str, Any] = json.loads(str(arrays["header"]))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise EnvError(f"{path}: its header is not JSON ({error})") from error
+    kinds = {"version": int, "env_id": str, "options": dict}
+    for name, kind in kinds.items():
+        if not isinstance(header, dict) or type(header.get(name)) is not kind:
+            raise EnvError(
+                f"{path}: its header must be a JSON object in which {name} is of type "
+                f"{kind.__name__}; found {str(header)[:80]}"
+            )
     if header["version"] != _VERSION:
         raise EnvError(f"{path}: layout version {header['version']}, this program reads {_VERSION}")
     return header
+
+
+def _check_arrays(arrays: dict[str, Any]) -> None:
+    """Raise ValueError where an array has other axes than its kind, or no finite numbers."""
+    axes = {"start": 2, "moves": 2, "reward": 1, **dict.fromkeys(_EACH, 1)}
+    for name in _PARTS:
+        found = arrays[name]
+        if found.dtype.kind not in "biuf" or not np.isfinite(found).all():
+            raise ValueError(f"{name} holds {found.dtype} values, or not finite ones")
+        if not found.ndim or found.ndim != axes.get(name, found.ndim):
+            raise ValueError(f"{name} has the shape {found.shape}")
+    count = len(arrays["steps"])
+    if any(len(arrays[name]) != count for name in _EACH) or arrays["start"].shape != (4, count):
+        raise ValueError(f"{count} episodes, and other numbers of their ends")
+    if len(arrays["moves"]) != 4 or (count and arrays["steps"].min() < 0):
+        raise ValueError("moves are not of four values, or an episode has fewer than no steps")
 
 
 def _drives(arrays: dict[str, Any]) -> list[Ghost]:

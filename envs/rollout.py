@@ -86,7 +86,11 @@ class Rollout:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
         """Read a file that save wrote."""
-        return cls._parse(archive.read(path, "rollout"), path)
+        arrays = archive.read(path, "rollout")
+        try:
+            return cls._parse(arrays, path)
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
+            raise EnvError(f"{path}: not a whole rollout ({error})") from error
 
     @classmethod
     def _parse(cls, arrays: dict[str, Any], path: str | os.PathLike[str]) -> Rollout:
@@ -97,6 +101,10 @@ class Rollout:
         if version != _VERSION:
             raise EnvError(f"{path}: layout version {version}, this program reads {_VERSION}")
         infos = {name: values for name, values in arrays.items() if name.startswith("info/")}
+        _check_rows(arrays, infos)
+        options = json.loads(str(arrays.get("options", "{}")))  # missing in files of version 0.1
+        if not isinstance(options, dict):
+            raise ValueError(f"its options are no JSON object: {str(options)[:60]}")
         return cls(
             env_id=str(arrays["env_id"]),
             seed=seed,
@@ -106,8 +114,23 @@ class Rollout:
             terminated=bool(terminated),
             truncated=bool(truncated),
             info={name.removeprefix("info/"): values for name, values in infos.items()},
-            options=json.loads(str(arrays.get("options", "{}"))),  # missing in files of version 0.1
+            options=options,
         )
+
+
+def _check_rows(arrays: Mapping[str, Any], infos: Mapping[str, Any]) -> None:
+    """Raise ValueError where the arrays are not those of one episode of numbers."""
+    steps = arrays["reward"].shape
+    rows = {"observation": (steps[0] + 1,) if len(steps) == 1 else (), "action": steps}
+    for name, found in {
+        **{n: arrays[n] for n in rows},
+        "reward": arrays["reward"],
+        **infos,
+    }.items():
+        wanted = rows.get(name, steps)
+        fits = found.shape[: len(wanted)] == wanted if name in rows else found.shape == wanted
+        if found.dtype.kind not in "biuf" or len(steps) != 1 or not fits or found.ndim > 2:
+            raise ValueError(f"{name} is {found.dtype} of shape {found.shape}, reward {steps}")
 
 
 class EpisodeRecorder:

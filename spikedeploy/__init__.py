@@ -19,6 +19,7 @@
     cli          starts a command
     console      tables and JSON on stdout, progress on stderr
     files        files that are whole or not there
+    outputs      the guard of every file that a command writes
     make_env     environments with options, as the command line asks for them
     parallel     pure functions in processes side by side
     seeds        which seeds are for training, validation and evaluation

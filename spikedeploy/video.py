@@ -39,8 +39,11 @@ class Pace:
 
 
 @contextmanager
-def mp4(path: Path, fps: float) -> Iterator[Callable[[Frame], None]]:
-    """A function that takes frames (H, W, 3) uint8; `path` appears when the block succeeds."""
+def mp4(path: Path, fps: float, remark: str = "") -> Iterator[Callable[[Frame], None]]:
+    """A function that takes frames (H, W, 3) uint8; `path` appears when the block succeeds.
+
+    remark  in the file's metadata
+    """
     import av
 
     streams: list[VideoStream] = []  # created with the size of the first frame
@@ -48,6 +51,8 @@ def mp4(path: Path, fps: float) -> Iterator[Callable[[Frame], None]]:
         replacing(path) as part,
         av.open(part, "w", format="mp4", options={"movflags": "faststart"}) as file,
     ):
+        if remark:
+            file.metadata["comment"] = remark
 
         def write(frame: Frame) -> None:
             even = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # yuv420 halves

@@ -25,7 +25,8 @@ env_batch.py     copies of an environment, stepped as a batch
 validation.py    deterministic episodes that choose the best checkpoint
 critic.py        float networks that estimate returns
 adam.py          the optimiser and its state
-onnx_session.py  ONNX Runtime session of a float network
+onnx_session.py  ONNX Runtime session of a float network, tried within limits
+onnx_operators.py  what an ONNX file computes with, read from its bytes
 atomic.py        atomic writes
 
 An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in RECIPES.

@@ -8,8 +8,14 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-Positive = Annotated[int, Field(gt=0)]
-Count = Annotated[int, Field(ge=0)]
+_LONGEST = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
+Positive = Annotated[int, Field(gt=0, le=_LONGEST)]
+Count = Annotated[int, Field(ge=0, le=_LONGEST)]
+# what is allocated at once: units of a layer, samples of a batch, transitions that are kept
+Width = Annotated[int, Field(gt=0, le=16_384)]
+Batch = Annotated[int, Field(gt=0, le=1 << 20)]
+Kept = Annotated[int, Field(gt=0, le=10**8)]
+Copies = Annotated[int, Field(gt=0, le=4096)]
 Rate = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 _MOST = 256  # as runtime.codec.delta has it, which is not imported for a number
@@ -50,14 +56,14 @@ class EnvConfig(_Section):
 
     name: str = "hexapod"
     options: dict[str, Any] = Field(default_factory=dict)
-    count: Positive = 4
+    count: Copies = 4
 
 
 class MlpConfig(_Section):
     """A float network; no hidden layers make it a linear policy."""
 
     kind: Literal["mlp"] = "mlp"
-    hidden: tuple[Positive, ...] = (512, 512)
+    hidden: tuple[Width, ...] = (512, 512)
     features: Literal["all", "phase", "bilinear", "fourier"] = "all"
 
     @property
@@ -70,7 +76,7 @@ class PopsanConfig(_Section):
     """A population-coded spiking actor (Tang et al. 2020), with the hexapod's decay factors."""
 
     kind: Literal["popsan"] = "popsan"
-    hidden: tuple[Positive, ...] = (512, 512)
+    hidden: tuple[Width, ...] = (512, 512)
     populations: Positive = 10
     timesteps: Positive = 5
     alpha: Share = 0.9
@@ -94,7 +100,7 @@ class SpikingMlpConfig(_Section):
     """
 
     kind: Literal["spiking-mlp"] = "spiking-mlp"
-    hidden: tuple[Positive, ...] = Field(default=(64, 64), min_length=1)
+    hidden: tuple[Width, ...] = Field(default=(64, 64), min_length=1)
     coding: Literal["regular", "bernoulli", "population"] = "regular"
     populations: Positive = 4
     reach: Rate = 1.0
@@ -159,7 +165,7 @@ class PrunedMlpConfig(_Section):
     """A small float network with a skip connection, pruned as the spiking ones are."""
 
     kind: Literal["pruned-mlp"] = "pruned-mlp"
-    hidden: tuple[Positive, ...] = (16,)
+    hidden: tuple[Width, ...] = (16,)
     skip: bool = True
 
     @property

@@ -96,7 +96,7 @@ def _read_toml(file: str | Path) -> dict[str, Any]:
         tables: dict[str, Any] = tomllib.loads(Path(file).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot read the configuration file {file}: {error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{file} is not valid TOML: {error}") from error
     return tables
 
@@ -109,7 +109,9 @@ def parse_override(text: str) -> dict[str, Any]:
         raise ConfigError(f"--set takes key=value, as in --set policy.hidden=[64,64]; got '{text}'")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except RecursionError:
+        raise ConfigError(f"--set {key.strip()}: its value is nested too deeply") from None
+    except ValueError:  # tomllib's own, and of numbers with thousands of digits
         parsed = value.strip()
     for part in reversed(parts):
         parsed = {part: parsed}

@@ -27,6 +27,8 @@ from spikedeploy.envs.kart.track_rules import check
 
 FloatArray = NDArray[np.float64]
 FOLDER = Path(__file__).parent / "tracks"
+_LARGEST = 5 << 20  # [bytes]
+_MOST_WALLS = 20_000  # segments; and gates
 _FIELDS = ("name", "walls", "gates", "start")
 _START = ("position", "spread", "heading")
 
@@ -47,9 +49,12 @@ def load(track: str | Path) -> Track:
             raise EnvError(_unknown(str(track)))
         path = FOLDER / f"{track}.json"
     try:
-        changed = path.stat().st_mtime_ns
+        found = path.stat()
     except OSError as error:
         raise EnvError(f"track {path}: {error.strerror}") from error
+    if not path.is_file() or found.st_size > _LARGEST:
+        raise EnvError(f"track {path}: no file, or more than {_LARGEST} bytes: no track is so long")
+    changed = found.st_mtime_ns
     return _read(path, changed)
 
 
@@ -81,6 +86,11 @@ def parse(tree: object, where: str) -> Track:
         sway=float(_numbers(fields.get("sway", 0.0), (), f"{where}: sway")),
         polylines=polylines,
     )
+    if len(track.walls) > _MOST_WALLS or len(track.gates) > _MOST_WALLS:
+        raise EnvError(
+            f"{where}: {len(track.walls)} segments of walls and {len(track.gates)} gates; at most "
+            f"{_MOST_WALLS} of each. Draw with fewer points"
+        )
     if track.spread < 0 or track.sway < 0 or low > high:
         raise EnvError(
             f"{where}: spread {track.spread} and sway {track.sway} must not be negative, "

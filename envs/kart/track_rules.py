@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.track import RADIUS, Track
+from spikedeploy.envs.kart.track import RADIUS, Track, segments
 
 FloatArray = NDArray[np.float64]
 _CELL = 6.0  # [px] of the reachability map; far narrower than a kart
+_PIECE = 300.0  # [px] of a wall that is looked at at once
 _LARGEST_TRACK = 20_000.0  # [px] width or height; the map of a larger one would fill the memory
+_LARGEST_AREA = 6e7  # [px^2] as much
 _RIM = RADIUS + 2 * _CELL  # [px] largest distance of a barrier from its nearest free cells
 
 
@@ -48,6 +52,11 @@ def _check_size(track: Track, where: str) -> None:
         raise EnvError(
             f"{where}: the track is {widest:g} px wide; at most {_LARGEST_TRACK:g}. Scale it down"
         )
+    if (area := float(np.prod(np.ptp(points, axis=0)))) > _LARGEST_AREA:
+        raise EnvError(
+            f"{where}: the track covers {area:g} square px; at most {_LARGEST_AREA:g}. Scale it "
+            "down"
+        )
 
 
 def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
@@ -67,27 +76,46 @@ def _free_map(track: Track) -> tuple[NDArray[np.bool_], FloatArray]:
     origin = points.min(axis=0) - 3 * RADIUS
     shape = np.ceil((points.max(axis=0) + 3 * RADIUS - origin) / _CELL).astype(int)
     barriers = np.concatenate([track.walls, track.gates[-1:]])
-    centres = np.indices(shape).reshape(2, -1).T * _CELL + origin
-    nearest = np.full(len(centres), np.inf)
-    for barrier in barriers:  # one at a time: all together would take gigabytes
-        np.minimum(nearest, distances(centres, barrier[None])[:, 0], out=nearest)
-    return (nearest > RADIUS).reshape(shape), origin
+    free = np.ones(shape, bool)
+    for barrier in barriers:
+        for piece in _pieces(barrier):
+            # of the cells that are near enough to matter, the distance to the whole barrier
+            low = np.maximum(np.floor((piece.min(axis=0) - RADIUS - origin) / _CELL), 0).astype(int)
+            high = np.ceil((piece.max(axis=0) + RADIUS - origin) / _CELL).astype(int) + 1
+            window = free[low[0] : high[0], low[1] : high[1]]
+            cells = np.indices(window.shape).reshape(2, -1).T + low
+            nearest = distances(cells * _CELL + origin, barrier[None])[:, 0]
+            window &= (nearest > RADIUS).reshape(window.shape)
+    return free, origin
+
+
+def _pieces(barrier: FloatArray) -> FloatArray:
+    """Pieces (n, 2, 2) of a segment, none of them long: a window around each is small."""
+    count = int(np.ceil(np.hypot(*(barrier[1] - barrier[0])) / _PIECE)) or 1
+    return segments([np.linspace(barrier[0], barrier[1], count + 1)])
 
 
 def _flooded(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]:
-    """Flood fill: the free cells that are connected with the seed cell."""
+    """Flood fill: the free cells that are connected with the seed cell, row by row."""
     reached = np.zeros_like(free)
-    reached[seed] = free[seed]
-    while True:
-        grown = reached.copy()
-        grown[1:] |= reached[:-1]
-        grown[:-1] |= reached[1:]
-        grown[:, 1:] |= reached[:, :-1]
-        grown[:, :-1] |= reached[:, 1:]
-        grown &= free
-        if np.array_equal(grown, reached):
-            return reached
-        reached = grown
+    runs = [_runs(row) for row in free]
+    waiting = [(seed[0], seed[1], seed[1] + 1)] if free[seed] else []
+    while waiting:
+        row, first, end = waiting.pop()
+        starts, ends = runs[row]
+        for run in range(bisect_right(ends, first), bisect_left(starts, end)):
+            if reached[row, starts[run]]:
+                continue
+            reached[row, starts[run] : ends[run]] = True
+            beside = (each for each in (row - 1, row + 1) if 0 <= each < len(free))
+            waiting += [(each, starts[run], ends[run]) for each in beside]
+    return reached
+
+
+def _runs(row: NDArray[np.bool_]) -> tuple[list[int], list[int]]:
+    """Where runs of free cells start, and where they end."""
+    edges = np.flatnonzero(np.diff(row, prepend=False, append=False))
+    return edges[::2].tolist(), edges[1::2].tolist()
 
 
 def _cell(point: FloatArray, origin: FloatArray) -> tuple[int, int]:

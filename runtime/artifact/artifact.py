@@ -19,7 +19,9 @@ from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset,
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.nesting import flattened
 from spikedeploy.runtime.graph.neurons import NEURONS, discretise, infer_convention, infer_timestep
+from spikedeploy.runtime.graph.numbers import with_floats
 from spikedeploy.runtime.graph.order import delay_timesteps
+from spikedeploy.runtime.graph.shapes import check_size
 from spikedeploy.runtime.graph.sigma_delta import SigmaDelta, check_sigma_delta
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
@@ -64,10 +66,14 @@ def save(artifact: Artifact, path: str | Path) -> None:
 
     Raises ArtifactError where it cannot be written.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("it is no plain file")
         nir.write(part, _stamped(artifact))
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
         part.replace(path)
     except (OSError, TypeError, ValueError) as error:
         raise ArtifactError(
@@ -122,6 +128,7 @@ def load(
             return _written_by(graph, written_by, given)
         if _KEY in graph.metadata:
             return _ours(graph, given)
+        graph = with_floats(graph)
         return Artifact(graph, None, infer_convention(graph, given))
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
@@ -189,6 +196,7 @@ def _read(path: Path) -> nir.NIRGraph:
         )
     graph = without_batch_axis(flattened(read_graph(path)))
     check_graph(graph)
+    check_size(graph, path.stat().st_size)
     return graph
 
 
@@ -206,13 +214,14 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     stated = Artifact(graph, codec, convention, found, graded)
     if found is not None:
         _check_digest(stated, found)
-    return replace(stated, convention=convention.with_options(given))
+    # after the digest, which is of the numbers as they were exported
+    return replace(stated, graph=with_floats(graph), convention=convention.with_options(given))
 
 
 def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
     """The artifact as another tool reads the graph; it ignores our convention and provenance."""
     codec = _ours(graph, {}).codec if _KEY in graph.metadata else None
-    read, convention = read_like(graph, tool, given)
+    read, convention = read_like(with_floats(graph), tool, given)
     return Artifact(read, codec, convention)
 
 
@@ -223,7 +232,7 @@ def _written_by(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> 
             f"--from {tool}: spikedeploy wrote this file, and its metadata state the convention. "
             "Leave --from away; --like reads it as another tool would."
         )
-    read, convention = read_as_written(graph, tool, given)
+    read, convention = read_as_written(with_floats(graph), tool, given)
     return Artifact(read, None, convention)
 
 

@@ -55,7 +55,9 @@ def read_nir_data(
     }
 
 
-def write_nir_data(path: Path, rows: Mapping[str, NDArray[Any]], dt: float) -> None:
+def write_nir_data(
+    path: Path, rows: Mapping[str, NDArray[Any]], dt: float, remark: str = ""
+) -> None:
     """Write values (T, *N) of nodes on a grid: spikes, as bool where they are 0 or 1."""
     nodes = {}
     for name, values in rows.items():
@@ -64,6 +66,9 @@ def write_nir_data(path: Path, rows: Mapping[str, NDArray[Any]], dt: float) -> N
         grid = nir.TimeGriddedData(flat.astype(bool) if binary else flat, dt)
         nodes[name] = nir.NIRNodeData({_SPIKES if flat.dtype.kind in "biu" else "output": grid})
     nir.write_data(path, nir.NIRGraphData(nodes))
+    if remark:
+        with h5py.File(path, "r+") as file:
+            file.attrs["remark"] = remark
 
 
 def _grid(where: str, node: object, dt: float, shape: tuple[int, ...]) -> NDArray[Any]:

@@ -183,9 +183,12 @@ class Codec:
         state: of the episode, from the encoder's `start`, which is moved on; None for one that
             starts here with seed 0.
         """
-        observed = np.asarray(obs, dtype=self.normaliser.mean.dtype)
-        self._check_observation(observed)
-        return self.encoder.encode(self.normaliser(observed), self.timesteps, state)
+        # 1e308 is finite, and becomes infinity in a narrow type or on division; the clip ends it
+        with np.errstate(over="ignore"):
+            observed = observed_numbers(obs).astype(self.normaliser.mean.dtype, copy=False)
+            self._check_observation(observed)
+            normalised = self.normaliser(observed)
+        return self.encoder.encode(normalised, self.timesteps, state)
 
     def encode_episode(self, obs: ArrayLike, seed: int = 0) -> NDArray[np.uint8]:
         """Spikes (S, T, M) of the successive observations (S, obs) of one robot.
@@ -193,7 +196,7 @@ class Codec:
         They are those of an episode from its beginning, which a code that remembers needs.
         """
         state = self.encoder.start(seed)
-        return np.concatenate([self.encode(row[None], state) for row in np.asarray(obs)])
+        return np.concatenate([self.encode(row[None], state) for row in observed_numbers(obs)])
 
     def decode(self, output: NDArray[np.floating]) -> NDArray[Any]:
         """Actions (B, act), or (B,) of "argmax", from the readout's output (B, T, act)."""
@@ -241,7 +244,7 @@ class Codec:
 
     def _check_observation(self, obs: NDArray[np.floating]) -> None:
         size = self.encoder.observed
-        if obs.ndim != 2 or obs.shape[1] != size:
+        if obs.ndim != 2 or obs.shape[1] != size or not len(obs):
             raise ObservationError(
                 f"the observation has shape {obs.shape}; the codec needs (B, {size}). "
                 "Is this policy meant for this environment?"
@@ -252,6 +255,31 @@ class Codec:
                 f"the observation holds {obs[row, column]} at index {column} of row {row}; all "
                 "must be finite. Check the sensor or simulation that it comes from."
             )
+
+
+def observed_numbers(obs: ArrayLike) -> NDArray[Any]:
+    """An observation as an array of real numbers; ObservationError where it is anything else.
+
+    Nothing is converted that would lose a part: complex numbers, dates, records, masked values.
+    """
+    if isinstance(obs, np.ma.MaskedArray) and np.ma.getmaskarray(obs).any():
+        raise ObservationError(
+            "the observation has masked values, which nothing says what to do with. Fill them."
+        )
+    try:
+        found = np.asarray(obs)
+        if found.dtype.kind == "O":  # huge whole numbers
+            found = found.astype(np.float64)
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise ObservationError(
+            f"the observation is no array of numbers: {str(error)[:80]}. Give (obs,) numbers."
+        ) from error
+    if found.dtype.kind not in "biuf":
+        raise ObservationError(
+            f"the observation holds {str(found.dtype)[:40]}, and not real numbers. Give (obs,) "
+            "numbers."
+        )
+    return found
 
 
 def _encoder(record: Record) -> Encoder:

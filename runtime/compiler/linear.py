@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.nodes import build_node
-from spikedeploy.runtime.graph.order import Timing, sources
+from spikedeploy.runtime.graph.order import Timing, in_waves, sources
 from spikedeploy.runtime.graph.shapes import multiplications
 from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS
 
@@ -34,6 +34,8 @@ LINEAR = (nir.Linear, *_BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
 _LARGEST = 1 << 28
 # multiplications that finding a matrix may take
 _HARDEST = 1 << 34
+# edges that impulses may follow, over all targets
+_MOST_VISITS = 1 << 18
 # numbers that the impulses sent at once may fill, and how many are sent at most
 _ENOUGH = 1 << 22
 _MOST = 256
@@ -63,13 +65,14 @@ class Linear:
             name: build_node(name, _unbiased(graph.nodes[name]), convention, np.float64)
             for name in self._inside
         }
-        self._bytes = 0
+        self._sources = sources(graph)
+        self._bytes = self._visited = 0
 
     def region(self, target: str) -> LinearBlock:
         """The region before a target."""
         inside, presynaptic, waiting = set[str](), set[str](), [target]
         while waiting:
-            for name in sources(self._graph, waiting.pop()):
+            for name in self._sources[waiting.pop()]:
                 if name not in self._inside:
                     presynaptic.add(name)
                 elif name not in inside:
@@ -131,6 +134,16 @@ class Linear:
                 "convolutions smaller."
             )
 
+    def _check_visits(self, region: LinearBlock) -> None:
+        """Refuse so many nodes between neurons that following all of their edges takes minutes."""
+        self._visited += sum(len(self._sources[name]) for name in (*region.names, region.target))
+        if self._visited > _MOST_VISITS:
+            raise RuleError(
+                f"rule matrix: node {region.target!r}: {len(region.names)} nodes without spikes "
+                f"lead to it, and by here {self._visited} edges were followed; at most "
+                f"{_MOST_VISITS}. Join nodes without spikes between them into one."
+            )
+
     def _impulses(self, region: LinearBlock, source: str) -> Iterator[tuple[int, Floats]]:
         """Rows of the identity as (R, *shape), a few at a time, and the number of the first."""
         shape = self._shape(source)
@@ -146,6 +159,7 @@ class Linear:
         self, region: LinearBlock, start: Mapping[str, Parts], biased: bool = False
     ) -> Parts:
         """What arrives at the target when the sources put out `start`."""
+        self._check_visits(region)
         put = dict(start)
         for name in region.names:
             put[name] = self._through(name, self._arriving(name, put))
@@ -155,7 +169,7 @@ class Linear:
 
     def _arriving(self, name: str, put: Mapping[str, Parts]) -> Parts:
         arriving: Parts = {}
-        for source in sources(self._graph, name):
+        for source in self._sources[name]:
             late = (source, name) in self._timing.late
             for lag, rows in put.get(source, {}).items():
                 _add(arriving, lag + late, rows)
@@ -184,7 +198,7 @@ class Linear:
         """The weights themselves of a lone Affine or Linear; nothing where there is more."""
         name, *others = region.names or ("",)
         node = self._graph.nodes.get(name)
-        alone = [sources(self._graph, at) for at in (name, region.target)] == [[source], [name]]
+        alone = [self._sources.get(at) for at in (name, region.target)] == [[source], [name]]
         if others or not alone or not isinstance(node, _DENSE) or node.weight.ndim != 2:
             return {}
         edges = [(source, name), (name, region.target)]
@@ -201,18 +215,14 @@ class Linear:
 
     def _ordered(self, inside: set[str]) -> list[str]:
         """The nodes, each after its sources; in a loop of them values would never settle."""
-        before = {name: inside.intersection(sources(self._graph, name)) for name in inside}
-        names: dict[str, None] = {}
-        while len(names) < len(inside):
-            ready = sorted(n for n in inside if n not in names and before[n] <= names.keys())
-            if not ready:
-                raise RuleError(
-                    f"rule recurrence: nodes {', '.join(sorted(inside - names.keys()))}: a loop "
-                    "without a spiking node, whose values would never settle; a chip has none. "
-                    "Put a neuron into it, or run the graph in float."
-                )
-            names.update(dict.fromkeys(ready))
-        return list(names)
+        names = in_waves(inside, [(s, name) for name in inside for s in self._sources[name]])
+        if left := sorted(inside - set(names)):
+            raise RuleError(
+                f"rule recurrence: nodes {', '.join(left)}: a loop without a spiking node, whose "
+                "values would never settle; a chip has none. Put a neuron into it, or run the "
+                "graph in float."
+            )
+        return names
 
 
 def _unbiased(node: nir.NIRNode) -> nir.NIRNode:

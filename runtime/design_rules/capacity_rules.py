@@ -105,7 +105,7 @@ def axons_out(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _placement(design: PlacedNetwork, name: str) -> Placement:
-    return next(p for p in design.mapping.placements if p.name == name and p.kind == "neurons")
+    return design.mapping.of_neurons[name]
 
 
 def _note(placement: Placement) -> str:

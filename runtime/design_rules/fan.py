@@ -19,6 +19,7 @@ from spikedeploy.runtime.graph.windows import (
 )
 
 Counts = NDArray[np.int64]
+_WITH_A_FAN = (*DENSE, *CONVOLUTIONS, *POOLS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class SynapseCounts:
     late: whether the way closes a loop.
     most: whether the counts are the most that it can be: two maps in a row, whose product is not
         made.
-    maps: names of the nodes between them.
+    maps: names of the nodes between them that have a fan or flatten.
     """
 
     out: Counts
@@ -78,14 +79,14 @@ def merged(fans: Sequence[SynapseCounts]) -> SynapseCounts:
 
 def through(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts:
     """The fan after one more node."""
-    fan = replace(fan, maps=(*fan.maps, name))
     if isinstance(node, nir.Delay):
         return replace(fan, delayed=fan.delayed or bool(node.delay.any()))
     if isinstance(node, nir.Scale):
         return replace(fan, largest=fan.largest * float(np.abs(node.scale).max()))
-    if isinstance(node, (*DENSE, *CONVOLUTIONS, *POOLS)):
-        return _composed(fan, name, node)
-    return fan
+    if not isinstance(node, (*_WITH_A_FAN, nir.Flatten)):
+        return fan
+    fan = replace(fan, maps=(*fan.maps, name))
+    return _composed(fan, name, node) if isinstance(node, _WITH_A_FAN) else fan
 
 
 def _composed(fan: SynapseCounts, name: str, node: nir.NIRNode) -> SynapseCounts:

@@ -8,7 +8,7 @@ there is.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import TypeAlias
 
 import nir
@@ -67,6 +67,11 @@ class CoreMapping:
     cores: int | None
     chips: int | None
 
+    @cached_property
+    def of_neurons(self) -> dict[str, Placement]:
+        """The placement of each population."""
+        return {each.name: each for each in self.placements if each.kind == "neurons"}
+
 
 def mapping(network: Topology, chip: Chip, graph: nir.NIRGraph) -> CoreMapping:
     """The network on the chip; where a population does not fit, its smallest division."""
@@ -121,12 +126,13 @@ def _by_layers(network: Topology, graph: nir.NIRGraph, limits: Limits) -> CoreMa
 def _divided(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
     """The block of each population; a core has axons for so many target cores of its neurons."""
     blocks = {p.name: p.size for p in network.populations}
+    cores = dict.fromkeys(blocks, 1)
     for _ in range(len(blocks) + 2):
         before = dict(blocks)
         for population in reversed(network.populations):
-            cores = {p.name: -(-p.size // blocks[p.name]) for p in network.populations}
             targets = _target_cores(network, population.name, cores)
             blocks[population.name] = _block(population, limits, weigh, targets)
+            cores[population.name] = -(-population.size // blocks[population.name])
         if blocks == before:
             break
     return blocks
@@ -203,7 +209,7 @@ def _uncored(network: Topology, population: Population) -> Placement:
 
 
 def _fan_out(network: Topology, name: str) -> int:
-    return int(network.fan_out(name, {p.name for p in network.populations}).max())
+    return int(network.fan_out(name).max())
 
 
 def _inputs(network: Topology, limits: Limits, cores: dict[str, int]) -> Iterator[Placement]:

@@ -4,8 +4,9 @@ Unlike `wiring`, which a chip is compiled from, it takes any sound graph, so tha
 network that fits nowhere can still be told why.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import nir
 import numpy as np
@@ -19,6 +20,8 @@ from spikedeploy.runtime.graph.order import Edge, order, sources
 Counts = NDArray[np.int64]
 
 _POPULATIONS = (*NEURONS, nir.Threshold)
+# ways to nodes without spikes, and the nodes on them: following more takes seconds
+_MOST_WAYS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +88,18 @@ class Topology:
 
     def leaving(self, name: str) -> list[Projection]:
         """The projections that start in an input or population."""
-        return [c for p in self.populations for c in p.presynaptic if c.source == name]
+        return self._leaving.get(name, [])
 
-    def fan_out(self, name: str, targets: Collection[str]) -> Counts:
-        """(M,) synapses that each spike of an input or population reaches in these targets."""
-        out = [c.fan.out for c in self.leaving(name) if c.target in targets]
+    @cached_property
+    def _leaving(self) -> dict[str, list[Projection]]:
+        found: dict[str, list[Projection]] = {}
+        for projection in (c for p in self.populations for c in p.presynaptic):
+            found.setdefault(projection.source, []).append(projection)
+        return found
+
+    def fan_out(self, name: str, targets: Collection[str] | None = None) -> Counts:
+        """(M,) synapses that each spike of an input or population reaches, in these targets."""
+        out = [c.fan.out for c in self.leaving(name) if targets is None or c.target in targets]
         return np.sum(out, axis=0) if out else np.zeros(1, np.int64)
 
 
@@ -101,15 +111,22 @@ def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str
     graded: names of nodes without a threshold that spike all the same.
     """
     names, late = _order(graph)
-    ways = _ways(graph, names, late)
-    ahead = {name: {t for s, t in graph.edges if s == name} for name in graph.nodes}
+    before = sources(graph)
+    ways = _ways(graph, names, late, before)
+    ahead = _ahead(graph)
     kinds = (*SPIKING, nir.Threshold) if not membranes else _POPULATIONS
     on_chip = {n for n, node in graph.nodes.items() if isinstance(node, kinds) or n in graded}
-    host = _host(graph, ahead, on_chip)
+    outputs = set(graph.outputs)
+    host = _host(graph, before, ahead, on_chip)
     return Topology(
         inputs={name: _size(node) for name, node in sorted(graph.inputs.items())},
         populations=tuple(
-            _population(graph, name, ways, late, ahead[name] & (host | set(graph.outputs)))
+            _population(
+                graph.nodes[name],
+                name,
+                tuple(Projection(s, name, fan) for s, fan in _arriving(name, before, ways, late)),
+                ahead[name] & (host | outputs),
+            )
             for name in names
             if isinstance(graph.nodes[name], _POPULATIONS) and name not in host
         ),
@@ -127,11 +144,23 @@ def _order(graph: nir.NIRGraph) -> tuple[tuple[str, ...], frozenset[Edge]]:
     return ordered.names, ordered.late
 
 
+def _ahead(graph: nir.NIRGraph) -> dict[str, set[str]]:
+    """The targets of each node."""
+    found: dict[str, set[str]] = {name: set() for name in graph.nodes}
+    for source, target in graph.edges:
+        found[source].add(target)
+    return found
+
+
 def _ways(
-    graph: nir.NIRGraph, names: tuple[str, ...], late: frozenset[Edge]
+    graph: nir.NIRGraph,
+    names: tuple[str, ...],
+    late: frozenset[Edge],
+    before: Mapping[str, Sequence[str]],
 ) -> dict[str, dict[str, SynapseCounts]]:
     """For each node by which sources, and over which fans, what it puts out is reached."""
     ways: dict[str, dict[str, SynapseCounts]] = {}
+    many = 0
     for name in names:
         node = graph.nodes[name]
         if isinstance(node, (*_POPULATIONS, nir.Input)):
@@ -139,8 +168,10 @@ def _ways(
     for name in names:
         if name not in ways:
             found: dict[str, list[SynapseCounts]] = {}
-            for source, fan in _arriving(graph, name, ways, late):
+            for source, fan in _arriving(name, before, ways, late):
                 found.setdefault(source, []).append(fan)
+                many += 1 + len(fan.maps)
+            _check_ways(name, many)
             ways[name] = {
                 source: through(merged(fans), name, graph.nodes[name])
                 for source, fans in found.items()
@@ -148,27 +179,31 @@ def _ways(
     return ways
 
 
+def _check_ways(name: str, many: int) -> None:
+    if many > _MOST_WAYS:
+        raise ArtifactError(
+            f"node {name!r}: {many} ways lead by here from neurons over nodes without spikes; at "
+            f"most {_MOST_WAYS}. Join nodes without spikes between them into one."
+        )
+
+
 def _arriving(
-    graph: nir.NIRGraph, name: str, ways: dict[str, dict[str, SynapseCounts]], late: frozenset[Edge]
+    name: str,
+    before: Mapping[str, Sequence[str]],
+    ways: dict[str, dict[str, SynapseCounts]],
+    late: frozenset[Edge],
 ) -> Iterator[tuple[str, SynapseCounts]]:
     """What comes to a node: source and fan of every edge; a loop of maps alone is cut."""
-    for before in sources(graph, name):
-        for source, fan in ways.get(before, {}).items():
-            yield source, replace(fan, late=fan.late or (before, name) in late)
+    for near in before[name]:
+        for source, fan in ways.get(near, {}).items():
+            closes = (near, name) in late and not fan.late
+            yield source, replace(fan, late=True) if closes else fan
 
 
 def _population(
-    graph: nir.NIRGraph,
-    name: str,
-    ways: dict[str, dict[str, SynapseCounts]],
-    late: frozenset[Edge],
-    leaving: set[str],
+    node: nir.NIRNode, name: str, presynaptic: tuple[Projection, ...], leaving: set[str]
 ) -> Population:
     """The population of a node; what of it leaves the chip goes to the `leaving`."""
-    node = graph.nodes[name]
-    presynaptic = tuple(
-        Projection(source, name, fan) for source, fan in _arriving(graph, name, ways, late)
-    )
     return Population(
         name=name,
         size=_size(node),
@@ -183,19 +218,30 @@ def _population(
 
 def _different(node: nir.NIRNode, fields: tuple[str, ...]) -> int:
     """Different sets of these parameters among the neurons of a node."""
-    found = [np.ravel(getattr(node, field)) for field in fields if hasattr(node, field)]
-    return len(np.unique(np.stack(found), axis=1).T) if found else 1
+    code, different = np.zeros(1, np.int64), 1
+    for values in (np.ravel(getattr(node, field)) for field in fields if hasattr(node, field)):
+        _, place = np.unique(values, return_inverse=True)
+        # at most as many as there are neurons: the product fits
+        _, code = np.unique(code * len(values) + place, return_inverse=True)
+        different = int(code.max()) + 1
+    return different
 
 
-def _host(graph: nir.NIRGraph, ahead: dict[str, set[str]], on_chip: set[str]) -> set[str]:
+def _host(
+    graph: nir.NIRGraph,
+    before: Mapping[str, Sequence[str]],
+    ahead: Mapping[str, set[str]],
+    on_chip: set[str],
+) -> set[str]:
     """Nodes from which only outputs are reached, and none of those that a chip computes."""
     found: set[str] = set()
-    waiting = list(graph.outputs)
+    outputs = set(graph.outputs)
+    waiting = list(outputs)
     while waiting:
         target = waiting.pop()
-        for name in sources(graph, target):
-            inside = isinstance(graph.nodes[name], nir.Input) or name in on_chip | found
-            if not inside and ahead[name] <= found | set(graph.outputs):
+        for name in before[target]:
+            inside = isinstance(graph.nodes[name], nir.Input) or name in on_chip or name in found
+            if not inside and all(each in found or each in outputs for each in ahead[name]):
                 found.add(name)
                 waiting.append(name)
     return found

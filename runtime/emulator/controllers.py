@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.damage import Damage
+from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
@@ -117,7 +118,7 @@ class SpikingController:
 
     def act(self, observation: ArrayLike) -> NDArray[Any]:
         """Action (act,), or () int where one of several is chosen, for the observation (obs,)."""
-        return np.asarray(self.act_batch(np.asarray(observation)[None])[0])
+        return np.asarray(self.act_batch(observed_numbers(observation)[None])[0])
 
     def act_batch(self, observations: ArrayLike) -> NDArray[Any]:
         """Actions (B, act), or (B,) int, for the observations (B, obs) of B robots.

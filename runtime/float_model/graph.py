@@ -41,7 +41,7 @@ class FloatGraph:
         self.sigma_delta = artifact.sigma_delta
         self.spiking = _spiking(self.graph, self.sigma_delta)
         self.timing = timing(self.graph, self.convention)
-        self.sources = {name: sources(self.graph, name) for name in self.timing.names}
+        self.sources = sources(self.graph)
         self.nodes = self._built()
         # what each node put out in the timestep before, (B, 1, *shape)
         self.before: dict[str, Array] = {}

@@ -4,6 +4,7 @@ The float model and the compiler both start from here, so that they agree on eve
 coefficients and every edge's delay.
 
 neurons          the difference equation of a NIR neuron, and the timestep that its gains imply
+numbers          parameters in whole numbers, as floats
 sigma_delta      sigma-delta neurons: what the metadata say of a node `I`
 windows          geometry of convolutions and pools
 shapes           the shapes of every node, and the work of a timestep

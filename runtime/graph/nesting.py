@@ -4,6 +4,8 @@ The nodes of an inner graph are called outer.inner. Its Input and Output compute
 become edges.
 """
 
+from collections import defaultdict
+from collections.abc import Iterable
 from itertools import product
 
 import nir
@@ -11,7 +13,7 @@ import numpy as np
 
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.order import Edge
-from spikedeploy.runtime.graph.validate import check_edges
+from spikedeploy.runtime.graph.validate import MAX_EDGES, check_edges
 from spikedeploy.runtime.metadata import whole_numbers
 
 
@@ -25,14 +27,41 @@ def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
     if not inner:
         return graph
     nodes = {name: node for name, node in graph.nodes.items() if name not in inner}
-    edges = set(graph.edges)
+    edges = _Edges(graph.edges)
     for name, node in sorted(inner.items()):
         _unpack(name, flattened(node, f"{path}{name}."), nodes, edges, f"{path}{name}")
-    return nir.NIRGraph(nodes, sorted(edges), metadata=graph.metadata, type_check=False)
+    return nir.NIRGraph(nodes, sorted(edges.all), metadata=graph.metadata, type_check=False)
+
+
+class _Edges:
+    """Edges that change; all, and the neighbours of each node."""
+
+    def __init__(self, edges: Iterable[Edge]) -> None:
+        self.all: set[Edge] = set()
+        self._before: defaultdict[str, set[str]] = defaultdict(set)
+        self._after: defaultdict[str, set[str]] = defaultdict(set)
+        self.add(edges)
+
+    def add(self, edges: Iterable[Edge]) -> None:
+        """Add edges."""
+        for source, target in edges:
+            self.all.add((source, target))
+            self._before[target].add(source)
+            self._after[source].add(target)
+
+    def taken(self, name: str) -> tuple[set[str], set[str]]:
+        """The sources and targets of a node, whose edges are removed; its own is in both."""
+        before, after = self._before.pop(name, set()), self._after.pop(name, set())
+        for source in before - {name}:
+            self._after[source].discard(name)
+        for target in after - {name}:
+            self._before[target].discard(name)
+        self.all -= {(source, name) for source in before} | {(name, target) for target in after}
+        return before, after
 
 
 def _unpack(
-    outer: str, graph: nir.NIRGraph, nodes: dict[str, nir.NIRNode], edges: set[Edge], path: str
+    outer: str, graph: nir.NIRGraph, nodes: dict[str, nir.NIRNode], edges: _Edges, path: str
 ) -> None:
     """Replace the node `outer` by the nodes and edges of its graph."""
     entry = _port(path, graph.inputs, "Input")
@@ -44,31 +73,33 @@ def _unpack(
                 "is taken. Rename one of the two."
             )
         nodes[f"{outer}.{name}"] = node
-    for source, target in list(edges):
-        if outer in (source, target):
-            edges.remove((source, target))
-            source = f"{outer}.{exit_}" if source == outer else source
-            target = f"{outer}.{entry}" if target == outer else target
-            edges.add((source, target))
-    edges.update((f"{outer}.{source}", f"{outer}.{target}") for source, target in graph.edges)
+    before, after = edges.taken(outer)
+    first, last = f"{outer}.{entry}", f"{outer}.{exit_}"
+    edges.add((last if source == outer else source, first) for source in before)
+    edges.add((last, first if target == outer else target) for target in after)
+    edges.add((f"{outer}.{source}", f"{outer}.{target}") for source, target in graph.edges)
     for port in (entry, exit_):
         _bypass(f"{outer}.{port}", nodes, edges)
 
 
-def _bypass(port: str, nodes: dict[str, nir.NIRNode], edges: set[Edge]) -> None:
+def _bypass(port: str, nodes: dict[str, nir.NIRNode], edges: _Edges) -> None:
     """Connect the sources of a port to its targets; keep it where an edge would double."""
-    sources = [source for source, target in edges if target == port]
-    targets = [target for source, target in edges if source == port]
+    sources, targets = edges.taken(port)
+    if len(sources) * len(targets) > MAX_EDGES:
+        raise ArtifactError(
+            f"node {port!r}: {len(sources)} edges lead to it and {len(targets)} from it, which "
+            f"makes more than {MAX_EDGES} edges in one level. Put a node without effect between."
+        )
     through = set(product(sources, targets))
-    if port in sources or through & edges:
+    if port in sources or through & edges.all:
         # NIR has no identity node; a Scale by one is one
         stated = np.asarray(nodes[port].output_type["output"])
         shape = whole_numbers(port, "shape", stated, stated.size, minimum=1)
         nodes[port] = nir.Scale(np.ones(shape))
+        edges.add({(source, port) for source in sources} | {(port, target) for target in targets})
         return
     del nodes[port]
-    edges -= {(source, port) for source in sources} | {(port, target) for target in targets}
-    edges |= through
+    edges.add(through)
 
 
 def _port(path: str, found: dict[str, nir.NIRNode], kind: str) -> str:

@@ -19,6 +19,9 @@ from spikedeploy.runtime.graph.windows import CONVOLUTIONS
 
 Edge: TypeAlias = tuple[str, str]
 
+# edges that are looked at while loops are opened one by one; a check of all chips does so often
+_MOST_LOOP_WORK = 1 << 17
+
 
 @dataclass(frozen=True)
 class _Order:
@@ -100,37 +103,69 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> _Order:
     late: edges that deliver in the next timestep anyway, and so impose no order.
     """
     delayed = set(late)
-    done: dict[str, None] = {}
-    pending = set(graph.nodes)
-    edges = tuple(graph.edges)
+    done: list[str] = []
+    pending, work = set(graph.nodes), 0
     while pending:
-        blocked = {
-            target
-            for source, target in edges
-            if source in pending and (source, target) not in delayed
-        }
-        ready = sorted(pending - blocked)
-        if not ready:
-            delayed |= _feedback(graph, pending, delayed)
-        done.update(dict.fromkeys(ready))
+        prompt = [edge for edge in graph.edges if edge not in delayed and edge[0] in pending]
+        ready = in_waves(pending, prompt)
+        done += ready
         pending.difference_update(ready)
+        if pending:
+            work += len(prompt)
+            _check_loops(work, pending)
+            delayed |= _feedback(graph, pending, delayed)
     return _Order(tuple(done), frozenset(delayed))
+
+
+def in_waves(names: Collection[str], edges: Iterable[Edge]) -> list[str]:
+    """The names, each after its sources: all that are ready, sorted, then all ready after those.
+
+    What lies in a loop of the edges, or behind one, is missing.
+    """
+    left, targets = dict.fromkeys(names, 0), _targets(edges)
+    for source, ahead in targets.items():
+        for target in ahead if source in left else ():
+            if target in left:
+                left[target] += 1
+    ready, done = sorted(name for name, sources_ in left.items() if not sources_), list[str]()
+    while ready:
+        done += ready
+        freed = []
+        for target in (t for name in ready for t in targets.get(name, ()) if t in left):
+            left[target] -= 1
+            if not left[target]:
+                freed.append(target)
+        ready = sorted(freed)
+    return done
+
+
+def _targets(edges: Iterable[Edge]) -> dict[str, list[str]]:
+    """The targets of each source."""
+    found: dict[str, list[str]] = {}
+    for source, target in edges:
+        found.setdefault(source, []).append(target)
+    return found
+
+
+def _check_loops(work: int, pending: set[str]) -> None:
+    if work > _MOST_LOOP_WORK:
+        raise ArtifactError(
+            f"the loops through {len(pending)} nodes are too many to open one by one. Join nodes "
+            "that are connected both ways into one recurrent layer."
+        )
 
 
 def _has_loop(graph: nir.NIRGraph) -> bool:
     """Whether any node reaches itself over the edges."""
-    pending = set(graph.nodes)
-    while pending:
-        blocked = {target for source, target in graph.edges if source in pending} & pending
-        if blocked == pending:
-            return True
-        pending = blocked
-    return False
+    return len(in_waves(graph.nodes, graph.edges)) < len(graph.nodes)
 
 
-def sources(graph: nir.NIRGraph, name: str) -> list[str]:
-    """Names of the nodes with an edge to this one, sorted, which fixes the order of summation."""
-    return sorted(source for source, target in graph.edges if target == name)
+def sources(graph: nir.NIRGraph) -> dict[str, list[str]]:
+    """Names of the nodes with an edge to each, sorted, which fixes the order of summation."""
+    found: dict[str, list[str]] = {name: [] for name in graph.nodes}
+    for source, target in sorted(graph.edges):
+        found[target].append(source)
+    return found
 
 
 def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
@@ -140,46 +175,70 @@ def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
 
 def _feedback(graph: nir.NIRGraph, pending: set[str], delayed: set[Edge]) -> set[Edge]:
     """Edges by which spikes return to the neuron of a loop that is nearest to the input."""
-    loops = {name: loop for name in pending if (loop := _loop(graph, name, delayed))}
+    prompt = [edge for edge in graph.edges if edge not in delayed]
+    before = _targets((target, source) for source, target in prompt)
+    loops = _loops(pending, _targets(prompt), before)
     neurons = [name for name in loops if isinstance(graph.nodes[name], NEURONS)]
     depth = _depth(graph)
     for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
-        if returning := set(_returning(graph, first, loops[first], delayed)):
+        if returning := set(_returning(graph, first, loops[first], before)):
             return returning
     raise ArtifactError(
-        f"the loop through {', '.join(sorted(loops))} has no neuron in it, so that a value would "
+        f"the loop through {_few(sorted(loops))} has no neuron in it, so that a value would "
         "depend on itself within one timestep. Put a neuron into the loop or open it."
     )
 
 
-def _loop(graph: nir.NIRGraph, name: str, delayed: set[Edge]) -> set[str]:
-    """Nodes on any path from this node back to itself."""
-    edges = [edge for edge in graph.edges if edge not in delayed]
-    descendants = _descendants(name, edges)
-    ancestors = _descendants(name, [(target, source) for source, target in edges])
-    return descendants & ancestors
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
 
-def _descendants(start: str, edges: list[Edge]) -> set[str]:
-    reached: set[str] = set()
-    waiting = [start]
-    while waiting:
-        here = waiting.pop()
-        new = {target for source, target in edges if source == here} - reached
-        reached |= new
-        waiting.extend(new)
-    return reached
+def _loops(
+    pending: set[str], after: Mapping[str, list[str]], before: Mapping[str, list[str]]
+) -> dict[str, set[str]]:
+    """For each node on a path back to itself, all nodes on such paths (Kosaraju's algorithm)."""
+    loops: dict[str, set[str]] = {}
+    left = set(pending)
+    for name in reversed(_by_finish(pending, after)):
+        if name not in left:
+            continue
+        loop, waiting = {name}, [name]
+        left.remove(name)
+        while waiting:
+            new = left.intersection(before.get(waiting.pop(), ()))
+            left -= new
+            loop |= new
+            waiting.extend(new)
+        if len(loop) > 1 or name in after.get(name, ()):
+            loops.update(dict.fromkeys(loop, loop))
+    return loops
+
+
+def _by_finish(names: set[str], after: Mapping[str, list[str]]) -> list[str]:
+    """The names, each when all that it leads to are there, but for loops."""
+    done, seen = list[str](), set[str]()
+    for first in sorted(names):
+        path = [] if first in seen else [(first, iter(after.get(first, ())))]
+        seen.add(first)
+        while path:
+            new = next((t for t in path[-1][1] if t in names and t not in seen), None)
+            if new is None:
+                done.append(path.pop()[0])
+            else:
+                seen.add(new)
+                path.append((new, iter(after.get(new, ()))))
+    return done
 
 
 def _returning(
-    graph: nir.NIRGraph, first: str, loop: set[str], delayed: set[Edge]
+    graph: nir.NIRGraph, first: str, loop: set[str], before: Mapping[str, list[str]]
 ) -> Iterator[Edge]:
     """Edges of the loop that leave a neuron and reach `first` without another in between."""
     seen = {first}
     waiting = [first]
     while waiting:
         target = waiting.pop()
-        for source in loop.intersection(_prompt_sources(graph, target, delayed)):
+        for source in loop.intersection(before.get(target, ())):
             if isinstance(graph.nodes[source], NEURONS):
                 yield source, target
             elif source not in seen:
@@ -187,18 +246,13 @@ def _returning(
                 waiting.append(source)
 
 
-def _prompt_sources(graph: nir.NIRGraph, name: str, delayed: Collection[Edge]) -> list[str]:
-    """Sources whose output arrives in the same timestep."""
-    return [source for source in sources(graph, name) if (source, name) not in delayed]
-
-
 def _depth(graph: nir.NIRGraph) -> dict[str, int]:
     """Edges on the shortest path from an input to each node."""
-    depth = dict.fromkeys(graph.inputs, 0)
+    depth, targets = dict.fromkeys(graph.inputs, 0), _targets(graph.edges)
     waiting = list(depth)
     for here in waiting:
-        for source, target in graph.edges:
-            if source == here and target not in depth:
+        for target in targets.get(here, ()):
+            if target not in depth:
                 depth[target] = depth[here] + 1
                 waiting.append(target)
     return depth

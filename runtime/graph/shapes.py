@@ -13,6 +13,7 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.neurons import NEURONS
 from spikedeploy.runtime.graph.windows import (
     CONVOLUTIONS,
     MAX_VALUES,
@@ -32,6 +33,8 @@ _MAX_MULTIPLICATIONS = 1 << 33
 # values that the windows of a convolution may hold together
 _MAX_WINDOW_VALUES = 1 << 26
 
+_STATEFUL = (*NEURONS, nir.Threshold)
+
 # (taken, put out) of each node
 Shapes: TypeAlias = dict[str, tuple[Shape, Shape]]
 
@@ -39,9 +42,11 @@ Shapes: TypeAlias = dict[str, tuple[Shape, Shape]]
 def infer_shapes(graph: nir.NIRGraph) -> None:
     """Write its shapes into every node; ArtifactError where those along an edge disagree."""
     sources: dict[str, list[str]] = {name: [] for name in graph.nodes}
+    targets: dict[str, list[str]] = {name: [] for name in graph.nodes}
     for source, target in graph.edges:
         sources[target].append(source)
-    shapes = _shapes(graph, sources)
+        targets[source].append(target)
+    shapes = _shapes(graph, sources, targets)
     _check_work(graph, shapes)
     for source, target in sorted(graph.edges):
         puts, takes = shapes[source][1], shapes[target][0]
@@ -56,6 +61,26 @@ def infer_shapes(graph: nir.NIRGraph) -> None:
         node.output_type = {"output": np.array(puts)}
         if isinstance(node, CONVOLUTIONS) and node.input_shape is None:
             node.input_shape = takes[1:] if isinstance(node, nir.Conv2d) else takes[1]
+
+
+def check_size(graph: nir.NIRGraph, size: int) -> None:
+    """Raise ArtifactError where a graph is much larger than its file.
+
+    Arrays of one value take next to nothing in a file, but not in memory. A file of megabytes may
+    so ask for minutes; one that holds its numbers as they are may be of any size.
+
+    size: of the file [bytes]
+    """
+    puts = {name: math.prod(map(int, n.output_type["output"])) for name, n in graph.nodes.items()}
+    neurons = sum(puts[n] for n, node in graph.nodes.items() if isinstance(node, _STATEFUL))
+    found = {"neurons": (neurons, 1 << 20, 8), "values": (sum(puts.values()), 1 << 22, 4)}
+    for what, (number, free, bytes_) in found.items():
+        if number > free + size // bytes_:
+            raise ArtifactError(
+                f"{number} {what} in a timestep; of a file of {size} bytes at most "
+                f"{free + size // bytes_}. Divide the network, or write its arrays without "
+                "compression: nir.write(path, graph, compression=None)."
+            )
 
 
 def _check_work(graph: nir.NIRGraph, shapes: Mapping[str, tuple[Shape, Shape]]) -> None:
@@ -99,25 +124,27 @@ def _window_values(node: nir.NIRNode, takes: Shape, puts: Shape) -> int:
     return int(takes[0] * math.prod(puts[1:]) * math.prod(node.weight.shape[2:]))
 
 
-def _shapes(graph: nir.NIRGraph, sources: Mapping[str, list[str]]) -> Shapes:
+def _shapes(
+    graph: nir.NIRGraph, sources: Mapping[str, list[str]], targets: Mapping[str, list[str]]
+) -> Shapes:
     """The shapes of every node, from those that nodes state and along the edges."""
     shapes: Shapes = {}
-    waiting = sorted(graph.nodes)
-    while waiting:
-        later = []
+    unknown, waiting = set(graph.nodes), sorted(graph.nodes)
+    while unknown:
+        new = []
         for name in waiting:
             known = [shapes[source][1] for source in sources[name] if source in shapes]
             takes = _stated(name, graph.nodes[name]) or (known[0] if known else None)
-            if takes is None:
-                later.append(name)
-            else:
+            if takes is not None:
                 shapes[name] = takes, _output(name, graph.nodes[name], takes)
-        if len(later) == len(waiting):
+                new.append(name)
+        unknown.difference_update(new)
+        waiting = sorted({target for name in new for target in targets[name]} & unknown)
+        if unknown and not waiting:
             raise ArtifactError(
-                f"node {later[0]!r}: its shape is not known, because no edge from a node with a "
-                "known shape leads to it. Connect it to the input, or remove it."
+                f"node {min(unknown)!r}: its shape is not known, because no edge from a node with "
+                "a known shape leads to it. Connect it to the input, or remove it."
             )
-        waiting = later
     return shapes
 
 

@@ -20,6 +20,9 @@ from spikedeploy.runtime.metadata import whole_numbers
 # kinds whose fields are all arrays of numbers, except for those that nir derives
 _NUMERIC = (*DENSE, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)
 _KINDS = (nir.Input, nir.Output, *_NUMERIC, *CONVOLUTIONS, *POOLS, nir.Flatten)
+# of a graph: more take seconds; a node is a whole layer
+MAX_NODES = 1 << 12
+MAX_EDGES = 1 << 16
 DERIVED_FIELDS = ("input_type", "output_type", "metadata")
 _NODE_REMEDY = "Export the network again, or correct the node."
 _EDGE_REMEDY = "Export the network again, or correct the edge."
@@ -28,6 +31,11 @@ _EDGE_REMEDY = "Export the network again, or correct the edge."
 def check_graph(graph: nir.NIRGraph) -> None:
     """Raise ArtifactError where a graph cannot be computed; writes its shapes into its nodes."""
     check_edges(graph)
+    if len(graph.nodes) > MAX_NODES:
+        raise ArtifactError(
+            f"the graph has {len(graph.nodes)} nodes; at most {MAX_NODES}. Write the neurons of a "
+            "layer as one node, or divide the network."
+        )
     for name in sorted(graph.nodes):
         _check_name(name)
         _check_node(name, graph.nodes[name])
@@ -47,6 +55,11 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
             raise ArtifactError(
                 f"{where}node {name!r}: HDF5 cannot hold this name. Choose a string instead."
             )
+    if len(graph.edges) > MAX_EDGES:
+        raise ArtifactError(
+            f"{where}{len(graph.edges)} edges; at most {MAX_EDGES}. Write the synapses between "
+            "neurons as one Linear node, not as edges."
+        )
     for edge in graph.edges:
         _check_edge(graph, edge, where)
     repeated = sorted(edge for edge, times in Counter(graph.edges).items() if times > 1)
@@ -218,7 +231,7 @@ def _check_edge(graph: nir.NIRGraph, edge: object, where: str) -> None:
         if name not in graph.nodes:
             raise ArtifactError(
                 f"{where}edge {source!r} -> {target!r}: there is no node {name!r}; the nodes are "
-                f"{', '.join(sorted(graph.nodes))}. Correct the edge or add the node."
+                f"{', '.join(sorted(graph.nodes)[:50])}. Correct the edge or add the node."
             )
     if isinstance(graph.nodes[target], nir.Input):
         raise ArtifactError(

@@ -14,6 +14,7 @@ from spikedeploy.commands.options import (
     EnvOptions,
     FaultsOption,
     Floor,
+    Force,
     From,
     Headroom,
     Json,
@@ -59,9 +60,7 @@ def run(
     disturb: Disturb = None,
     fault: FaultsOption = None,
     specimen: Specimen = 0,
-    video: Annotated[
-        Path | None, typer.Option(dir_okay=False, help="MP4 of the first episode.")
-    ] = None,
+    video: Annotated[Path | None, typer.Option(help="MP4 of the first episode.")] = None,
     limits: LimitsOption = "on",
     energy: Energy = None,
     quantise: Quantise = "layer",
@@ -83,6 +82,7 @@ def run(
     delay: Delay = None,
     spikes: Spikes = None,
     floor: Floor = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Run one policy in its environment: returns, successes and costs."""
@@ -92,6 +92,7 @@ def run(
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
+    from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.policies.adopted import adopted
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison, print_verdict
@@ -99,6 +100,8 @@ def run(
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
 
+    if video:
+        check_output("--video", video, (policy,), force, lambda path: marked(path, mark("run")))
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
     numbers = range(seed, seed + episodes)
@@ -172,6 +175,7 @@ def compare(
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     tables: Tables = "one",
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
@@ -182,6 +186,7 @@ def compare(
     from spikedeploy.comparison.rounds import compare_policies
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
+    from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
@@ -189,6 +194,8 @@ def compare(
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable
 
+    if output:
+        check_output_folder("-o", output, report.FILES, files or (), force, report.is_report)
     prices = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)

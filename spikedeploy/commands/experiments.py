@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Json
+from spikedeploy.commands.options import Force, Json
 
 
 def experiment(
@@ -108,6 +108,7 @@ def experiment(
     quick: Annotated[
         bool, typer.Option("--quick", help="Trainings and episodes of seconds, a first look.")
     ] = False,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Train, export and evaluate all parts of an experiment; resume where it stopped."""
@@ -115,6 +116,7 @@ def experiment(
 
     from spikedeploy.console import print_json
     from spikedeploy.experiments import EXPERIMENTS
+    from spikedeploy.outputs import check_output_folder, marked
     from spikedeploy.runtime.errors import ConfigError
 
     if name not in EXPERIMENTS:
@@ -131,6 +133,10 @@ def experiment(
     )
     design = asked({option: value for option, value in given.items() if value is not None})
     output = output or Path(f"runs/{name}-quick" if quick else "results")
+    page = f"{name}.md"
+    check_output_folder(
+        "-o", output, (page,), (), force, lambda at: marked(at / page, "spikedeploy")
+    )
     outcome = run(design, only or (), jobs, output, train)
     if json:
         files = [str(path) for path in outcome.files]

@@ -12,6 +12,7 @@ from spikedeploy.commands.options import (
     Energy,
     EnvOptions,
     Floor,
+    Force,
     From,
     Headroom,
     Integrator,
@@ -73,6 +74,7 @@ def emulate(
     headroom: Headroom = "none",
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Run any NIR network on recorded spikes, and count what the chip does."""
@@ -81,10 +83,13 @@ def emulate(
     from spikedeploy.console import print_json
     from spikedeploy.emulation.open_loop import emulate_artifact
     from spikedeploy.emulation.rasters import read_inputs
+    from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.reports.terminal import print_emulation
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
+    own = mark("emulate")
+    check_output("-o", output, (file, input_), force, lambda path: marked(path, own))
     tables = checked_table_names(energy or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     artifact = load(

@@ -34,6 +34,9 @@ LimitsOption = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")
 ]
+Force = Annotated[
+    bool, typer.Option("--force", help="Replace files that this command did not write.")
+]
 Seed = Annotated[
     int, typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000.")
 ]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Json, States, Workers
+from spikedeploy.commands.options import Force, Json, States, Workers
 
 Checkpoint = Annotated[
     str | None,
@@ -136,6 +136,7 @@ def export(
         ),
     ] = None,
     checkpoint: Checkpoint = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it."""
@@ -143,7 +144,9 @@ def export(
     from spikedeploy.reports.terminal import print_checks
     from spikedeploy.shipping.export_run import export_run
 
-    written = export_run(run, to, output, observations, state=state, checkpoint=checkpoint)
+    written = export_run(
+        run, to, output, observations, state=state, checkpoint=checkpoint, force=force
+    )
     if json:
         checks = [vars(check) for check in written.checks]
         print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
@@ -171,6 +174,7 @@ def publish(
         Path | None,
         typer.Option("-o", "--output", help="Folder of the zoo.", show_default="the package's own"),
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
@@ -179,7 +183,7 @@ def publish(
     from spikedeploy.shipping.publish_run import publish_run
 
     folder = output or zoo.FOLDER
-    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint)
+    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:
@@ -194,15 +198,19 @@ def visualize(
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path(
         "reports/curves.png"
     ),
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Draw the learning curves of training runs into one PNG."""
     from spikedeploy.console import print_json
+    from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.reports.curves import curve
     from spikedeploy.reports.plots import draw_curves
 
+    own = mark("visualize")
+    check_output("-o", output, runs, force, lambda path: marked(path, own))
     curves = [curve(run / "metrics.csv", run.resolve().name) for run in runs]
-    picture = draw_curves(curves, output)
+    picture = draw_curves(curves, output, own)
     if json:
         print_json({"path": str(picture), "curves": [vars(each) for each in curves]})
     else:

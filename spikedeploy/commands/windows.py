@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import EnvOptions, Json, PolicyChip, Seed
+from spikedeploy.commands.options import EnvOptions, Force, Json, PolicyChip, Seed
 
 
 def play(
@@ -27,15 +27,19 @@ def play(
     ] = None,
     chip: PolicyChip = None,
     record: Annotated[
-        Path | None, typer.Option(dir_okay=False, help=".npz for `replay`, one for each drive.")
+        Path | None, typer.Option(help=".npz for `replay`, one for each drive.")
     ] = None,
     set_: EnvOptions = None,
     seed: Seed = seeds.EVALUATION,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
+    from spikedeploy.outputs import check_output
     from spikedeploy.play.display import check_display
 
+    if record is not None:
+        check_output("--record", record, (policy, track), force)
     check_display()
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
@@ -78,14 +82,13 @@ def replay(
         str, typer.Option(help="Chip of that policy; 'float' for its float twin.")
     ] = "loihi1",
     speed: Annotated[float, typer.Option(help="1 is real time.")] = 1.0,
-    video: Annotated[
-        Path | None, typer.Option(dir_okay=False, help=".mp4 or .gif, instead of a window.")
-    ] = None,
+    video: Annotated[Path | None, typer.Option(help=".mp4 or .gif, instead of a window.")] = None,
     seconds: Annotated[float, typer.Option(min=0.1, help="Of the video, at most.")] = 60.0,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="An option of the environment."),
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Replay a training's episodes as ghosts, or an episode that `play --record` wrote."""
@@ -94,6 +97,12 @@ def replay(
     if video is None:
         check_display()
     from spikedeploy.console import print_json
+    from spikedeploy.outputs import check_output, mark, marked
+
+    if video is not None:
+        own = mark("replay")
+        check_output("--video", video, (*source, spikes), force, lambda path: marked(path, own))
+
     from spikedeploy.make_env import parse_options
     from spikedeploy.play.replay_app import open_replay
     from spikedeploy.play.replay_film import save_film

@@ -14,6 +14,7 @@ from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import confirm, disturbed_by, make_env
+from spikedeploy.outputs import mark
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -96,5 +97,5 @@ def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Fra
     if path is None:
         yield None
         return
-    with mp4(path, fps) as write:
+    with mp4(path, fps, mark("run")) as write:
         yield lambda frame: write(captioned(frame, caption))

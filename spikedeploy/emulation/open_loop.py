@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from spikedeploy.emulation.measures import Measures, measured
 from spikedeploy.emulation.rasters import Raster, in_batch
 from spikedeploy.files import replacing
+from spikedeploy.outputs import mark
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.artifact.nir_data import write_nir_data
@@ -59,12 +60,14 @@ class Emulation:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
         if path.suffix in NIR_DATA:
             with replacing(path) as part:
-                write_nir_data(part, {**self.spikes, **self.outputs}, self.artifact.convention.dt)
+                everything = {**self.spikes, **self.outputs}
+                write_nir_data(part, everything, self.artifact.convention.dt, mark("emulate"))
             return
         with (
             replacing(path) as part,
             zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive,
         ):
+            archive.comment = mark("emulate").encode()
             for name, rows in {**self.spikes, **self.outputs}.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.asanyarray(rows), allow_pickle=False)

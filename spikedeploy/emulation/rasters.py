@@ -17,6 +17,8 @@ Raster = NDArray[Any]
 
 # bytes of all arrays together; a small archive may unpack to any number
 _LARGEST = 1 << 31
+# of a file that takes so many on the disk: spikes of a quiet network shrink two hundredfold
+_FREE, _EXPANSION = 128 << 20, 20
 
 
 def read_rasters(path: Path) -> Raster | dict[str, Raster]:
@@ -24,11 +26,15 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
 
     Spikes, and counts of them up to 255, in uint8; anything else in float64.
     """
+    if not path.is_file():
+        raise ObservationError(f"{path} is no file. Give a .npy or .npz file.")
     try:
         if zipfile.is_zipfile(path):
             return {name: _checked(f"{path}: {name}", a) for name, a in _archive(path).items()}
         # memory-mapped: a header that claims more than the file holds takes no memory
-        return _checked(str(path), np.lib.format.open_memmap(path, mode="r"))
+        raster = np.lib.format.open_memmap(path, mode="r")
+        _check_claim(path, raster.nbytes)
+        return _checked(str(path), raster)
     except ObservationError:
         raise
     # zipfile, zlib and numpy raise their own exceptions for a broken file
@@ -50,14 +56,21 @@ def read_inputs(path: Path, artifact: Artifact) -> Raster | dict[str, Raster]:
 def _archive(path: Path) -> dict[str, Raster]:
     with zipfile.ZipFile(path) as archive:
         claimed = sum(member.file_size for member in archive.infolist())
-    if claimed > _LARGEST:
-        raise ObservationError(
-            f"{path} would be {claimed} bytes when unpacked; the limit is {_LARGEST}. Split it, "
-            "and play the parts one by one."
-        )
+    _check_claim(path, claimed)
     # opened here, because numpy leaves it open where the archive is broken
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
+
+
+def _check_claim(path: Path, claimed: int) -> None:
+    """Refuse what takes far more memory than disk: holes and zeros."""
+    found = path.stat()
+    stored = min(found.st_size, 512 * getattr(found, "st_blocks", found.st_size))
+    if claimed > (most := min(_LARGEST, _FREE + _EXPANSION * stored)):
+        raise ObservationError(
+            f"{path} would be {claimed} bytes when unpacked; the limit of a file of its size is "
+            f"{most}. Split it, and play the parts one by one."
+        )
 
 
 def _checked(where: str, found: object) -> Raster:

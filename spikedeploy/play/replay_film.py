@@ -9,6 +9,7 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy.files import replacing
+from spikedeploy.outputs import mark
 from spikedeploy.play.replay_app import ReplayApp
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import mp4
@@ -29,7 +30,7 @@ def save_film(app: ReplayApp, path: Path, seconds: float) -> Path:
     frames = islice(_frames(app, round(app.fps / fps)), max(1, round(seconds * fps)))
     if path.suffix == ".gif":
         return _gif(frames, path, fps)
-    with mp4(path, fps) as write:
+    with mp4(path, fps, mark("replay")) as write:
         for frame in frames:
             write(_pixels(frame))
     return path
@@ -63,5 +64,6 @@ def _gif(frames: Iterator[pygame.Surface], path: Path, fps: int) -> Path:
             append_images=images,
             duration=1000 // fps,
             loop=0,
+            comment=mark("replay"),
         )
     return path

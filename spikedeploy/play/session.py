@@ -141,11 +141,19 @@ class Session:
         """Write a rollout, if recording."""
         if self._record is None:
             return
-        number = len(self.files) + 1
-        name = f"{self._record.stem}-{number}" if number > 1 else self._record.stem
-        self.files.append(self._record.with_stem(name))
+        self.files.append(_free(self._record, len(self.files) + 1))
         self._record.parent.mkdir(parents=True, exist_ok=True)
         played.save(self.files[-1])
+
+
+def _free(record: Path, number: int) -> Path:
+    """The file of a drive; of the second and later the next that is not there.
+
+    An earlier drive cannot be driven again; `play` asks whether the first may be replaced.
+    """
+    while number > 1 and (path := record.with_stem(f"{record.stem}-{number}")).exists():
+        number += 1
+    return record if number == 1 else path
 
 
 def _word(info: Mapping[str, Any], terminated: bool) -> str:

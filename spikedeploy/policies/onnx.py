@@ -1,6 +1,7 @@
 """ONNX files: float networks, run by ONNX Runtime on one thread."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import FLOAT_TABLES, UNCOUNTED, Costs
 from spikedeploy.policies.interface import Candidate, env_id
+from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metrics.energy import TABLES, mac_energy, mac_energy_estimate
@@ -22,6 +24,7 @@ KINDS = ("ann", "control")
 HEADS = ("continuous", "discrete")
 
 Floats = NDArray[np.float64]
+_DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
 class OnnxController:
@@ -39,10 +42,10 @@ class OnnxController:
     def __init__(self, path: str | Path, sampled: bool = False) -> None:
         self.path = path
         self._session = session(path)
-        self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
-        self._input = self._session.get_inputs()[0]
-        self._output, *self._presynaptic = self._session.get_outputs()
-        self._dtype = np.float64 if "double" in self._input.type else np.float32
+        self.metadata = _metadata(path, self._session)
+        self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
+        self._dtype = _DTYPES[self._input.type]
+        self._single = self._input.shape[0] == 1
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
         self.chooses = _head(path, self.metadata) == "discrete"
@@ -55,7 +58,7 @@ class OnnxController:
 
     def act(self, observation: Floats) -> Floats:
         """The action (act,) or ()."""
-        return np.asarray(self.replay(observation[None])[0])
+        return np.asarray(self.replay(observed_numbers(observation)[None])[0])
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
@@ -105,9 +108,18 @@ class OnnxController:
         ]
 
     def _run(self, outputs: list[Any], observations: Floats) -> list[Floats]:
-        batch = self._checked(observations).astype(self._dtype)
-        found = self._session.run([each.name for each in outputs], {self._input.name: batch})
-        return [np.asarray(each, np.float64) for each in found]
+        with np.errstate(over="ignore"):  # 1e308 is finite, and infinite in float32
+            batch = self._checked(observed_numbers(observations)).astype(self._dtype)
+        names = [each.name for each in outputs]
+        parts = batch[:, None] if self._single else [batch]
+        runs = [self._session.run(names, {self._input.name: part}) for part in parts]
+        found = [np.asarray(np.concatenate(each), np.float64) for each in zip(*runs, strict=True)]
+        if not all(np.isfinite(each).all() for each in found):
+            raise ObservationError(
+                f"{self.path} puts out NaN or infinity: its weights are damaged, or the "
+                "observation is far outside of what it was trained on"
+            )
+        return found
 
     def _checked(self, observations: Floats) -> Floats:
         if observations.shape[1:] != (self.observed,):
@@ -180,6 +192,53 @@ def _beside(controller: OnnxController) -> tuple[dict[str, float], tuple[str, ..
     known = {name: joules for name, joules in prices.items() if joules is not None}
     moved = ("activations",) if controller.layers != 1 else ()
     return known, (*(name for name in prices if name not in known), *moved)
+
+
+def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
+    """What the exporter said; macs is a number of 0 or more, fan_out lists of numbers."""
+    try:
+        said: dict[str, str] = dict(session.get_modelmeta().custom_metadata_map)
+    except UnicodeDecodeError as error:
+        raise ArtifactError(
+            f"{path}: its metadata are no text ({error}). Export it again"
+        ) from None
+    try:
+        macs = float(said.get("macs", 0))
+        counts = [np.array(each, np.int64) for each in json.loads(said.get("fan_out", "[]"))]
+        sound = math.isfinite(macs) and macs >= 0 and all(each.ndim == 1 for each in counts)
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        sound = False
+    if not sound:
+        found = ", ".join(
+            f"{key} = {said[key][:40]!r}" for key in ("macs", "fan_out") if key in said
+        )
+        raise ArtifactError(
+            f"{path} says {found}; macs must be a number of 0 or more, fan_out lists of whole "
+            "numbers. Export it again"
+        )
+    return said
+
+
+def _ends(path: str | Path, session: Any) -> tuple[Any, list[Any]]:  # noqa: ANN401
+    """The input and the outputs, which must be those of a policy: (B, width) of floats."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1 or not outputs:
+        raise ArtifactError(
+            f"{path} has {len(inputs)} inputs and {len(outputs)} outputs; a policy has one input, "
+            "the observations. Export it so"
+        )
+    for each in (*inputs, *outputs):
+        if each.type not in _DTYPES or len(each.shape or ()) != 2:
+            raise ArtifactError(
+                f"{path}: {each.name!r} is a {each.type} {each.shape}; a policy takes and puts out "
+                "tensors of floats (batch, width). Export it so"
+            )
+    if isinstance(inputs[0].shape[0], int) and inputs[0].shape[0] != 1:
+        raise ArtifactError(
+            f"{path}: {inputs[0].name!r} takes {inputs[0].shape[0]} observations at once; a robot "
+            "has one. Export it with a free first axis"
+        )
+    return inputs[0], outputs
 
 
 def _head(path: str | Path, metadata: dict[str, str]) -> str:

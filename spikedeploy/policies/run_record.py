@@ -68,5 +68,12 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ConfigError(f"{path.parent} is no run folder: it has no {path.name}")
-    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{path} is damaged ({error}): copy it from a backup, or train again"
+        ) from error
+    if not isinstance(record, dict):
+        raise ConfigError(f"{path} is damaged, it holds no JSON object: copy it from a backup")
     return record

@@ -70,8 +70,8 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
     return save(figure, path)
 
 
-def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
-    """Return against steps, a line for each run."""
+def draw_curves(curves: Sequence[Curve], path: Path, remark: str = "") -> Path:
+    """Return against steps, a line for each run; the remark is in the file's metadata."""
     from matplotlib.ticker import EngFormatter, MaxNLocator
 
     figure, axes = _figure(7)
@@ -84,7 +84,7 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> Path:
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.legend(frameon=False)
-    return save(figure, path)
+    return save(figure, path, remark)
 
 
 def raster_figure(spikes: Mapping[str, NDArray[Any]]) -> "Figure":
@@ -105,10 +105,13 @@ def raster_figure(spikes: Mapping[str, NDArray[Any]]) -> "Figure":
     return figure
 
 
-def save(figure: "Figure", path: Path) -> Path:
+def save(figure: "Figure", path: Path, remark: str = "") -> Path:
     """Write the figure atomically; return the path."""
+    said = {"Comment": remark} if remark else None
     with replacing(path) as part:
-        figure.savefig(part, dpi=150, format="png", bbox_inches="tight", facecolor="white")
+        figure.savefig(
+            part, dpi=150, format="png", bbox_inches="tight", facecolor="white", metadata=said
+        )
     return path
 
 

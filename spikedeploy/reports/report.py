@@ -16,6 +16,7 @@ from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances.disturbed import disturbances
 from spikedeploy.files import as_text, write_text
+from spikedeploy.outputs import marked
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
 from spikedeploy.reports.plots import draw_energy, draw_returns
@@ -92,6 +93,16 @@ def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
     names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     tables = [energy_table(name) for name in names]
     return {table.name: describe_table(table) for table in tables}
+
+
+# of a folder with a report
+FILES = ("report.html", "report.json", "report.md", "returns.png", "energy.png")
+
+
+def is_report(folder: Path) -> bool:
+    """Whether a comparison was written into the folder."""
+    numbers = folder / "report.json"
+    return numbers.is_file() and marked(numbers, '"command": "spikedeploy ')
 
 
 def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:

@@ -1,6 +1,7 @@
 """Export of a run's policy: the file is read back and compared with the policy."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +13,14 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters import EXPORTERS, exporter
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.exporters.parity import check
+from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.run import TorchController
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import VALIDATION
+from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
 if TYPE_CHECKING:
@@ -56,6 +61,7 @@ def export_run(
     control: bool = False,
     state: "State | None" = None,
     checkpoint: str | None = None,
+    force: bool = False,
 ) -> ExportedPolicy:
     """Write a run's policy as a file.
 
@@ -66,19 +72,36 @@ def export_run(
     control       whether comparisons show a float network as a control
     state         of a spiking policy between inferences: "reset", or "kept"; None as trained
     checkpoint    of the run, such as "ops-480"; by default its best, else its last
+    force         whether a file that no export of this training wrote is replaced
     """
     folder = RunFolder.find(run).path
     to = to or _format(path, folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
     policy = load_policy(folder, run_record.deployed(folder, checkpoint))
+    given, origin = path, run_record.origin(folder, checkpoint)
     path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
+    # where no path is given, it is our own file in the run folder
+    check_output("-o", path, (folder,), force or given is None, partial(_same_training, origin))
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = kind_of(policy, control)
     options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
-    exporter(to)(policy, run_record.origin(folder, checkpoint), path, **options.get(to, {}))
+    exporter(to)(policy, origin, path, **options.get(to, {}))
     seen = recorded(folder, observations, checkpoint)
     return ExportedPolicy(path, kind, check(policy, path, seen), run_record.unfinished(folder))
+
+
+def _same_training(origin: Provenance, path: Path) -> bool:
+    """Whether a file is an export of the same training."""
+    try:
+        if path.suffix == ".onnx":
+            said = session(path).get_modelmeta().custom_metadata_map
+            found = Provenance(said["env"], said["recipe"], int(said["seed"]))
+        else:
+            found = load(path).provenance or Provenance("")
+    except (SpikedeployError, KeyError, ValueError):
+        return False
+    return (found.env, found.recipe, found.seed) == (origin.env, origin.recipe, origin.seed)
 
 
 def _format(path: Path | None, run: Path) -> str:

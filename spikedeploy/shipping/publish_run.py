@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,6 +15,7 @@ from spikedeploy.comparison.lineup import alone
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import say
 from spikedeploy.files import as_text, replacing, write_text
+from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
 from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.policies.registry import find
@@ -113,6 +115,7 @@ def publish_run(
     note: str = "",
     control: bool = False,
     checkpoint: str | None = None,
+    force: bool = False,
 ) -> list[Path]:
     """Put a run's policy into the zoo, with card and learning curve; return the files.
 
@@ -123,6 +126,7 @@ def publish_run(
     note        for the card
     control     whether comparisons show it as a control, such as a small network
     checkpoint  of the run, such as "ops-480"; by default its best, else its last
+    force       whether files of this name that are no published policy are replaced
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(
@@ -131,6 +135,8 @@ def publish_run(
         )
     source = RunFolder.find(run).path
     target = folder / envs.spec(run_record.settings(source)["env"]["name"]).short
+    names = [f"{name}.{kind}" for kind in ("nir", "onnx", "json", "md", "png", "csv")]
+    check_output_folder("-o", target, names, (source,), force, partial(_has_card, name))
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
         exported = _exported(source, Path(stage) / name, control, checkpoint)
         record = _describe(source, exported, checkpoint)
@@ -146,6 +152,12 @@ def publish_run(
         draw_curves([curve(source / "metrics.csv", name)], file.with_suffix(".png")),
         _copied(source / "metrics.csv", file.with_suffix(".csv")),
     ]
+
+
+def _has_card(name: str, folder: Path) -> bool:
+    """Whether a policy of this name was published into the folder."""
+    card = folder / f"{name}.json"
+    return card.is_file() and marked(card, '"evaluation"')
 
 
 def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from typing import Literal
 from pydantic import Field
 
 from spikedeploy.trainers.config import (
+    Batch,
+    Kept,
     NormaliserConfig,
     Positive,
     Rate,
@@ -41,12 +43,12 @@ class DistillConfig(RunConfig):
     teacher: str = ""
     teacher_units: Literal["own", "scaled"] | None = None
     iterations: Positive = 6
-    states: Positive = 8_000
+    states: Kept = 8_000
     updates: Positive = 6_000
     mixing: Share = 0.0
     noise: float = Field(default=0.0, ge=0)
     sharpness: Rate = 1.0
-    batch: Positive = 256
+    batch: Batch = 256
     learning_rate: Rate = 1e-3
     rate_penalty: float = Field(default=0.1, ge=0)
     rate_target: Share = 0.13

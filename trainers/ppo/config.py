@@ -3,6 +3,7 @@
 from pydantic import Field, model_validator
 
 from spikedeploy.trainers.config import (
+    Batch,
     Count,
     EnvConfig,
     MlpConfig,
@@ -13,6 +14,7 @@ from spikedeploy.trainers.config import (
     RunConfig,
     Share,
     ValidationConfig,
+    Width,
 )
 
 HOLDS = 2  # validations in a row, so that greedy driving that swings is no success
@@ -49,9 +51,9 @@ class PpoConfig(RunConfig):
     normaliser: NormaliserConfig = NormaliserConfig(finish=0)
     validation: ValidationConfig = ValidationConfig(every=20_000, episodes=20)
     steps: Positive = 300_000
-    horizon: Positive = 128
+    horizon: Batch = 128
     epochs: Positive = 6
-    minibatch: Positive = 256
+    minibatch: Batch = 256
     gamma: Share = 0.99
     trace: Share = 0.95
     clip: Rate = 0.2
@@ -61,7 +63,7 @@ class PpoConfig(RunConfig):
     gradient_norm: Rate = 0.5
     actor_rate: Ramp = Ramp(start=1e-3, end=0.0, finish=300_000)
     critic_rate: Rate = 1e-3
-    critic_hidden: tuple[Positive, ...] = (128, 128)
+    critic_hidden: tuple[Width, ...] = (128, 128)
     spread: Rate = 0.6
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.2

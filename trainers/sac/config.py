@@ -5,12 +5,15 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from spikedeploy.trainers.config import (
+    Batch,
+    Kept,
     MlpConfig,
     Positive,
     Ramp,
     Rate,
     RunConfig,
     Share,
+    Width,
 )
 
 
@@ -43,9 +46,9 @@ class SacConfig(RunConfig):
     steps: Positive = 500_000
     warm_up: Positive = 10_000
     update_every: Positive = 4
-    batch: Positive = 128
-    buffer: Positive = 1_000_000
-    critic_hidden: tuple[Positive, ...] = (512, 512)
+    batch: Batch = 128
+    buffer: Kept = 1_000_000
+    critic_hidden: tuple[Width, ...] = (512, 512)
     learning_rate: Rate = 3e-4
     gamma: Share = 0.99
     tau: Share = 0.005

@@ -4,7 +4,15 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from spikedeploy.trainers.config import Count, Positive, Rate, RunConfig, Share, ValidationConfig
+from spikedeploy.trainers.config import (
+    Batch,
+    Count,
+    Positive,
+    Rate,
+    RunConfig,
+    Share,
+    ValidationConfig,
+)
 
 
 class SparseConfig(RunConfig):
@@ -58,9 +66,9 @@ class SparseConfig(RunConfig):
     level_updates: Positive = 3_000
     polish_updates: Positive = 2_000
     dense_rounds: Positive = 3
-    window: Positive = 20
+    window: Batch = 20
     burn_in: Count = 6
-    batch: Positive = 88
+    batch: Batch = 88
     first_windows: Share = 0.06
     crash_windows: Share = 0.0
     crash_steps: Positive = 60

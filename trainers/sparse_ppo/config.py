@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from spikedeploy.trainers.config import (
+    Batch,
     Count,
     DeltaSnnConfig,
     PolicyConfig,
@@ -13,6 +14,7 @@ from spikedeploy.trainers.config import (
     RunConfig,
     Share,
     ValidationConfig,
+    Width,
 )
 
 Ends = tuple[Rate, Rate]
@@ -56,9 +58,9 @@ class SparsePpoConfig(RunConfig):
     episodes: Positive = 8
     noise: Ends = (0.2, 0.1)
     temperature: Ends = (1.0, 0.2)
-    window: Positive = 60
+    window: Batch = 60
     burn_in: Count = 15
-    batch: Positive = 32
+    batch: Batch = 32
     epochs: Positive = 4
     learns: Literal["all", "readout"] = "readout"
     gamma: Share = 0.98
@@ -68,9 +70,9 @@ class SparsePpoConfig(RunConfig):
     gradient_norm: Rate = 0.5
     actor_rate: Rate = 5e-5
     critic_rate: Rate = 1e-3
-    critic_batch: Positive = 512
+    critic_batch: Batch = 512
     critic_epochs: Positive = 8
-    critic_hidden: tuple[Positive, ...] = (128, 128)
+    critic_hidden: tuple[Width, ...] = (128, 128)
     imitation: float = Field(default=1.0, ge=0)
     penalty: float = Field(default=0.1, ge=0)
     checkpoint_every: Positive = 10

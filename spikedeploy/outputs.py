@@ -1,0 +1,117 @@
+"""The guard of every file that a command writes: nothing that matters is overwritten.
+
+Refused are inputs of the command, by whatever name; what is no plain file; and what belongs to a
+run. A file that exists needs --force, unless the same command wrote it, which MARK in it tells. A
+link is followed: the file that it names is written, and the link stays.
+"""
+
+import mmap
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from spikedeploy.files import check_folder
+from spikedeploy.runtime.errors import ConfigError
+
+# what training leaves in a run folder; anything else there is an export or a picture
+_OF_RUNS = ("config.json", "versions.json", "metrics.csv", "curve.png", "replay.safetensors")
+_MAY_STAND_IN_RUNS = (".nir", ".onnx", ".png", ".mp4", ".gif")
+
+
+def mark(command: str) -> str:
+    """What a file says that this command wrote."""
+    return f"written by spikedeploy {command}"
+
+
+def marked(path: Path, *texts: str) -> bool:
+    """Whether a file holds one of these texts, such as the mark of a command."""
+    if not path.stat().st_size:
+        return False
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        return any(content.find(text.encode()) >= 0 for text in texts)
+
+
+def check_output(
+    option: str,
+    path: Path,
+    inputs: Iterable[str | Path | None] = (),
+    force: bool = False,
+    ours: Callable[[Path], bool] | None = None,
+) -> None:
+    """Refuse to write to `path` where that would destroy something.
+
+    option  of the command, for messages
+    inputs  files and folders that the command reads; names of anything else are passed over
+    force   whether a file that exists may be replaced
+    ours    whether an existing file is an earlier output of the command
+    """
+    _check_kind(option, path)
+    for each in inputs:
+        if each is not None and _same(path, Path(each)):
+            raise ConfigError(
+                f"{option} {path} is the input {each}, which would be lost. Name another file."
+            )
+    _check_run(option, path)
+    if path.exists() and not force and not (ours is not None and ours(path)):
+        raise ConfigError(
+            f"{option} {path}: the file exists, and not from an earlier run of this command. Name "
+            "another file, or replace it with --force."
+        )
+
+
+def check_output_folder(
+    option: str,
+    folder: Path,
+    names: Iterable[str],
+    inputs: Iterable[str | Path | None] = (),
+    force: bool = False,
+    ours: Callable[[Path], bool] | None = None,
+) -> None:
+    """Refuse to write files of these names into `folder` where something would be destroyed.
+
+    ours  whether the folder has an earlier output of the command
+    """
+    check_folder(option, folder)
+    if _is_run(folder):
+        raise ConfigError(f"{option} {folder} is the folder of a training run. Name another.")
+    known = list(inputs)
+    earlier = ours is not None and folder.is_dir() and ours(folder)
+    for name in names:
+        check_output(option, folder / name, known, force or earlier)
+
+
+def _check_kind(option: str, path: Path) -> None:
+    """Refuse what is no plain file, and a place where none can be."""
+    if path.is_dir():
+        raise ConfigError(f"{option} {path} is a folder. Name a file in it.")
+    if os.path.lexists(path) and not path.is_file():
+        what = (
+            "a link to nothing" if path.is_symlink() and not path.exists() else "a device or pipe"
+        )
+        raise ConfigError(f"{option} {path} is {what}, and no file. Name a file.")
+    check_folder(option, path.parent)
+
+
+def _same(path: Path, other: Path) -> bool:
+    """Whether both are one file, by links of any kind too."""
+    if path.exists() and other.exists():
+        return path.samefile(other)
+    return other.exists() and path.resolve() == other.resolve()
+
+
+def _check_run(option: str, path: Path) -> None:
+    """Refuse a file in a run folder that is neither an export nor a picture."""
+    whole = path.resolve()
+    run = next((folder for folder in whole.parents if _is_run(folder)), None)
+    if run is None:
+        return
+    free = whole.parent == run and whole.suffix in _MAY_STAND_IN_RUNS
+    if whole.name in _OF_RUNS or not free:
+        raise ConfigError(
+            f"{option} {path} is inside the run folder {run}, whose own files are there. Name a "
+            "file elsewhere; exports and pictures may stand in the run folder itself."
+        )
+
+
+def _is_run(folder: Path) -> bool:
+    return (folder / "config.json").is_file() and (folder / "checkpoints").is_dir()

@@ -1,0 +1,198 @@
+"""Small files that would take minutes or gigabytes are refused, or read in linear time."""
+
+import time
+from itertools import combinations, pairwise
+
+import h5py
+import nir
+import numpy as np
+import pytest
+
+from benchmarks.fuzz_corpus import chain, lif
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import check, compile_program
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.order import order, sources
+
+TWO = np.ones(2)
+
+
+def damaged(path, damage):
+    """A small network in which `damage(file, nodes)` was done."""
+    nir.write(path, chain([2], [2], weights=nir.Linear(np.eye(2)), cells=lif(2)))
+    with h5py.File(path, "r+") as file:
+        damage(file, file["node/nodes"])
+    return path
+
+
+def zeros(file, nodes):
+    del nodes["weights/weight"]
+    found = nodes["weights"].create_dataset(
+        "weight", (4000, 4000), "f8", chunks=(1000, 4000), compression="gzip"
+    )
+    for first in range(0, 4000, 1000):
+        found[first : first + 1000] = 0
+
+
+def bytes_of_zeros(file, nodes):
+    del nodes["weights/weight"]
+    block = np.zeros((4000, 8000), "u1")
+    nodes["weights"].create_dataset("weight", data=block, chunks=(1000, 8000), compression="gzip")
+
+
+def one_large_chunk(file, nodes):
+    del nodes["weights/weight"]
+    made = {"chunks": (8000, 8000), "maxshape": (None, None), "compression": "gzip"}
+    nodes["weights"].create_dataset("weight", (2, 2), "f8", **made)
+
+
+def nothing_stored(file, nodes):
+    del nodes["weights/weight"]
+    nodes["weights"].create_dataset("weight", (8000, 8000), "f8", fillvalue=1.0)
+
+
+def one_long_text(file, nodes):
+    file["node/metadata/remark"] = "x" * 3_000_000
+    text = h5py.string_dtype()
+    del file["node/edges"]
+    file["node"].create_dataset("edges", (1000, 2), text, chunks=(10, 2), compression="gzip")
+
+
+def empty_groups(file, nodes):
+    for number in range(40_000):
+        nodes.create_group(f"g{number}")
+
+
+def edges(file, nodes):
+    del file["node/edges"]
+    pairs = np.array([("input", "output")], dtype=object).repeat(70_000, axis=0)
+    file["node"].create_dataset("edges", data=pairs, dtype=h5py.string_dtype(), compression="gzip")
+
+
+def many_neurons(file, nodes):
+    for name, field in (("input", "shape"), ("output", "shape")):
+        del nodes[name][field]
+        nodes[name][field] = np.array([1_500_000])
+    del nodes["weights"]
+    again = nodes.create_group("weights")
+    again["type"] = "Threshold"
+    whole = {"data": np.ones(1_500_000, "f4"), "compression": "gzip"}
+    again.create_dataset("threshold", **whole)
+    for field in ("r", "tau", "v_leak", "v_reset", "v_threshold"):
+        del nodes["cells"][field]
+    nodes["cells/type"][()] = "Threshold"
+    nodes["cells"].create_dataset("threshold", **whole)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (zeros, "for which too few are in the file"),
+        (bytes_of_zeros, "for which too few are in the file"),
+        (one_large_chunk, "for which too few are in the file"),
+        (nothing_stored, "for which too few are in the file"),
+        (one_long_text, "Shorten the texts"),
+        (empty_groups, "arrays and groups; at most 32768"),
+        (edges, "70000 edges; at most 65536"),
+        (many_neurons, "3000000 neurons in a timestep; of a file of"),
+    ],
+)
+def test_what_a_small_file_unpacks_to_is_bounded_before_it_is_read(damage, message, tmp_path):
+    path = damaged(tmp_path / "a.nir", damage)
+    began = time.process_time()
+    with pytest.raises(ArtifactError, match=message):
+        load(path, dt=1e-3)
+    assert time.process_time() - began < 5
+
+
+def test_a_file_with_holes_is_refused_before_its_texts_are_searched(tmp_path):
+    path = damaged(tmp_path / "a.nir", lambda *_: None)
+    with path.open("r+b") as file:
+        file.truncate(1 << 30)
+    with pytest.raises(ArtifactError, match="with holes, of which the disk holds too few"):
+        load(path, dt=1e-3)
+
+
+def scales(count, link):
+    names = [f"s{number:04}" for number in range(count)]
+    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    joined = [("input", names[0]), *link(names), (names[-1], "output")]
+    nodes = {name: nir.Scale(TWO) for name in names}
+    return nir.NIRGraph({**ends, **nodes}, joined, type_check=False)
+
+
+@pytest.mark.parametrize(
+    "graph",
+    [scales(1000, pairwise), scales(150, lambda names: combinations(names, 2))],
+    ids=["chain", "all to all"],
+)
+def test_many_nodes_and_edges_take_linear_time(graph, tmp_path):
+    nir.write(tmp_path / "a.nir", graph)
+    began = time.process_time()
+    artifact = load(tmp_path / "a.nir", dt=1e-3)
+    check(artifact, chip("loihi1"))
+    assert time.process_time() - began < 5
+
+
+def test_a_graph_of_thousands_of_nodes_is_refused(tmp_path):
+    nir.write(tmp_path / "a.nir", scales(4200, pairwise), compression=None)
+    with pytest.raises(ArtifactError, match="4202 nodes; at most 4096"):
+        load(tmp_path / "a.nir", dt=1e-3)
+
+
+def test_loops_that_interlock_by_the_hundred_are_refused():
+    names = [f"n{number:03}" for number in range(500)]
+    nodes = {name: lif(2) for name in names}
+    both = [*pairwise(names), *((b, a) for a, b in pairwise(names))]
+    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    graph = nir.NIRGraph(
+        {**ends, **nodes}, [("input", names[0]), *both, (names[-1], "output")], type_check=False
+    )
+    with pytest.raises(ArtifactError, match="too many to open one by one"):
+        order(graph)
+
+
+def slow_order(graph):
+    """The waves of `order` without loops, as they were once written."""
+    pending, done = set(graph.nodes), []
+    while pending:
+        ready = sorted(pending - {t for s, t in graph.edges if s in pending})
+        done += ready
+        pending.difference_update(ready)
+    return tuple(done)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_order_of_nodes_is_by_waves_and_sources_are_sorted(seed):
+    rng = np.random.default_rng(seed)
+    names = [f"n{number}" for number in range(30)]
+    pairs = [pair for pair in combinations(names, 2) if rng.random() < 0.1]
+    graph = nir.NIRGraph({name: nir.Scale(TWO) for name in names}, pairs, type_check=False)
+    assert order(graph).names == slow_order(graph)
+    for name, found in sources(graph).items():
+        assert found == sorted(source for source, target in pairs if target == name)
+
+
+@pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i4", "u8"])
+@pytest.mark.parametrize("name", ["truenorth", "odin", "loihi1", "ideal"])
+def test_whole_weights_compile_as_floats_of_the_same_values(kind, name, tmp_path):
+    low = 0 if kind[0] == "u" else -128
+    weights = np.array([[low, 3], [127, 0]])
+    programs = []
+    for each in (kind, "f8"):
+        graph = chain([2], [2], weights=nir.Linear(weights.astype(each)), cells=lif(2))
+        nir.write(tmp_path / "a.nir", graph)
+        artifact = load(tmp_path / "a.nir", dt=1e-3)
+        check(artifact, chip(name))
+        program = compile_program(artifact, chip(name), limits=False)
+        programs.append([s.weight for layer in program.layers for s in layer.synapses])
+    for ours, wanted in zip(*programs, strict=True):
+        np.testing.assert_array_equal(ours, wanted)
+
+
+def test_whole_numbers_that_no_float_holds_are_refused(tmp_path):
+    huge = np.full((2, 2), 2**63, np.uint64)
+    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(huge), cells=lif(2)))
+    with pytest.raises(ArtifactError, match="weight holds whole numbers beyond 9007199254740992"):
+        load(tmp_path / "a.nir", dt=1e-3)

@@ -1,0 +1,242 @@
+"""Observations, ghosts, rollouts, rasters, tracks and settings of strangers: one sentence each."""
+
+import json
+import math
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+from spikedeploy import zoo
+from spikedeploy.emulation.rasters import read_rasters
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.kart import track_file
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies.run_record import settings
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.codec.codec import observed_numbers
+from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.trainers.distill.config import DistillConfig
+from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.resolve import resolve
+
+
+@pytest.fixture(scope="module")
+def codec():
+    return load(zoo.FOLDER / "hexapod" / "popsan.nir").codec
+
+
+@pytest.mark.parametrize(
+    ("one", "message"),
+    [
+        (10**400, "no array of numbers"),
+        ("x", "and not real numbers"),
+        (1j, "complex128, and not real"),
+        (np.datetime64("2020-01-01"), "datetime64"),
+        (np.zeros((), [("a", "f8")])[()], "and not real numbers"),
+        (np.ma.masked_array([1.0], [True]), "masked values"),
+        ([1, 2], "has shape"),
+        (None, "holds nan"),
+        (math.nan, "holds nan"),
+    ],
+    ids=["huge", "text", "complex", "date", "record", "masked", "deep", "none", "nan"],
+)
+def test_what_is_no_observation_is_refused(one, message, codec):
+    rows = [[one] * codec.encoder.observed]
+    if isinstance(one, np.ma.MaskedArray):
+        rows = np.ma.masked_array(np.ones((1, codec.encoder.observed)), mask=True)
+    with pytest.raises(ObservationError, match=message):
+        codec.encode(rows)
+
+
+def test_ragged_and_empty_observations_are_refused(codec):
+    with pytest.raises(ObservationError, match="no array of numbers"):
+        codec.encode([[1.0], [1.0, 2.0]])
+    with pytest.raises(ObservationError, match=r"shape \(0, 77\)"):
+        codec.encode(np.zeros((0, 77)))
+
+
+def test_the_largest_number_is_clipped_without_a_warning(codec):
+    large = codec.encode(np.full((1, 77), 1e308))
+    np.testing.assert_array_equal(large, codec.encode(np.full((1, 77), 1e30)))
+
+
+@pytest.mark.parametrize("kind", ["f2", "f4", "i1", "u8", "?"])
+def test_real_numbers_of_any_type_are_taken_as_they_are(kind):
+    assert observed_numbers(np.ones(3, kind)).dtype == np.dtype(kind)
+
+
+@pytest.fixture
+def ghosts(tmp_path):
+    """Write a ghost file in which some arrays are others; its path."""
+
+    def write(**changes):
+        path = tmp_path / "g.npz"
+        pose = np.zeros((3, 3), np.float32)
+        steps = np.zeros(2, np.float32)
+        drive = Ghost(pose, pose[:, 0], np.zeros(2, int), steps, True, False, 1)
+        Ghosts("spikedeploy/KartSteer-v0", [drive]).save(path)
+        arrays = {**np.load(path), **changes}
+        np.savez_compressed(path, **arrays)
+        return path
+
+    return write
+
+
+def header(**fields):
+    return np.array(json.dumps({"version": 1, "env_id": "x", "options": {}, **fields}))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"header": header(options=True)},
+        {"header": header(env_id=None)},
+        {"header": header(version=True)},
+        {"header": np.array(json.dumps({"version": 1, "options": {}}))},
+        {"header": np.array("[1]")},
+        {"header": np.array("[" * 100_000)},
+        {"env_step": np.zeros((1, 1, 1), np.int64)},
+        {"steps": np.array([[2]])},
+        {"steps": np.array([-2])},
+        {"steps": np.array(["2"])},
+        {"steps": np.array([2.0]), "start": np.full((4, 1), np.nan)},
+        {"moves": np.zeros((3, 2), np.int32)},
+        {"seed": np.zeros(0, np.int64)},
+        {"reward": np.zeros(2, complex)},
+        {"action": np.array(3)},
+    ],
+)
+def test_a_ghost_file_with_other_arrays_is_refused(changes, ghosts):
+    assert len(Ghosts.load(ghosts()).drives) == 1
+    with pytest.raises(EnvError, match=r"g\.npz"):
+        Ghosts.load(ghosts(**changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"header": np.array([1, 2])},
+        {"header": np.array("text")},
+        {"observation": np.array(["a"])},
+        {"observation": np.zeros((9, 2))},
+        {"reward": np.zeros((2, 2))},
+        {"info/x": np.zeros(5)},
+        {"options": np.array("[" * 100_000)},
+        {"options": np.array("[1]")},
+        {"observation": np.array([{}], dtype=object)},
+    ],
+)
+def test_a_rollout_with_other_arrays_is_refused(changes, tmp_path):
+    path = tmp_path / "r.npz"
+    row = np.zeros(2)
+    Rollout("x", 1, np.zeros((3, 2)), row, row, True, False, {"x": row}).save(path)
+    assert Rollout.load(path).steps == 2
+    np.savez(path, **{**np.load(path), **changes})
+    with pytest.raises(EnvError, match=r"r\.npz"):
+        Rollout.load(path)
+
+
+def bomb(path, member):
+    shape = {"descr": "<f8", "fortran_order": False, "shape": (40_000_000,)}
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open(member, "w", force_zip64=True) as file,
+    ):
+        np.lib.format.write_array_header_1_0(file, shape)
+        for _ in range(320):
+            file.write(bytes(1_000_000))
+    return path
+
+
+@pytest.mark.parametrize("read", [read_rasters, Ghosts.load, Rollout.load])
+def test_an_archive_that_unpacks_to_hundreds_of_megabytes_is_refused(read, tmp_path):
+    path = bomb(tmp_path / "a.npz", "x.npy")
+    assert path.stat().st_size < 1_000_000
+    began = time.process_time()
+    with pytest.raises((EnvError, ObservationError), match="unpack"):
+        read(path)
+    assert time.process_time() - began < 1
+
+
+def test_a_raster_with_holes_is_refused(tmp_path):
+    path = tmp_path / "a.npy"
+    np.lib.format.open_memmap(path, mode="w+", dtype="f8", shape=(1000, 225_000)).flush()
+    with pytest.raises(ObservationError, match="when unpacked"):
+        read_rasters(path)
+
+
+@pytest.mark.parametrize("name", ["objects", "header", "huge"])
+def test_a_raster_of_objects_or_with_a_strange_header_is_refused(name, tmp_path):
+    path = tmp_path / "a.npy"
+    if name == "objects":
+        np.save(path, np.array([{}], dtype=object), allow_pickle=True)
+    else:
+        text = "{'descr':'<f8','fortran_order':False,'shape':(%s,)}" % ("9" * 30)
+        text = text if name == "huge" else "(" * 60_000
+        path.write_bytes(b"\x93NUMPY\x02\x00" + len(text).to_bytes(4, "little") + text.encode())
+    with pytest.raises(ObservationError):
+        read_rasters(path)
+
+
+@pytest.mark.parametrize("read", [read_rasters, track_file.load, Ghosts.load])
+def test_a_device_is_not_read(read, tmp_path):
+    path = tmp_path / "zero.json"
+    path.symlink_to("/dev/zero")
+    with pytest.raises((EnvError, ObservationError), match="no file"):
+        read(path)
+
+
+def circle(path, points, radius):
+    record = json.loads((track_file.FOLDER / "small_S.json").read_text())
+    angles = np.linspace(0, 2 * math.pi, points + 1)
+    record["walls"] = [(radius * np.stack([np.cos(angles), np.sin(angles)], 1)).tolist()]
+    record["gates"], record["start"]["position"] = [[[100, -50], [100, 50]]], [0, 0]
+    path.write_text(json.dumps(record))
+    return path
+
+
+def test_a_track_of_thousands_of_points_loads_in_seconds(tmp_path):
+    began = time.process_time()
+    assert len(track_file.load(circle(tmp_path / "a.json", 15_000, 1500)).walls) == 15_000
+    assert time.process_time() - began < 5
+
+
+@pytest.mark.parametrize(
+    ("points", "radius", "says"), [(30_000, 900, "of each"), (60, 9000, "square px")]
+)
+def test_a_track_too_long_or_too_large_is_refused(points, radius, says, tmp_path):
+    with pytest.raises(EnvError, match=says):
+        track_file.load(circle(tmp_path / "a.json", points, radius))
+
+
+@pytest.mark.parametrize(
+    ("model", "recipe", "override", "says"),
+    [
+        (PpoConfig, "kart-grid-ann", "policy.hidden=[1000000000]", "16384"),
+        (PpoConfig, "kart-grid-ann", "env.count=1000000000", "4096"),
+        (PpoConfig, "kart-grid-ann", "steps=99999999999999999999", "1000000000000"),
+        (DistillConfig, "hexapod-distill", "batch=10000000000", "1048576"),
+        (PpoConfig, "kart-grid-ann", "steps=" + "[" * 5000, "nested too deeply|valid integer"),
+        (PpoConfig, "kart-grid-ann", "steps=" + "9" * 10_000, "integer"),
+    ],
+)
+def test_settings_that_no_machine_can_hold_are_refused(model, recipe, override, says):
+    with pytest.raises(ConfigError, match=says):
+        resolve(model, recipe, overrides=[override], seed=0)
+
+
+@pytest.mark.parametrize("text", ["[" * 5000, "x = " + "[" * 5000, "x = " + "9" * 10_000, "\0"])
+def test_a_strange_toml_file_is_refused(text, tmp_path):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(ConfigError):
+        resolve(PpoConfig, "kart-grid-ann", file=tmp_path / "a.toml", seed=0)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", "[" * 100_000])
+def test_a_damaged_record_of_a_run_is_refused(text, tmp_path):
+    (tmp_path / "config.json").write_text(text)
+    with pytest.raises(ConfigError, match="is damaged"):
+        settings(tmp_path)

@@ -1,0 +1,213 @@
+"""No command overwrites its input, a device, a run's files or what it did not write."""
+
+import inspect
+import os
+import re
+import shutil
+from importlib import import_module
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
+from spikedeploy.files import write_text
+from spikedeploy.outputs import check_output, check_output_folder, mark, marked
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.export_run import export_run
+from spikedeploy.shipping.publish_run import publish_run
+from tests.paths import ROOT
+
+NET = ROOT / "examples" / "net.nir"
+RASTER = ROOT / "examples" / "raster.npy"
+# the guards of export and publish, which find the name of the file themselves
+SHIPPING = inspect.getsource(export_run) + inspect.getsource(publish_run)
+# options and arguments that name a file or folder to write, by command
+OUTPUTS = {
+    ("run", "video"), ("compare", "output"), ("emulate", "output"), ("export", "output"),
+    ("publish", "output"), ("visualize", "output"), ("experiment", "output"),
+    ("play", "record"), ("replay", "video"),
+}  # fmt: skip
+# paths that are read, edited by design, or in which a new folder is made
+OTHERS = {"file", "input_", "against", "traces", "config", "runs", "source", "folder"}
+
+
+def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():
+    found = set()
+    for name in (name for verbs in COMMANDS_OF_CLI.values() for name in verbs.items()):
+        function = getattr(import_module(f"spikedeploy.commands.{name[1]}"), name[0])
+        hints = get_type_hints(function)
+        paths = {key for key, kind in hints.items() if Path in (kind, *get_args(kind))}
+        found |= {(name[0], key) for key in paths - OTHERS}
+        assert not paths - OTHERS or "force" in hints, name
+        inside = SHIPPING if name[0] in ("export", "publish") else inspect.getsource(function)
+        assert not paths - OTHERS or "check_output" in inside, name
+    assert found == OUTPUTS
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run folder with its files."""
+    folder = tmp_path / "run"
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "ghosts").mkdir()
+    (folder / "config.json").write_text("{}")
+    rows = "env_steps,eval_return\n0,1.0\n10,2.0\n"
+    (folder / "metrics.csv").write_text(rows)
+    (folder / "checkpoints" / "last.safetensors").write_text("weights")
+    return folder
+
+
+def refused(words, path, *, says, command, **kept):
+    before = {name: Path(at).read_bytes() for name, at in kept.items()}
+    code, _, err = command(*words)
+    assert code == 2, err
+    assert re.search(says, err), err
+    assert "Traceback" not in err
+    for name, at in kept.items():
+        assert Path(at).read_bytes() == before[name]
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """Copies of a network and its raster, and other names of both."""
+    net, raster = tmp_path / "net.nir", tmp_path / "in.npy"
+    shutil.copy(NET, net)
+    shutil.copy(RASTER, raster)
+    (tmp_path / "linked.npz").symlink_to(raster)
+    os.link(net, tmp_path / "hard.npz")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "output", ["net.nir", "in.npy", "linked.npz", "hard.npz", "./x/../net.nir"]
+)
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_emulate_never_overwrites_its_inputs(output, force, inputs, command):
+    (inputs / "x").mkdir()
+    words = ("emulate", inputs / "net.nir", "--chip", "float", "--input", inputs / "in.npy")
+    refused(
+        (*words, "-o", inputs / output, *force), inputs, says="is the input", command=command,
+        net=inputs / "net.nir", raster=inputs / "in.npy",
+    )  # fmt: skip
+
+
+COMMANDS = {
+    "emulate": lambda f: ("emulate", NET, "--chip", "float", "--input", RASTER, "-o", f),
+    "run": lambda f: ("run", "kart-steer/snn", "--video", f),
+    "replay": lambda f: ("replay", "somewhere", "--video", f),
+    "visualize": lambda f: ("visualize", f.parent / "run", "-o", f),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "kind", ["folder", "fifo", "device", "dangling", "under a file", "foreign"]
+)
+def test_what_is_no_plain_file_of_the_command_is_refused(name, kind, run, tmp_path, command):
+    path = tmp_path / "out.mp4"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/null")
+    elif kind == "dangling":
+        path.symlink_to(tmp_path / "nowhere")
+    elif kind == "foreign":
+        path.write_text("my notes")
+    else:
+        (tmp_path / "notes").write_text("mine")
+        path = tmp_path / "notes" / "out.mp4"
+        words = COMMANDS[name](tmp_path / "out.mp4")
+        refused(
+            [path if w == tmp_path / "out.mp4" else w for w in words],
+            path,
+            says="is a file",
+            command=command,
+        )
+        return
+    says = {
+        "folder": "is a folder", "fifo": "device or pipe", "device": "device or pipe",
+        "dangling": "a link to nothing", "foreign": "--force",
+    }[kind]  # fmt: skip
+    refused(COMMANDS[name](path), path, says=says, command=command)
+    assert path.exists() or kind == "dangling"
+    assert path.is_symlink() == (kind in ("device", "dangling"))
+
+
+def test_a_point_as_output_is_a_sentence(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    refused(
+        COMMANDS["emulate"](Path()),
+        tmp_path,
+        says=r"-o \. is a folder. Name a file",
+        command=command,
+    )
+
+
+@pytest.mark.parametrize(
+    "inside",
+    ["config.json", "metrics.csv", "checkpoints/last.safetensors", "ghosts/00001.npz", "a.csv"],
+)
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_files_of_a_run_are_never_overwritten(inside, force, run, command):
+    words = ("visualize", run, "-o", run / inside, *force)
+    kept = {"config": run / "config.json", "metrics": run / "metrics.csv"}
+    refused(words, run, says="inside the run folder", command=command, **kept)
+
+
+def test_exports_and_pictures_may_stand_in_a_run_folder(run, command):
+    for _ in range(2):
+        assert command("visualize", run, "-o", run / "mine.png")[0] == 0
+    assert marked(run / "mine.png", mark("visualize"))
+    check_output("-o", run / "policy.nir")
+
+
+def test_an_earlier_output_is_replaced_and_a_link_stays(tmp_path, command):
+    real, link = tmp_path / "real.npz", tmp_path / "link.npz"
+    link.symlink_to(real)
+    words = COMMANDS["emulate"]
+    assert command(*words(real))[0] == 0
+    first = real.stat().st_ino
+    assert command(*words(link))[0] == 0
+    assert link.is_symlink()
+    assert real.stat().st_ino != first
+    np.savez(real, a=np.ones(3))  # the user's own now
+    refused(words(link), link, says="--force", command=command, real=real)
+    assert command(*words(link), "--force")[0] == 0
+    assert link.is_symlink()
+    assert "output" in np.load(real)
+
+
+def test_nir_data_of_an_earlier_run_is_recognised(tmp_path, command):
+    words = COMMANDS["emulate"](tmp_path / "out.h5")
+    assert command(*words)[0] == 0
+    assert command(*words)[0] == 0
+
+
+def test_a_folder_with_files_of_somebody_else_needs_force(tmp_path):
+    (tmp_path / "report.md").write_text("my own report")
+    names = ("report.md", "report.json")
+    with pytest.raises(ConfigError, match=r"report\.md: the file exists"):
+        check_output_folder("-o", tmp_path, names)
+    check_output_folder("-o", tmp_path, names, force=True)
+    check_output_folder("-o", tmp_path, names, ours=lambda folder: True)
+
+
+def test_a_run_folder_takes_no_report(run, command):
+    code, _, err = command("compare", "kart-steer", "--episodes", "1", "-o", run)
+    assert code == 2
+    assert "is the folder of a training run" in err
+
+
+def test_every_writer_follows_links_and_refuses_devices(tmp_path):
+    real = tmp_path / "real.txt"
+    (tmp_path / "link.txt").symlink_to(real)
+    write_text(tmp_path / "link.txt", "text")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert real.read_text() == "text"
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileExistsError, match="no plain file"):
+        write_text(tmp_path / "pipe", "text")
