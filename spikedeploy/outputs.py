@@ -24,8 +24,8 @@ def mark(command: str) -> str:
 
 
 def marked(path: Path, *texts: str) -> bool:
-    """Whether a file holds one of these texts, such as the mark of a command."""
-    if not path.stat().st_size:
+    """Whether there is a file that holds one of these texts, such as the mark of a command."""
+    if not path.is_file() or not path.stat().st_size:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         return any(content.find(text.encode()) >= 0 for text in texts)

@@ -30,7 +30,7 @@ OUTPUTS = {
     ("play", "record"), ("replay", "video"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
-OTHERS = {"file", "input_", "against", "traces", "config", "runs", "source", "folder"}
+OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder"}
 
 
 def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():

@@ -26,7 +26,7 @@ from spikedeploy.trainers.versions import installed, own
 _PACKAGES = ("numpy", "mujoco", "pymunk")
 _INTRODUCTION = f"""\
 What is left of the return of a policy where the world or the chip is not as in training. Policies
-are the shipped ones, and none was trained for this page. Definitions, numbers of the levels and
+of the five worlds are the shipped ones; none was trained for this page. Definitions, numbers of the levels and
 where they come from: [docs/robustness.md](../docs/robustness.md).
 
 Each cell is the return as a share of what the same policy earns undisturbed on the same seeds, with
