@@ -30,7 +30,7 @@ _PPO: Settings = {
     "ghosts": False,
 }
 
-# rewards of any size: the temperature is a compromise, `--set temperature.start=` is another
+# rewards of any size: the temperature is learned
 _SAC: Settings = {
     "env": {"name": "", "count": 1},
     "steps": 20_000,
@@ -40,6 +40,7 @@ _SAC: Settings = {
     "critic_hidden": [128, 128],
     "learning_rate": 1e-3,
     "temperature": {"start": 0.2, "end": 0.02, "begin": 5_000, "finish": 15_000},
+    "learn_temperature": True,
     "mean_penalty": 0.0,
     "averaging": 1e-3,
     "normaliser": {"finish": 5_000},
