@@ -95,7 +95,7 @@ ANY_ENV_RECIPES: dict[str, Recipe] = {
             "distill-snn",
             "distill",
             "any ENV: 64-64 LIF neurons, from a teacher; see `distill`",
-            _DISTILL,
+            merged(_DISTILL, {"noise": 0.1}),
             _SPIKING_MLP,
         ),
         (
