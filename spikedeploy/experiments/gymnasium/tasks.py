@@ -8,7 +8,10 @@ _WIDTH, _POPULATION, TIMESTEPS = 256, 10, 5
 RATE = 0.15  # of a dense network that is not trained here: spikes of a neuron and timestep
 
 _SAC = ("learn_temperature=true", "policy.hidden=[256,256]", "critic_hidden=[256,256]", "batch=256")
-_MUJOCO = (*_SAC, "steps=1000000", "update_every=2")
+_MUJOCO = (
+    *_SAC, "steps=1000000", "update_every=2", "learning_rate=3e-4", "env.count=4", "warm_up=10000",
+    "validation.every=25000", "checkpoint_every=2000000",
+)  # fmt: skip
 # fast changes need finer and more events than walking does
 _FINE = ("policy.hidden=128", "policy.most=8", "policy.integrated=true", "step=0.25")
 # episodes of 1,000 steps: more states, and validations that are not most of the time
