@@ -23,6 +23,7 @@ _LOOKS = {
 }
 _GREY = "#8A939E"
 _LOWEST = -5.0  # [%]
+_HIGHEST = 108  # at least: markers at 100 are whole
 
 
 def draw(found: Mapping[str, Sequence[TaskPoint]], chip: str, path: Path) -> Path:
@@ -60,7 +61,7 @@ def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> Non
             )  # fmt: skip
     axes.set_xscale("log")
     axes.set_xlim(10, 1e6)
-    axes.set_ylim(bottom=_LOWEST)
+    axes.set_ylim(_LOWEST, max(axes.get_ylim()[1], _HIGHEST))
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#E6E8EB")
     axes.set_axisbelow(True)
