@@ -143,9 +143,9 @@ def refusals(rows: Sequence[Record]) -> dict[tuple[str, str], str]:
 
 @dataclass(frozen=True)
 class Pairing:
-    """A spiking point beside the cheapest float one that is not below it.
+    """A spiking point beside the cheapest float one that is as good, by some measure.
 
-    rival  None where every float student is below
+    rival  None where no float student is
     """
 
     point: Point
@@ -167,11 +167,15 @@ def pairing(found: Sequence[Point], point: Point, of: str, lean: bool = False) -
     return Pairing(point, min(equal, key=lambda p: p.energy(of), default=None), of, lean)
 
 
-def best_pairing(
-    found: Sequence[Point], of: str, lean: bool = False, near: float = 0.0
-) -> Pairing | None:
-    """The spiking point of the least energy against its rival, of those at `near` and above."""
-    candidates = [p for p in found if p.student in SPIKING and p.of_teacher.mean >= near]
-    pairs = [pairing(found, point, of, lean) for point in candidates]
-    known = [pair for pair in pairs if pair.ratio is not None]
-    return min(known, key=lambda pair: pair.ratio or 0.0, default=None)
+def pairing_at(found: Sequence[Point], share: float, of: str, lean: bool = False) -> Pairing | None:
+    """The cheapest spiking and the cheapest float point with a share of the teacher's score.
+
+    None where no spiking point has it.
+    """
+    good = [p for p in found if p.of_teacher.mean >= share]
+    spiking = [p for p in good if p.student in SPIKING]
+    if not spiking:
+        return None
+    rivals = [p for p in good if p.student in FLOAT]
+    mine = min(spiking, key=lambda p: p.energy(of, lean=lean))
+    return Pairing(mine, min(rivals, key=lambda p: p.energy(of), default=None), of, lean)

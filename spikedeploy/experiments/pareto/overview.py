@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from spikedeploy.experiments.pareto.costs import TOTALS
 from spikedeploy.experiments.pareto.fronts import Point, Record, points
-from spikedeploy.experiments.pareto.tables import number, of_teacher, pico, share
+from spikedeploy.experiments.pareto.tables import NEARLY, number, of_teacher, pico, share
 from spikedeploy.reports.markdown import markdown_text
-
-NEARLY = 0.98  # of the teacher's score
 
 
 def overview(tables: Mapping[str, Sequence[Record]]) -> str:

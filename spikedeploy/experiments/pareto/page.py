@@ -14,7 +14,7 @@ from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import all_rows
 from spikedeploy.experiments.pareto.fronts import Record, baseline, points
 from spikedeploy.experiments.pareto.levels import level_table, return_table
-from spikedeploy.experiments.pareto.overview import NEARLY, overview
+from spikedeploy.experiments.pareto.overview import overview
 from spikedeploy.experiments.pareto.plot import draw
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
@@ -25,18 +25,21 @@ _PACKAGES = ("torch", "numpy", "mujoco")
 
 _INTRODUCTION = f"""\
 Sparse policies and their float rivals: all imitate the same teacher on the same walks with as many
-updates, and are pruned by the same ranking to the same numbers of operations in a control step.
+updates, and are pruned by the same ranking, each to levels of its own, in operations of a control
+step.
 `LIF` is a delta encoder, a layer of spiking neurons and integrating readouts; `delta-linear` sends
 the encoder's events straight into the readouts; `delta network` has sigma-delta ReLU neurons in
 between, whose graded spikes only loihi2 and ideal have; `float MLP` and `float linear` multiply.
-The best policy of each, delta networks apart, is then trained on with reward, by PPO with as many
-episodes of each student: "with reward". Masks and budget stay. "Reference" is the policy shipped
-before, where the teacher is another one.
+The last level of each, delta networks apart, is then trained on with reward, by PPO with as many
+episodes of each student: "with reward"; MLPs from an earlier level too. Masks and budget stay.
+"Reference" is the policy shipped before, where the teacher is another one.
 
 Operations are synaptic operations of spiking policies, and multiply-accumulates with an input that
 is not 0 of float ones. An operation of a graded spike multiplies too, and costs as much as a
 multiply-accumulate. All weights have 8 bits: spiking policies run in the integers of the
-emulated chip, float ones with weights rounded symmetrically, one scale a matrix. Scores are returns
+emulated chip, float ones with weights rounded symmetrically, one scale a matrix, and activations in
+float, whose multiplications are priced as of 8 bits. Readouts are priced as whole neurons, though
+they have one state: that favours float networks. Scores are returns
 of walks, and finishes of karts, on seeds from 10,000 on that no training and no choice of a
 checkpoint saw; teacher and students have the same. Intervals of 95 % are bootstrapped over training
 seeds, then over episodes of student and teacher together; with one training seed they cover
@@ -62,13 +65,13 @@ bits is not checked. davies2018 and sanafe are prices of Loihi 1 and have none f
 multiply-accumulates. They charge neurons without an update too, also in the timesteps that only
 fill the pipeline; encoder and constants, which are the host's, cost the same as above."""
 _OVERVIEW = f"""\
-Of each student the level with the fewest operations of those with {NEARLY:.0%} of the teacher's
-score or more; where none has it, the one with the highest score. It is chosen on the episodes that
-it is reported on, among the few levels below, for spiking and float students alike."""
+Of each student the level with the fewest operations of those with {tables.NEARLY:.0%} of the
+teacher's score or more; where none has it, the one with the highest score. It is chosen on the
+episodes that it is reported on, among the few levels below, for spiking and float students alike."""
 _RIVALS = f"""\
 Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
-student whose mean score is not below its own: pJ against pJ. The sentences at the top take, for
-each total, the pair with the least ratio."""
+student whose mean score is not below its own: pJ against pJ. Few levels were trained, so a tenth of
+a percent can decide which rival that is; the sentences at the top take the same bounds for both."""
 
 
 def write(design: ParetoDesign, results: Path) -> list[Path]:

@@ -10,15 +10,16 @@ from spikedeploy.experiments.pareto.fronts import (
     Pairing,
     Point,
     Record,
-    best_pairing,
     pairing,
+    pairing_at,
     points,
     refusals,
 )
 from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.markdown import markdown_text
 
-NEAR = 0.95  # of the teacher's score: points below are of no use, and not compared
+# shares of the teacher's score: points below the second are of no use, and not compared
+NEARLY, NEAR = 0.98, 0.95
 _PICO = 1e12
 _WORDS = {
     "operations": "Operations alone",
@@ -117,7 +118,7 @@ def _against(pair: Pairing) -> str:
 
 
 def sentences(found: Sequence[Point]) -> list[str]:
-    """For each total what the best spiking point costs against its rival, and what decides."""
+    """For each total the cheapest spiking and float points that are good, and what decides."""
     lines = []
     for of, words in _WORDS.items():
         lines.append(_sentence(found, of, words, lean=False))
@@ -127,21 +128,34 @@ def sentences(found: Sequence[Point]) -> list[str]:
 
 
 def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
-    best = best_pairing(found, of, lean, NEAR)
-    if best is None or best.rival is None or best.ratio is None:
+    pairs = {share: pairing_at(found, share, of, lean) for share in (NEARLY, NEAR)}
+    known = [pair for pair in pairs.values() if pair is not None and pair.ratio is not None]
+    if not known:
         return f"- {words}: {_lack(found)}, so there is nothing to compare."
-    point, rival = best.point, best.rival
-    text = (
-        f"- {'✓' if best.ratio <= 1 else '✗'} {words}: {_named(point)} costs "
-        f"{pico(point.energy(of, lean=lean))} pJ a control step, the cheapest float student that "
-        f"is not below it, {_named(rival)}, {pico(rival.energy(of))} pJ: {best.ratio:.2f} times."
-    )
-    if of == "operations":
-        return text
-    mine = {name: joules for name, joules in point.terms(lean).items() if name in TOTALS[of]}
+    wins = all((pair.ratio or 0.0) <= 1 for pair in known)
+    parts = [f"for {share:.0%} of the teacher's score {_beside(p)}" for share, p in pairs.items()]
+    text = f"- {'✓' if wins else '✗'} {words}: {'; '.join(parts)}."
+    return text if of == "operations" else f"{text} {_decides(known[0])}."
+
+
+def _beside(pair: Pairing | None) -> str:
+    """What a spiking point costs beside its rival."""
+    if pair is None:
+        return "no spiking policy is good enough"
+    mine = f"{_named(pair.point)} costs {pico(pair.point.energy(pair.of, lean=pair.lean))} pJ"
+    if pair.rival is None:
+        return f"{mine}, no float student is good enough"
+    theirs = f"{_named(pair.rival)} {pico(pair.rival.energy(pair.of))} pJ"
+    return f"{mine}, {theirs}: {pair.ratio:.2f} times"
+
+
+def _decides(pair: Pairing) -> str:
+    """Which term is most of a spiking point's energy."""
+    terms = pair.point.terms(pair.lean).items()
+    mine = {name: joules for name, joules in terms if name in TOTALS[pair.of]}
     most = max(mine, key=lambda name: mine[name])
     part = mine[most] / sum(mine.values())
-    return f"{text} {part:.0%} of it is for {_TERM_WORDS[most]}{_lever(best, most)}."
+    return f"{part:.0%} of the first is for {_TERM_WORDS[most]}{_lever(pair, most)}"
 
 
 def _lack(found: Sequence[Point]) -> str:
@@ -166,8 +180,7 @@ def _lever(pair: Pairing, most: str) -> str:
 
 
 def _named(point: Point) -> str:
-    aim = f"{point.level:g}"
-    return f"{point.label} at {aim} ({point.of_teacher.mean:.1%} of the teacher)"
+    return f"{point.label} at {point.level:g} ({point.of_teacher.mean:.1%})"
 
 
 def place_table(rows: Sequence[Record], found: Sequence[Point]) -> str:

@@ -9,7 +9,7 @@ import torch
 
 from spikedeploy.experiments.pareto import networks, records, tables
 from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE, energies, terms, total
-from spikedeploy.experiments.pareto.fronts import Point, best_pairing, pairing, points
+from spikedeploy.experiments.pareto.fronts import Point, pairing, pairing_at, points
 from spikedeploy.experiments.pareto.overview import cheapest
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
@@ -106,29 +106,37 @@ def test_the_overview_has_the_cheapest_of_the_good_levels_or_the_best_of_the_bad
     assert [(p.student, p.level) for p in cheapest(levels)] == [("sparse", 66), ("small-mlp", 180)]
 
 
-def test_the_best_pair_is_near_the_teacher():
-    far, near = point("sparse", 5.0, 1.0), point("sparse-linear", 9.6, 60.0)
-    found = [far, near, point("small-mlp", 10.0, 300.0)]
-    best = best_pairing(found, "operations", near=0.95)
-    assert best is not None
-    assert best.point is near
-    assert best_pairing([far], "operations") is None
+def test_bounds_are_the_same_for_spiking_and_float_points():
+    found = [
+        point("sparse", 9.9, 90.0), point("sparse", 9.6, 60.0), point("sparse-linear", 5.0, 1.0),
+        point("small-mlp", 9.85, 300.0), point("small-mlp", 9.55, 70.0),
+    ]  # fmt: skip
+    strict, loose = (pairing_at(found, share, "operations") for share in (0.98, 0.95))
+    assert (strict.point, strict.rival) == (found[0], found[3])
+    assert (loose.point, loose.rival) == (found[1], found[4])
+    assert pairing_at(found[2:], 0.95, "operations") is None
+    assert pairing_at(found[:2], 0.95, "operations").ratio is None
 
 
 def test_sentences_say_who_wins_and_which_term_decides():
     found = [point("sparse", 9.9, 50.0), point("small-mlp", 10.0, 100.0)]
     alone, updates, *_ = tables.sentences(found)
     assert alone == (
-        "- ✓ Operations alone: LIF at 100 (99.0% of the teacher) costs 68 pJ a control step, the "
-        "cheapest float student that is not below it, float MLP at 100 (100.0% of the teacher), "
-        "155 pJ: 0.44 times."
+        "- ✓ Operations alone: for 98% of the teacher's score LIF at 100 (99.0%) costs 68 pJ, "
+        "float MLP at 100 (100.0%) 155 pJ: 0.44 times; for 95% of the teacher's score LIF at 100 (99.0%) "
+        "costs 68 pJ, float MLP at 100 (100.0%) 155 pJ: 0.44 times."
     )
     # 155 - 67.5 = 87.5 of the 265 pJ of updates
     assert updates.startswith("- ✗ With neuron updates")
-    assert "80% of it is for the neuron updates; it would draw level if that cost 0.33" in updates
+    assert (
+        "80% of the first is for the neuron updates; it would draw level if that cost 0.33"
+        in updates
+    )
     alone = point("sparse", 9.9, 50.0)
     assert "no float student is evaluated yet" in tables.sentences([alone])[0]
-    nothing = tables.sentences([alone, point("small-mlp", 9.8, 50.0)])
+    worse = tables.sentences([alone, point("small-mlp", 9.6, 50.0)])[0]
+    assert "LIF at 100 (99.0%) costs 68 pJ, no float student is good enough; for 95%" in worse
+    nothing = tables.sentences([alone, point("small-mlp", 9.4, 50.0)])
     assert "no float student reaches the return of a spiking one" in nothing[0]
 
 
@@ -192,9 +200,9 @@ def test_a_rival_with_reward_counts_and_is_named(tmp_path):
     assert [each.label for each in found] == [
         "LIF", "LIF, with reward", "float MLP", "float MLP, with reward",
     ]  # fmt: skip
-    best = best_pairing(found, "operations")
+    best = pairing_at(found, 0.98, "operations")
     assert (best.point, best.rival) == (found[1], found[3])
-    assert "LIF, with reward at 60 (99.0% of the teacher) costs" in tables.sentences(found)[0]
+    assert "LIF, with reward at 60 (99.0%) costs" in tables.sentences(found)[0]
 
 
 @pytest.mark.parametrize(
