@@ -67,7 +67,8 @@ fill the pipeline; encoder and constants, which are the host's, cost the same as
 _OVERVIEW = f"""\
 Of each student the level with the fewest operations of those with {tables.NEARLY:.0%} of the
 teacher's score or more; where none has it, the one with the highest score. It is chosen on the
-episodes that it is reported on, among the few levels below, for spiking and float students alike."""
+episodes that it is reported on, among the few levels below, for spiking and float students
+alike."""
 _RIVALS = f"""\
 Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
 student whose mean score is not below its own: pJ against pJ. Few levels were trained, so a tenth of
