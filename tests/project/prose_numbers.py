@@ -179,23 +179,23 @@ RULES = [
     # README
     ("a linear policy ({} MACs) and mlp-8, eight hidden units ({}), earn what sac does", lambda:
         macs("hexapod", "linear", "mlp-8")),
-    ("so do mlp-16 ({}) and fourier, linear in products with the gait's phase ({}), and mlp-32 ({}) "
-     "earns more than any spiking policy", lambda:
+    ("so do mlp-16 ({}) and fourier, linear in products with the gait's phase ({}), and "
+     "mlp-32 ({}) earns more than any spiking policy", lambda:
         macs("hexapod-command", "mlp-16", "fourier", "mlp-32")),
-    ("{} operations walk as well as {}: five trainings earn {} % of sac after imitation and reward, "
-     "{} % by imitation", lambda: (
+    ("{} operations walk as well as {}: five trainings earn {} % of sac after imitation and "
+     "reward, {} % by imitation", lambda: (
         sops("hexapod"), sops("hexapod", "popsan"), trained("hexapod", "LIF, with reward"),
         trained("hexapod", "LIF"))),
     ("the command task ({} operations), three karts ({})", lambda: (
         sops("hexapod-command"), max(map(sops, KARTS)))),
     ("and all MACs (sac: {}) included", lambda: (row("hexapod", "sac")["macs_dense"],)),
-    ("the operations of the sparse walkers cost {} to {} times those of the cheapest float MLP", lambda:
+    ("the operations of the sparse walkers cost {} to {} times those of the cheapest float", lambda:
         spread(cheapest("Operations alone"))),
     ("with the updates of their neurons and the encoder they cost {} to {} times as much", lambda:
         spread(cheapest("With updates, encoder and constants") + cheapest("With neuron updates"))),
     # docs/results.md
-    ("Among policies with {} % of the teacher's return, and among those with {} %, the cheapest sparse "
-     "walker costs less", lambda: (100 * NEARLY, 100 * NEAR)),
+    ("Among policies with {} % of the teacher's return, and among those with {} %, the cheapest "
+     "sparse walker costs less", lambda: (100 * NEARLY, 100 * NEAR)),
     ("down to mlp-8 with {} MACs", lambda: macs("hexapod", "mlp-8")),
     ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
      "({}) earns more than every spiking policy", lambda:

@@ -123,8 +123,8 @@ def test_sentences_say_who_wins_and_which_term_decides():
     alone, updates, *_ = tables.sentences(found)
     assert alone == (
         "- ✓ Operations alone: for 98% of the teacher's score LIF at 100 (99.0%) costs 68 pJ, "
-        "float MLP at 100 (100.0%) 155 pJ: 0.44 times; for 95% of the teacher's score LIF at 100 (99.0%) "
-        "costs 68 pJ, float MLP at 100 (100.0%) 155 pJ: 0.44 times."
+        "float MLP at 100 (100.0%) 155 pJ: 0.44 times; for 95% of the teacher's score LIF at 100 "
+        "(99.0%) costs 68 pJ, float MLP at 100 (100.0%) 155 pJ: 0.44 times."
     )
     # 155 - 67.5 = 87.5 of the 265 pJ of updates
     assert updates.startswith("- ✗ With neuron updates")
