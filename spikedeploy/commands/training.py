@@ -32,7 +32,7 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Recipe for any environment: ppo-mlp, ppo-snn, sac-mlp, sac-popsan, distill-snn.",
+            help="Recipe for any environment, such as ppo-snn or sac-popsan; `recipes` lists them.",
             show_default="the first argument",
         ),
     ] = None,
@@ -99,6 +99,7 @@ def tell_end(run: Path, share: float | None, runs: Path, json: bool, remark: str
     remark: line for a training that ended
     """
     from spikedeploy.console import print_json, say
+    from spikedeploy.shipping.exported_run import trained_in
 
     if json:
         print_json({"run": str(run)})
@@ -108,7 +109,8 @@ def tell_end(run: Path, share: float | None, runs: Path, json: bool, remark: str
         say(f"stopped at {100 * share:.0f} %; {again}")
         raise typer.Exit(130)
     if not json:
-        typer.echo(f"trained: {run}\n{remark}next: spikedeploy visualize {run}")
+        env = trained_in(str(run))
+        typer.echo(f"trained: {run}\n{remark}next: spikedeploy compare {env} {run}")
 
 
 def export(
