@@ -180,10 +180,17 @@ class MachinePool:
         for name, rows in spikes.items():
             if rows.dtype.kind not in "bu":
                 raise ObservationError(
-                    f"the raster of node {name!r} holds {rows.dtype} values; a chip takes spikes, "
+                    f"the raster of node {name!r} holds {_held(rows)}; a chip takes spikes, "
                     "0 or 1. Encode them, or play them into --chip float."
                 )
         return self.program.joined(spikes)
+
+
+def _held(rows: NDArray[Any]) -> str:
+    """What a raster holds instead of spikes: their type is the caller's where the values are 0, 1."""
+    if rows.dtype.kind == "f" and rows.size and not np.isin(rows, (0, 1)).all():
+        return f"numbers from {rows.min():g} to {rows.max():g}"
+    return f"{rows.dtype} values"
 
 
 def running(

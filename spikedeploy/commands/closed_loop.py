@@ -91,6 +91,7 @@ def run(
     from spikedeploy.comparison.closed_loop import run_policy
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
+    from spikedeploy.envs import spec
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.policies.adopted import adopted
@@ -110,7 +111,9 @@ def run(
     given = [*(name for name, value in convention.items() if value is not None)]
     given += [] if codec is None else ["codec"]
     if from_ is not None:
-        policy = str(adopted(policy, codec, written_by=from_, **convention))
+        if env is not None:
+            spec(env)  # refuses an unknown one before a file is written
+        policy = str(adopted(policy, codec, force, written_by=from_, **convention))
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     comparison = run_policy(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spikedeploy.commands.closed_loop import compare
-from spikedeploy.commands.options import Json, Workers, quantisation
+from spikedeploy.commands.options import Force, Json, Workers, quantisation
 
 if TYPE_CHECKING:
     from spikedeploy.shipping.recorded_evaluation import Settings
@@ -41,6 +41,7 @@ def reproduce(
             "--update", help="Write the numbers found into cards, where all returns are equal."
         ),
     ] = False,
+    force: Force = False,
     workers: Workers = None,
     json: Json = False,
 ) -> None:
@@ -57,12 +58,12 @@ def reproduce(
         again.check_episodes(evaluation, episodes or 1)
     found = []
     for evaluation in evaluations:
-        found.append(again.reproduce(evaluation, episodes, workers, update))
+        found.append(again.reproduce(evaluation, episodes, workers, update, force))
         if not json:
             typer.echo("\n".join(_lines(found[-1])))
     if json:
         print_json([each.as_json() for each in found])
-    raise typer.Exit(0 if all(each.equal for each in found) else 1)
+    raise typer.Exit(0 if update or all(each.equal for each in found) else 1)
 
 
 def settings(command: str) -> "Settings":

@@ -95,4 +95,9 @@ def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raste
 
 def as_raster(found: object) -> Raster:
     """The raster (T, *shape) that an array is, in the type that a file of it would have."""
+    if isinstance(found, np.ma.MaskedArray) and np.ma.getmaskarray(found).any():
+        raise ObservationError(
+            "the raster has masked values, which nothing says what to do with. Fill them, such as "
+            "with raster.filled(0)."
+        )
     return _checked("the raster", np.asarray(found))

@@ -16,16 +16,26 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.console import say
+from spikedeploy.outputs import check_output
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.codec.codec import Codec
-from spikedeploy.runtime.errors import ArtifactError, ConfigError
-from spikedeploy.runtime.metadata import Record
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
+from spikedeploy.runtime.metadata import Provenance, Record
+
+# which environment it is for is not known, and what marks it as written here
+_ADOPTED = Provenance("", recipe="run --from")
 
 
-def adopted(file: str, codec: Path | None, **convention: Any) -> Path:  # noqa: ANN401
+def adopted(
+    file: str,
+    codec: Path | None,
+    force: bool = False,
+    **convention: Any,  # noqa: ANN401
+) -> Path:
     """Write FILE.policy.nir beside a file of another tool, and return it.
 
     codec       JSON file
+    force       whether a file that this function did not write is replaced
     convention  written_by and options of artifact.load
     """
     path = Path(file)
@@ -36,10 +46,21 @@ def adopted(file: str, codec: Path | None, **convention: Any) -> Path:  # noqa: 
             "actions: give --codec FILE.json; docs/own-network.md has one"
         )
     target = path.with_suffix(".policy.nir")
-    save(replace(artifact, codec=read_codec(codec)), target)
+    policy = replace(artifact, codec=read_codec(codec), provenance=_ADOPTED)
+    check_output("--from", target, (file, codec), force, _is_adopted)
+    save(policy, target)
     say(f"{file}: {artifact.convention.describe()}")
     say(f"wrote {target}: a policy as any other")
     return target
+
+
+def _is_adopted(path: Path) -> bool:
+    """Whether a file is an earlier output of `adopted`."""
+    try:
+        found = load(path).provenance
+    except SpikedeployError:
+        return False
+    return found is not None and (found.env, found.recipe) == (_ADOPTED.env, _ADOPTED.recipe)
 
 
 def read_codec(path: Path) -> Codec:

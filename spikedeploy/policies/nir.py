@@ -129,12 +129,13 @@ def describe(path: Path) -> Candidate:
             "robot; `spikedeploy emulate` plays spikes into it"
         )
     (output,) = artifact.graph.outputs.values()
+    origin = artifact.provenance
     return Candidate(
         path=str(path),
         name=path.stem,
         kind="snn",
         format=".nir",
-        env=env_id(artifact.provenance.env) if artifact.provenance else None,
+        env=env_id(origin.env) if origin and origin.env else None,
         observed=artifact.codec.encoder.observed,
         actions=int(np.prod(output.output_type["output"])),
     )

@@ -5,6 +5,8 @@ An exported file is read back and compared with its policy before anything else 
 export_run           a run's policy as a file, compared with the policy on recorded observations
 exported_run         a run folder as its exported file, written where it is missing or old
 publish_run          an exported policy in the zoo, with its card, learning curve and evaluation
+card_page            the page of a card, and both written again after a new evaluation
+record_fields        what a card or report has to say
 recorded_evaluation  what cards and reports record, so that it can be made again
 reproduce            an evaluation made again, number by number
 demo_reports         reports and films of the shipped policies on three tasks

@@ -1,10 +1,8 @@
 """Publishing: a run becomes a shipped policy, with a Markdown card on training and evaluation."""
 
-import json
 import re
-import shlex
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,91 +17,21 @@ from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
 from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.policies.registry import find
-from spikedeploy.reports.columns import markdown as tables_of
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.shipping.card_page import evaluated, markdown
 from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
-from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import differences
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.phases import LEVEL
 from spikedeploy.trainers.sparse_ppo.start import find_start
 from spikedeploy.trainers.train import algorithm
-from spikedeploy.trainers.versions import versions
 
-_KINDS = {
-    "ann": "float network (ONNX)",
-    "snn": "spiking network (NIR)",
-    "control": "control: a small float policy, a rival of the spiking ones (ONNX)",
-}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 # the setting of an algorithm that names another run, and settings that follow from that run
 _NEEDED = {"sparse": "pool", "sparse-ppo": "start"}
 _DERIVED = {"sparse-ppo": ("policy.",)}
-
-
-def markdown(name: str, record: Mapping[str, Any]) -> str:
-    """The page: provenance, evaluation, parity, learning curve."""
-    rows = record["evaluation"]
-    facts = {
-        "what": _KINDS[record["kind"]],
-        "environment": record["env"],
-        "made by": ", then ".join(f"`{_command(r)}`" for r in [*record["before"], record]),
-        "checkpoint": _checkpoint(record["checkpoint"]),
-        record["steps_unit"]: _steps(record),
-        "commit": record["commit"] or "unknown",
-        "exported": record["created"],
-        "evaluated on": f"{rows[0]['episodes']} episodes, seeds from 10000 up",
-    } | ({"note": record["note"]} if record["note"] else {})
-    checks = [
-        f"- {'✓' if c['passed'] else '✗'} {c['name']}: {c['detail']}" for c in record["parity"]
-    ]
-    return "\n".join(
-        [
-            f"# {name}",
-            "",
-            *(f"- {key}: {value}" for key, value in facts.items()),
-            "",
-            "## Evaluation",
-            "",
-            *tables_of(rows),
-            "## Parity of the file with the trained policy",
-            "",
-            *checks,
-            "",
-            "## Learning curve",
-            "",
-            f"![learning curve]({name}.png)",
-            "",
-        ]
-    )
-
-
-def _command(record: Mapping[str, Any]) -> str:
-    """The command that trained the policy."""
-    changes = dict(change.partition("=")[::2] for change in record["overrides"])
-    what = record["recipe"]
-    if what in RECIPES and RECIPES[what].any_env:
-        what = f"{json.loads(changes.pop('env.name'))} --recipe {what}"
-    options = [f"--set {shlex.quote(f'{key}={value}')}" for key, value in changes.items()]
-    return " ".join([f"spikedeploy train {what} --seed {record['seed']}", *options])
-
-
-def _checkpoint(name: str) -> str:
-    """What a checkpoint is of, where its name does not say it."""
-    operations = name.removeprefix(LEVEL)
-    if operations == name:
-        return name
-    return f"{name}, the best of those pruned to {float(operations):g} operations a control step"
-
-
-def _steps(record: Mapping[str, Any]) -> str:
-    """How long the policy was trained, and the one that it began with."""
-    starts = [r for r in record["before"] if r["gives"] == "start"]
-    after = "".join(f", after {r['steps']:,} {r['steps_unit']} by imitation" for r in starts)
-    return f"{record['steps']:,}{after}"
 
 
 def publish_run(
@@ -237,27 +165,7 @@ def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) 
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
-    return _evaluated(path.name, seeds, rows)
-
-
-def _evaluated(file: str, seeds: range, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The fields of a card that an evaluation fills."""
-    return {
-        "seeds": {"first": seeds[0], "count": len(seeds)},
-        "evaluated_with": versions(),
-        "evaluation": [{**row, "file": file} for row in rows],
-    }
-
-
-def write_evaluation(card: Path, seeds: range, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows of a new evaluation into a card, its data and its page."""
-    record = json.loads(card.read_text(encoding="utf-8"))
-    kept = {key: value for key, value in record.items() if key not in ("file", "sha256")}
-    file = record["file"]
-    identity = {"file": file, "sha256": zoo.sha256(card.parent / file)}
-    record = identity | kept | _evaluated(file, seeds, rows)
-    write_text(card, as_text(record))
-    write_text(card.with_suffix(".md"), markdown(card.stem, record))
+    return evaluated(path.name, seeds, rows)
 
 
 def _copied(source: Path, target: Path) -> Path:

@@ -14,6 +14,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.shipping.record_fields import check_card, check_report
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 REPORT = "report.json"
@@ -107,9 +108,10 @@ def _no_report(folder: Path) -> str:
 def _of_card(name: str, path: Path) -> RecordedEvaluation:
     """The evaluation on the card of one policy."""
     card = _read(path, "evaluation")
-    if "file" not in card:
-        raise ConfigError(f"{path} is no card of a policy: it has no 'file'")
+    check_card(path, card)
+    real = path.resolve()  # of a link, beside which neither policy nor page need lie
     rows, file = card["evaluation"], path.parent / card["file"]
+    file = file if file.is_file() else real.parent / card["file"]
     _check_file(name, file, card.get("sha256"))
     world = card.get("config", {}).get("env", {"name": card["env"]})
     settings = Settings(world.get("options", {}))
@@ -125,13 +127,14 @@ def _of_card(name: str, path: Path) -> RecordedEvaluation:
         entries=_entries(rows, settings, lambda _: str(file)),
         versions=card.get("evaluated_with") or card.get("versions", {}),
         not_recorded=lacks,
-        card=path,
+        card=real,
     )
 
 
 def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
     """The rows of a report."""
     report = _read(path, "rows")
+    check_report(path, report)
     rows, known = report["rows"], report.get("sha256", {})
     envs.spec(report["env"])  # refuses an unknown one
     files = [row["file"] for row in rows]
@@ -155,7 +158,7 @@ def _read(path: Path, rows: str) -> dict[str, Any]:
     """A card or report, which has rows."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not JSON: {error}") from error
     if not isinstance(found, dict) or not found.get(rows):
         raise ConfigError(f"{path} records no evaluation: it has no {rows!r}")
@@ -175,14 +178,14 @@ def _check_file(name: str, file: Path, recorded_hash: str | None) -> None:
 
 def _seeds(path: Path, rows: Sequence[Row], first: int) -> range:
     """The seeds of the episodes, as many as each row has returns."""
-    if not all("returns" in row and "episodes" in row for row in rows):
-        raise ConfigError(f"{path}: rows without the returns of their episodes cannot be compared")
     counts = {len(row["returns"]) for row in rows} | {row["episodes"] for row in rows}
     if len(counts) > 1:
         raise ConfigError(
             f"{path}: rows with {', '.join(map(str, sorted(counts)))} episodes or returns; all "
             "rows of an evaluation have the same number"
         )
+    if counts == {0}:
+        raise ConfigError(f"{path} records 0 episodes, so there is nothing to play again")
     return range(first, first + counts.pop())
 
 
@@ -200,5 +203,7 @@ def _entries(rows: Sequence[Row], settings: Settings, file_of: Callable[[Row], s
         if reference is not None and reference not in entries:
             raise ConfigError(f"the row of {row['policy']} refers to {reference!r}: no such row")
         entry = Entry(candidate, row["chip"], entries[reference] if reference else None)
+        if entry.label in entries:
+            raise ConfigError(f"there are two rows of {entry.label}, of which one was evaluated")
         entries[entry.label] = entry
     return list(entries.values())

@@ -4,15 +4,17 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
+from spikedeploy import zoo
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.publish_run import write_evaluation
+from spikedeploy.shipping.card_page import check_rewritable, write_evaluation
 from spikedeploy.shipping.recorded_evaluation import RecordedEvaluation, Row
 from spikedeploy.trainers.versions import versions
 
@@ -100,17 +102,19 @@ def reproduce(
     episodes: int | None = None,
     processes: int | None = None,
     update: bool = False,
+    force: bool = False,
 ) -> Reproduction:
     """Play an evaluation again and compare it with the record.
 
     episodes   the first of its seeds; by default all
     processes  one for each core by default
     update     write what was found into the card, where every return is as recorded
+    force      where that would replace a page that is not the card's
     """
     count = len(recorded.seeds) if episodes is None else episodes
     check_episodes(recorded, count)
     if update:
-        _check_update(recorded, count)
+        _check_update(recorded, count, force)
     started = monotonic()
     played = compare_policies(
         recorded.env,
@@ -144,7 +148,7 @@ def reproduce(
     )
 
 
-def _check_update(recorded: RecordedEvaluation, count: int) -> None:
+def _check_update(recorded: RecordedEvaluation, count: int, force: bool) -> None:
     """Refuse to update what is no card, or some of its episodes."""
     if recorded.card is None:
         raise ConfigError(
@@ -152,6 +156,7 @@ def _check_update(recorded: RecordedEvaluation, count: int) -> None:
         )
     if count < len(recorded.seeds):
         raise ConfigError("--update needs all episodes: leave --episodes out")
+    check_rewritable(recorded.card, force)
 
 
 def _update(
@@ -161,17 +166,20 @@ def _update(
 ) -> None:
     """Write the rows into the card, unless a return differs: then the policy acts otherwise."""
     for verdict, pair in checked:
-        if verdict == DIFFERS and pair.field == _RETURNS:
+        if verdict != EQUAL and pair.field == _RETURNS:
             raise ConfigError(
                 f"{recorded.name}: {pair.describe()}. The card is kept: --update is for numbers "
                 "that are counted otherwise than before, not for other returns."
             )
     if recorded.card is not None:
-        write_evaluation(recorded.card, recorded.seeds, found)
+        sha256 = zoo.sha256(Path(recorded.entries[0].candidate.path))
+        write_evaluation(recorded.card, sha256, recorded.seeds, found)
 
 
 def check_episodes(recorded: RecordedEvaluation, count: int) -> None:
-    """Refuse more episodes than were recorded."""
+    """Refuse more episodes than were recorded, and none."""
+    if count < 1:
+        raise ConfigError(f"{count} episodes: at least one is played")
     if count > len(recorded.seeds):
         raise ConfigError(
             f"{recorded.name} records {len(recorded.seeds)} episodes: --episodes {count} is more"

@@ -10,7 +10,7 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,9 @@ from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
 
-_LARGEST = {"data": 2**25, "policy.pth": 2**28}  # bytes when decompressed: 32 and 256 MiB
+_LARGEST = {"data": 2**24, "policy.pth": 2**28}  # bytes when decompressed: 16 and 256 MiB
+# Stable-Baselines3 compresses nothing, and weights hardly compress
+_FREE, _RATIO = 2**20, 16  # bytes that any file may unpack to, and more for each that it takes
 
 
 @dataclass(frozen=True)
@@ -63,15 +65,27 @@ def _members(path: str) -> dict[str, bytes]:
 
 def _bounded(path: str, archive: zipfile.ZipFile, name: str) -> bytes:
     """Return a file's bytes; more of them than the limit are neither read nor decompressed."""
-    limit = _LARGEST[name]
-    with archive.open(name) as file:
-        found = file.read(limit + 1)
-    if len(found) > limit:
+    limit, member = _LARGEST[name], archive.getinfo(name)
+    if member.file_size > limit:
         raise ConfigError(
             f"{path}: {name} has more than {limit >> 20} MiB; larger ones are not read. Export "
             "the policy to ONNX"
         )
-    return found
+    _check_ratio(path, name, [member])
+    with archive.open(member) as file:
+        return file.read(limit)  # which ends where the header says
+
+
+def _check_ratio(path: str, name: str, members: Sequence[zipfile.ZipInfo]) -> None:
+    """Refuse what would unpack to far more than it takes."""
+    packed = sum(each.compress_size for each in members)
+    whole = sum(each.file_size for each in members)
+    if whole > _FREE + _RATIO * packed:
+        raise _damaged(
+            path,
+            f"{name} would unpack from {packed:,} to {whole:,} bytes, more than {_RATIO} times as "
+            "many. Save the model again without compression",
+        )
 
 
 def _tensors(path: str, raw: bytes) -> dict[str, Tensor]:
@@ -84,9 +98,18 @@ def _tensors(path: str, raw: bytes) -> dict[str, Tensor]:
         raise _damaged(path, f"policy.pth holds more than weights, or is cut: {first}") from error
     if not isinstance(found, dict) or not all(isinstance(each, Tensor) for each in found.values()):
         raise _damaged(path, "policy.pth is no state dict")
+    for name, each in found.items():
+        _check_plain(path, str(name), each)
     if sum(each.numel() for each in found.values()) > _LARGEST["policy.pth"] // 4:
         raise _damaged(path, "policy.pth has tensors larger than their file")
     return {str(name): tensor for name, tensor in found.items()}
+
+
+def _check_plain(path: str, name: str, tensor: Tensor) -> None:
+    """Refuse tensors that are no arrays of numbers: sparse, nested, quantised or without data."""
+    special = tensor.is_nested or tensor.is_quantized or tensor.device.type != "cpu"
+    if special or tensor.layout != torch.strided:
+        raise _damaged(path, f"its tensor {name:.60} is sparse, nested, quantised or without data")
 
 
 def _check_inside(path: str, raw: bytes) -> None:
@@ -100,6 +123,7 @@ def _check_inside(path: str, raw: bytes) -> None:
         raise _damaged(path, "policy.pth is a script of torch, which runs code")
     if sum(each.file_size for each in members) > _LARGEST["policy.pth"]:
         raise _damaged(path, "policy.pth says that it is larger than 256 MiB")
+    _check_ratio(path, "policy.pth", members)
 
 
 def _damaged(path: str, what: str) -> ConfigError:

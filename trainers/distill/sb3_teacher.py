@@ -24,6 +24,8 @@ REMEDY = (
     "Export the policy to ONNX, or name a function of yours that acts with it: "
     "docs/own-teacher.md#stable-baselines3"
 )
+_FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
+_DTYPES = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 # functions whose arguments Stable-Baselines3 leaves at their defaults
 _ACTIVATIONS = ("Tanh", "ReLU", "ELU", "GELU", "LeakyReLU", "Mish", "SELU", "SiLU", "Sigmoid")
 
@@ -91,6 +93,11 @@ def _check(file: Sb3File, module: str) -> None:
         raise _refused(file, "it is recurrent, and a teacher labels single observations")
     if "Dict" in _text(file.data, "observation_space", ":type:"):
         raise _refused(file, "it is a MultiInputPolicy, and students observe one vector")
+    settings = file.data.get("policy_kwargs", {})
+    if not isinstance(settings, dict):
+        raise _refused(file, "its policy_kwargs are no table, so its networks are unknown")
+    if (extractor := settings.get("features_extractor_class", _FLATTEN)) != _FLATTEN:
+        raise _refused(file, f"its features extractor is {extractor!s:.80}, not FlattenExtractor")
     if any("features_extractor" in name for name in file.tensors):
         raise _refused(file, "it has a features extractor with weights, such as a CnnPolicy's")
     if module not in _KINDS:
@@ -136,8 +143,7 @@ def _numbers(text: str) -> FloatArray:
 
 def _layers(file: Sb3File, kind: _Kind) -> list[nn.Linear]:
     """Return the layers from observation to action."""
-    pattern = re.compile(rf"{re.escape(kind.hidden)}\.(\d+)\.(weight|bias)")
-    places = sorted({int(m[1]) for name in file.tensors if (m := pattern.fullmatch(name))})
+    places = _places(file, kind.hidden)
     if places != list(range(0, 2 * len(places), 2)) or not (places or kind.out):
         raise _refused(file, f"its layers {kind.hidden} are {places}: not an MLP's")
     names = [f"{kind.hidden}.{place}" for place in places]
@@ -147,11 +153,26 @@ def _layers(file: Sb3File, kind: _Kind) -> list[nn.Linear]:
     return layers
 
 
+def _places(file: Sb3File, hidden: str) -> list[int]:
+    """Return the places of the layers in their Sequential, in order."""
+    pattern = re.compile(r"([0-9]{1,3})\.(weight|bias)")
+    found = set()
+    for name in file.tensors:
+        if name.startswith(f"{hidden}."):
+            match = pattern.fullmatch(name.removeprefix(f"{hidden}."))
+            if match is None:
+                raise _refused(file, f"it has a layer {name:.60}: not an MLP's")
+            found.add(int(match[1]))
+    return sorted(found)
+
+
 def _linear(file: Sb3File, name: str) -> nn.Linear:
     weight, bias = (file.tensors.get(f"{name}.{part}") for part in ("weight", "bias"))
     if weight is None or bias is None or weight.ndim != 2 or bias.shape != weight.shape[:1]:
         raise _refused(file, f"it has no layer {name} with weight and bias")
-    if not all(t.is_floating_point() and bool(t.isfinite().all()) for t in (weight, bias)):
+    if not all(t.dtype in _DTYPES for t in (weight, bias)):
+        raise _refused(file, f"its layer {name} is of {weight.dtype} and {bias.dtype}, no floats")
+    if not all(bool(t.isfinite().all()) for t in (weight, bias)):
         raise _refused(file, f"its layer {name} has weights that are no finite numbers")
     layer = nn.Linear(weight.shape[1], weight.shape[0])
     layer.load_state_dict({"weight": weight.float(), "bias": bias.float()})
@@ -160,8 +181,7 @@ def _linear(file: Sb3File, name: str) -> nn.Linear:
 
 def _activation(file: Sb3File, kind: _Kind) -> str:
     """Return the name of the activation function in torch.nn."""
-    settings = file.data.get("policy_kwargs")
-    named = settings.get("activation_fn") if isinstance(settings, dict) else None
+    named = file.data.get("policy_kwargs", {}).get("activation_fn")
     if named is None:
         return kind.activation
     found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", str(named))

@@ -3,8 +3,10 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from spikedeploy.trainers.sparse.config import SparseConfig
+if TYPE_CHECKING:  # pages of cards need LEVEL, and no pydantic
+    from spikedeploy.trainers.sparse.config import SparseConfig
 
 LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
 
@@ -52,12 +54,12 @@ class Phase:
         return self.last + max(0.0, first - self.last) * left * left
 
 
-def phases(config: SparseConfig) -> list[Phase]:
+def phases(config: "SparseConfig") -> list[Phase]:
     """Return the phases of a run, in order."""
     return list(_phases(config))
 
 
-def _phases(config: SparseConfig) -> Iterator[Phase]:
+def _phases(config: "SparseConfig") -> Iterator[Phase]:
     update = 0
     each = math.ceil(config.dense_updates / config.dense_rounds)
     for k in range(config.dense_rounds):

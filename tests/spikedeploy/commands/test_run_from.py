@@ -93,3 +93,23 @@ def test_a_reset_that_no_chip_has_is_counted_in_float(here, command):
     words = ("snntorch_leaky.nir", "--from", "snntorch", "--codec", "codec.json", *ENV)
     row = json.loads(command("run", *words, "--chip", "float", "--json")[1])["rows"][0]
     assert row["sops_per_inference"] > 0
+
+
+def test_a_file_of_somebody_else_is_kept_and_ones_own_is_written_again(here, command):
+    words = ("run", "norse_lifcell.nir", "--from", "norse", "--codec", "codec.json")
+    target = here / "norse_lifcell.policy.nir"
+    shutil.copy(EXPORTS / "snntorch_leaky.nir", target)
+    before = target.read_bytes()
+    code, _, err = command(*words, *ENV, "--chip", "float")
+    assert code == 2
+    assert "--force" in err
+    assert target.read_bytes() == before
+    for force in (("--force",), ()):
+        assert command(*words, *ENV, "--chip", "float", *force)[0] == 0
+    assert target.read_bytes() != before
+
+
+def test_nothing_is_written_for_an_environment_that_does_not_exist(here, command):
+    words = ("--from", "norse", "--codec", "codec.json", "--env", "hexapodd")
+    assert command("run", "norse_lifcell.nir", *words)[0] == 2
+    assert not (here / "norse_lifcell.policy.nir").exists()

@@ -2,12 +2,15 @@
 
 import json
 import shutil
+import subprocess
+import sys
 
 import pytest
 
 from spikedeploy import zoo
 from spikedeploy.commands.evidence import settings
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.card_page import check_rewritable
 from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.shipping.recorded_evaluation import recorded
 from spikedeploy.shipping.reproduce import CLOSE, DIFFERS, EQUAL, reproduce
@@ -29,6 +32,16 @@ def card(tmp_path):
     run = toy_stroll_env.run_folder(tmp_path / "runs", PopsanConfig(hidden=(6,), populations=3))
     publish_run(str(run), "small", episodes=EPISODES, folder=tmp_path / "zoo", processes=1)
     return tmp_path / "zoo/stroll/small.json"
+
+
+@pytest.fixture
+def shipped(tmp_path):
+    """A copy of the card of a shipped policy, with its file and page."""
+    for suffix in (".onnx", ".json", ".md"):
+        shutil.copyfile(
+            zoo.resolve("kart-steer/linear").with_suffix(suffix), tmp_path / f"linear{suffix}"
+        )
+    return tmp_path / "linear.json"
 
 
 def again(path, episodes=None):
@@ -75,6 +88,143 @@ def test_an_update_keeps_the_card_of_a_policy_that_acts_otherwise(card):
     with pytest.raises(ConfigError, match=r"seed 10001, returns: .* The card is kept"):
         reproduce(recorded(str(card), settings), processes=1, update=True)
     assert card.read_text() == before
+
+
+def test_an_update_takes_only_returns_that_are_exactly_equal(card):
+    change(card, "evaluation", 0, "returns", 0, to=lambda total: total * (1 + 1e-12))
+    with pytest.raises(ConfigError, match=r"seed 10000, returns: .* The card is kept"):
+        reproduce(recorded(str(card), settings), processes=1, update=True)
+
+
+@pytest.mark.parametrize("field", ["recipe", "note", "parity", "before", "kind", "checkpoint"])
+def test_an_update_of_a_card_that_has_no_page_is_refused_before_anything_is_written(
+    field, shipped, monkeypatch
+):
+    document = json.loads(shipped.read_text())
+    del document[field]
+    shipped.write_text(json.dumps(document))
+    before = shipped.read_text()
+    monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", played)
+    with pytest.raises(ConfigError, match=f"has no '{field}'"):
+        reproduce(recorded(str(shipped), settings), processes=1, update=True)
+    assert shipped.read_text() == before
+
+
+def played(*_):
+    pytest.fail("an episode was played")
+
+
+def test_a_page_that_is_not_of_the_card_is_kept(card, command):
+    page = card.with_suffix(".md")
+    page.write_text("# small\n\nmy own notes\n")
+    code, _, err = command("reproduce", card, "--workers", 1, "--update")
+    assert code == 2
+    assert "small.md: the file exists" in err
+    assert "--force" in err
+    assert page.read_text() == "# small\n\nmy own notes\n"
+    assert command("reproduce", card, "--workers", 1, "--update", "--force")[0] == 0
+    assert "## Evaluation" in page.read_text()
+
+
+def test_an_update_that_wrote_succeeds_and_a_linked_card_has_its_page_beside_the_file(
+    card, tmp_path, command
+):
+    change(card, "evaluation", 1, "macs_dense", to=lambda macs: macs + 1)
+    link = tmp_path / "linked.json"
+    link.symlink_to(card)
+    code, _, err = command("reproduce", link, "--workers", 1, "--update")
+    assert code == 0, err
+    assert link.is_symlink()
+    assert not link.with_suffix(".md").exists()
+    assert again(card).verdict == EQUAL
+
+
+def test_card_and_page_are_written_together_or_not_at_all(card, monkeypatch):
+    change(card, "evaluation", 1, "macs_dense", to=lambda macs: macs + 1)
+    before = card.read_text()
+    page = card.with_suffix(".md").read_text()
+    monkeypatch.setattr("spikedeploy.shipping.card_page.markdown", lambda *_: "\ud800")
+    with pytest.raises(UnicodeEncodeError):
+        reproduce(recorded(str(card), settings), processes=1, update=True)
+    assert (card.read_text(), card.with_suffix(".md").read_text()) == (before, page)
+
+
+EDITED = {
+    "numbers as rows": ({"evaluation": [1, 2]}, r"evaluation\[0\] is 1, not a table"),
+    "rows as table": ({"evaluation": {"a": 1}}, "not a list of rows"),
+    "seeds": ({"seeds": {"first": "x"}}, r"seeds\.first is 'x', not a whole number"),
+    "negative seed": ({"seeds": {"first": -1}}, r"seeds\.first is -1"),
+    "file": ({"file": 5}, "file is 5, not the name of a file"),
+    "file elsewhere": ({"file": "../x.nir"}, "not the name of a file beside it"),
+    "settings": ({"config": None}, "config is null, not a table"),
+    "environment": ({"config": {"env": {"name": 3}}}, r"config\.env\.name is 3, not a text"),
+    "options": ({"config": {"env": {"name": "stroll", "options": [1]}}}, "options is .*table"),
+    "versions": ({"evaluated_with": [1]}, "evaluated_with is .*, not a table of texts"),
+}
+EDITED_ROWS = {
+    "no policy": ({"policy": None}, r"\.policy is null, not a text"),
+    "chip": ({"chip": 3}, r"\.chip is 3, not a text or null"),
+    "tables as returns": ({"returns": [{}, {}, {}]}, r"\.returns is .*finite numbers"),
+    "texts as returns": ({"returns": ["1", "2", "3"]}, r"\.returns is .*finite numbers"),
+    "truths as returns": ({"returns": [True, True, True]}, r"\.returns is .*finite numbers"),
+    "a return that is none": ({"returns": [1.0, float("nan"), 1.0]}, "finite numbers"),
+    "null": ({"returns": [1.0, None, 1.0]}, "finite numbers"),
+    "digits": ({"returns": [10**400, 1, 1]}, "finite numbers"),
+    "one number": ({"returns": 5}, r"\.returns is 5"),
+    "nothing": ({"returns": [], "episodes": 0}, "records 0 episodes"),
+}
+
+
+@pytest.mark.parametrize("case", [*EDITED, *EDITED_ROWS])
+def test_a_card_that_was_edited_is_refused_in_a_sentence(case, shipped):
+    changes, message = (EDITED | EDITED_ROWS)[case]
+    document = json.loads(shipped.read_text())
+    rows = document["evaluation"] if case in EDITED_ROWS else [document]
+    for row in rows:
+        row |= changes
+    shipped.write_text(json.dumps(document))
+    with pytest.raises(ConfigError, match=message) as refusal:
+        recorded(str(shipped), settings)
+    assert len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize("field", ["policy", "chip", "episodes", "returns"])
+def test_a_row_that_lacks_what_it_is_of_is_refused(field, shipped):
+    change(shipped, "evaluation", 0, to=lambda row: {k: v for k, v in row.items() if k != field})
+    with pytest.raises(ConfigError, match=rf"evaluation\[0\] has no '{field}'"):
+        recorded(str(shipped), settings)
+
+
+def test_two_rows_of_one_policy_on_one_chip_are_refused(shipped):
+    change(shipped, "evaluation", to=lambda rows: [rows[0], rows[0]])
+    with pytest.raises(ConfigError, match="two rows of linear"):
+        recorded(str(shipped), settings)
+
+
+def test_every_shipped_card_is_read_and_could_be_written_again():
+    for name in zoo.names():
+        found = recorded(name, settings)
+        check_rewritable(found.card)
+
+
+WITHOUT_TORCH = """
+import sys
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "snntorch", "pydantic", "safetensors", "onnx"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Blocked())
+from spikedeploy.commands.evidence import settings
+from spikedeploy.shipping.recorded_evaluation import recorded
+from spikedeploy.shipping.reproduce import reproduce
+print(reproduce(recorded("kart-steer/linear", settings), 1, 1).verdict)
+"""
+
+
+def test_a_shipped_policy_is_reproduced_without_torch():
+    words = (sys.executable, "-c", WITHOUT_TORCH)
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.stdout.strip() == EQUAL, done.stderr
 
 
 def test_an_update_is_of_whole_cards(card):
@@ -263,7 +413,7 @@ def test_a_command_that_is_none_is_refused(line, message):
         ("list.json", "records no evaluation"),
         ("torn.json", "is not JSON"),
         ("uneven.json", "rows with 1, 2 episodes"),
-        ("old.json", "rows without the returns"),
+        ("old.json", r"evaluation\[0\] has no 'returns'"),
     ],
 )
 def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path, monkeypatch):
@@ -276,7 +426,7 @@ def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path
         shutil.copyfile(tmp_path / "alone.nir", tmp_path / f"{stem}.nir")
     (tmp_path / "list.json").write_text("[]")
     (tmp_path / "torn.json").write_text("{")
-    rows = [{"returns": [1.0], "episodes": 2}]
+    rows = [{"policy": "uneven", "chip": None, "returns": [1.0], "episodes": 2}]
     (tmp_path / "uneven.json").write_text(
         json.dumps({"file": "uneven.nir", "env": "kart-steer", "evaluation": rows})
     )

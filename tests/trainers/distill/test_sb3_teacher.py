@@ -150,6 +150,24 @@ def test_sizes_are_bounded_before_anything_is_decompressed(tmp_path, monkeypatch
         teacher(rewritten("ppo", tmp_path / "wide.zip", policy_pth=saved(wide)), CARTPOLE)
 
 
+def test_a_bomb_is_refused_by_its_header_alone(tmp_path, monkeypatch):
+    bomb = rewritten("ppo", tmp_path / "bomb.zip", policy_pth=bytes(2**24))
+    order = dict.fromkeys(("policy.pth", "data"), 2**28)  # the bomb is looked at first
+    monkeypatch.setattr(sb3_file, "_LARGEST", order)
+    monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("was decompressed"))
+    with pytest.raises(ConfigError, match=r"policy\.pth would unpack from [\d,]+ to 16,777,216"):
+        sb3_file._members(bomb)
+
+
+def test_a_bomb_among_the_weights_is_refused(tmp_path):
+    inner = io.BytesIO()
+    with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", bytes(2**24))
+    path = rewritten("ppo", tmp_path / "in.zip", policy_pth=inner.getvalue())
+    with pytest.raises(ConfigError, match=r"policy\.pth would unpack from"):
+        teacher(path, CARTPOLE)
+
+
 def setting(*keys, value):
     def change(data):
         for key in keys[:-1]:
@@ -184,6 +202,13 @@ REFUSED = {
         setting("policy_kwargs", "activation_fn", value="<class 'mine.Swish'>"),
         r"its activation function is <class 'mine\.Swish'>; known are Tanh",
     ),
+    "extractor": (
+        "a2c",
+        setting("policy_kwargs", "features_extractor_class", value="<class 'mine.Squares'>"),
+        r"its features extractor is <class 'mine\.Squares'>, not FlattenExtractor",
+    ),
+    "no settings": ("a2c", setting("policy_kwargs", value=5), "policy_kwargs are no table"),
+    "listed settings": ("ppo", setting("policy_kwargs", value=[]), "policy_kwargs are no table"),
     "several choices": (
         "ppo",
         setting("action_space", ":type:", value="<class 'gymnasium...MultiDiscrete'>"),
@@ -220,12 +245,27 @@ def weights(**changes):
         ({"action_net__weight": torch.zeros(2, 5)}, "do not fit one another"),
         ({"action_net__bias": torch.zeros(3)}, "no layer action_net with weight and bias"),
         ({"action_net__bias": torch.tensor([np.nan, 0.0])}, "no finite numbers"),
+        ({"action_net__bias": torch.zeros(2).to(torch.float8_e4m3fn)}, "torch.float8_e4m3fn"),
+        ({"action_net__bias": torch.zeros(2, dtype=torch.int64)}, "torch.int64, no floats"),
+        ({"action_net__weight": torch.eye(2).to_sparse()}, "action_net.weight is sparse"),
+        ({"action_net__bias": torch.zeros(2, device="meta")}, "without data"),
+        ({f"mlp_extractor__policy_net__{'9' * 5_000}__weight": torch.ones(2)}, "not an MLP's"),
+        ({"mlp_extractor__policy_net__0__scale": torch.ones(2)}, r"policy_net\.0\.scale: not"),
     ],
 )
 def test_layers_that_are_no_mlp_are_refused(changes, message, tmp_path):
     path = rewritten("ppo", tmp_path / "model.zip", policy_pth=saved(weights(**changes)))
     with pytest.raises(ConfigError, match=message):
         teacher(path, CARTPOLE)
+
+
+@pytest.mark.filterwarnings("ignore:.*(nested tensors|CSR).*:UserWarning")
+def test_nested_and_compressed_tensors_are_refused(tmp_path):
+    nested = torch.nested.nested_tensor([torch.ones(2), torch.ones(3)])
+    for tensor in (nested, torch.eye(2).to_sparse_csr()):
+        content = saved(weights(action_net__weight=tensor))
+        with pytest.raises(ConfigError, match=r"cannot be read as a model of Stable-Baselines3"):
+            teacher(rewritten("ppo", tmp_path / "model.zip", policy_pth=content), CARTPOLE)
 
 
 def test_a_model_for_another_kind_of_action_is_refused():
