@@ -9,18 +9,21 @@ import mmap
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
 # what training leaves in a run folder; anything else there is an export or a picture
 _OF_RUNS = ("config.json", "versions.json", "metrics.csv", "curve.png", "replay.safetensors")
+_MARK = "written by spikedeploy "
+_LONGEST = 230  # bytes of a name; 255 with what a temporary one adds
 _MAY_STAND_IN_RUNS = (".nir", ".onnx", ".png", ".mp4", ".gif")
 
 
 def mark(command: str) -> str:
     """What a file says that this command wrote."""
-    return f"written by spikedeploy {command}"
+    return f"{_MARK}{command}"
 
 
 def marked(path: Path, *texts: str) -> bool:
@@ -28,7 +31,16 @@ def marked(path: Path, *texts: str) -> bool:
     if not path.is_file() or not path.stat().st_size:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return any(content.find(text.encode()) >= 0 for text in texts)
+        head = content[:12]
+        return any(
+            content.find(text.encode()) >= 0 and (not text.startswith(_MARK) or _takes_marks(head))
+            for text in texts
+        )
+
+
+def _takes_marks(head: bytes) -> bool:
+    """Whether a file that begins so is npz, png, gif, HDF5 or mp4, which commands mark."""
+    return head.startswith((b"PK", b"\x89PNG", b"GIF8", b"\x89HDF")) or head[4:8] == b"ftyp"
 
 
 def check_output(
@@ -82,6 +94,11 @@ def check_output_folder(
 
 def _check_kind(option: str, path: Path) -> None:
     """Refuse what is no plain file, and a place where none can be."""
+    if (length := len(os.fsencode(path.name))) > _LONGEST:
+        raise ConfigError(
+            f"{option} {path.name[:40]}…: the name has {length} bytes; at most {_LONGEST} are "
+            "possible. Name another file."
+        )
     if path.is_dir():
         raise ConfigError(f"{option} {path} is a folder. Name a file in it.")
     if os.path.lexists(path) and not path.is_file():
@@ -90,6 +107,18 @@ def _check_kind(option: str, path: Path) -> None:
         )
         raise ConfigError(f"{option} {path} is {what}, and no file. Name a file.")
     check_folder(option, path.parent)
+    _check_writable(option, path)
+
+
+def _check_writable(option: str, path: Path) -> None:
+    """Refuse a folder that takes no files, before the work and not after it."""
+    folder = next(each for each in Path(os.path.realpath(path)).parents if each.is_dir())
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ConfigError(
+            f"{option} {path}: {folder} takes no files ({error.strerror}). Name another folder."
+        ) from error
 
 
 def _same(path: Path, other: Path) -> bool:

@@ -187,7 +187,7 @@ class MachinePool:
 
 
 def _held(rows: NDArray[Any]) -> str:
-    """What a raster holds instead of spikes: their type is the caller's where the values are 0, 1."""
+    """What a raster holds instead of spikes: its range, or its type where all are 0 or 1."""
     if rows.dtype.kind == "f" and rows.size and not np.isin(rows, (0, 1)).all():
         return f"numbers from {rows.min():g} to {rows.max():g}"
     return f"{rows.dtype} values"

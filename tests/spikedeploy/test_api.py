@@ -10,7 +10,13 @@ import spikedeploy as sd
 from spikedeploy.emulation.open_loop import emulate_file
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import as_text
-from spikedeploy.runtime.errors import ArtifactError, ChipError, ConfigError, ObservationError, RuleError
+from spikedeploy.runtime.errors import (
+    ArtifactError,
+    ChipError,
+    ConfigError,
+    ObservationError,
+    RuleError,
+)
 from spikedeploy.trainers.config import PopsanConfig
 from tests import toy_stroll_env
 from tests.paths import ROOT
@@ -62,9 +68,11 @@ def test_rasters_of_booleans_numbers_files_and_names_are_alike(out):
 def test_masked_values_are_refused_and_other_numbers_are_named_by_their_range():
     net = sd.load(NET, dt=1e-3).on("loihi1")
     raster = np.load(RASTER)
-    with pytest.raises(ObservationError, match="masked values.* Fill them"):
+    with pytest.raises(ObservationError, match=r"masked values.* Fill them"):
         net.run(np.ma.MaskedArray(raster, mask=np.ones(raster.shape, bool)))
-    with pytest.raises(ObservationError, match="holds numbers from 0 to 300; a chip takes") as wrong:
+    with pytest.raises(
+        ObservationError, match="holds numbers from 0 to 300; a chip takes"
+    ) as wrong:
         net.run(raster.astype(np.uint64) * 300)
     assert "float64" not in str(wrong.value)
 

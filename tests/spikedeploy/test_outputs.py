@@ -211,3 +211,17 @@ def test_every_writer_follows_links_and_refuses_devices(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileExistsError, match="no plain file"):
         write_text(tmp_path / "pipe", "text")
+
+
+def test_a_text_that_quotes_the_mark_is_not_ours(tmp_path):
+    notes = tmp_path / "notes.txt"
+    notes.write_text(f"{mark('emulate')}, it says\n")
+    assert not marked(notes, mark("emulate"))
+
+
+def test_a_name_and_a_folder_that_cannot_be_written_are_refused_before_the_work(tmp_path):
+    with pytest.raises(ConfigError, match="the name has 304 bytes"):
+        check_output("-o", tmp_path / f"{'x' * 300}.npz")
+    with pytest.raises(ConfigError, match=r"-o /proc/x\.npz: /proc takes no files"):
+        check_output("-o", Path("/proc/x.npz"))
+    assert not list(tmp_path.iterdir())
