@@ -1,6 +1,6 @@
 """What cards and reports have to say, checked before anything of them is used.
 
-A form is a Kind, a table of forms by field (`name?` may be missing), or a list with the form of
+A form is a FieldKind, a table of forms by field (`name?` may be missing), or a list with the form of
 each item. Fields that no form names are passed over.
 """
 
@@ -14,7 +14,7 @@ from spikedeploy.runtime.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Kind:
+class FieldKind:
     """What a value has to be.
 
     says   in words
@@ -25,7 +25,7 @@ class Kind:
     holds: Callable[[Any], bool]
 
 
-Form = Kind | Mapping[str, Any] | Sequence[Any]
+Form = FieldKind | Mapping[str, Any] | Sequence[Any]
 
 
 def _whole(value: object) -> bool:
@@ -42,21 +42,21 @@ def _table_of_texts(value: object) -> bool:
     return isinstance(value, dict) and all(isinstance(v, str | None) for v in value.values())
 
 
-_TEXT = Kind("a text", lambda value: isinstance(value, str))
-_TEXT_OR_NULL = Kind("a text or null", lambda value: isinstance(value, str | None))
-_NAME = Kind(
+_TEXT = FieldKind("a text", lambda value: isinstance(value, str))
+_TEXT_OR_NULL = FieldKind("a text or null", lambda value: isinstance(value, str | None))
+_NAME = FieldKind(
     "the name of a file beside it",
     lambda value: isinstance(value, str) and value not in ("", "..") and Path(value).name == value,
 )
-_BOOLEAN = Kind("true or false", lambda value: isinstance(value, bool))
-_WHOLE = Kind("a whole number from 0 up", _whole)
-_TABLE = Kind("a table", lambda value: isinstance(value, dict))
-_TEXTS = Kind("a table of texts", _table_of_texts)
-_LIST_OF_TEXTS = Kind(
+_BOOLEAN = FieldKind("true or false", lambda value: isinstance(value, bool))
+_WHOLE = FieldKind("a whole number from 0 up", _whole)
+_TABLE = FieldKind("a table", lambda value: isinstance(value, dict))
+_TEXTS = FieldKind("a table of texts", _table_of_texts)
+_LIST_OF_TEXTS = FieldKind(
     "a list of texts", lambda value: isinstance(value, list) and all(map(_TEXT.holds, value))
 )
-_LIST = Kind("a list", lambda value: isinstance(value, list))
-_RETURNS = Kind(
+_LIST = FieldKind("a list", lambda value: isinstance(value, list))
+_RETURNS = FieldKind(
     "a list of finite numbers, one an episode",
     lambda value: isinstance(value, list) and all(map(_finite, value)),
 )
@@ -117,7 +117,7 @@ def check_report(path: Path, record: Mapping[str, Any]) -> None:
 def check_page(path: Path, record: Mapping[str, Any], kinds: Sequence[str]) -> None:
     """Refuse a card that lacks what its page says; kinds: those of policies."""
     _check(path, record, _PAGE)
-    among = Kind(f"one of {', '.join(kinds)}", lambda value: value in list(kinds))
+    among = FieldKind(f"one of {', '.join(kinds)}", lambda value: value in list(kinds))
     check = {"name": _TEXT, "detail": _TEXT, "passed": _BOOLEAN}
     _check(path, record, {"kind": among, "before": _LIST, "parity": _LIST})
     for each in record["parity"]:
@@ -128,7 +128,7 @@ def check_page(path: Path, record: Mapping[str, Any], kinds: Sequence[str]) -> N
 
 def _check(path: Path, value: Any, form: Form, place: str = "") -> None:  # noqa: ANN401
     """Refuse a value that is not of its form."""
-    if isinstance(form, Kind):
+    if isinstance(form, FieldKind):
         _require(form.holds(value), path, place, value, form.says)
     elif isinstance(form, Mapping):
         _require(isinstance(value, dict), path, place, value, "a table")
