@@ -1,7 +1,7 @@
 """What cards and reports have to say, checked before anything of them is used.
 
-A form is a FieldKind, a table of forms by field (`name?` may be missing), or a list with the form of
-each item. Fields that no form names are passed over.
+A form is a FieldKind, a table of forms by field (`name?` may be missing), or a list with the form
+of each item. Fields that no form names are passed over.
 """
 
 import math
