@@ -103,6 +103,7 @@ def _made(design: GymnasiumDesign) -> Record:
             f"- spikedeploy {own()}, {packages}",
             f"- {design.episodes} episodes from seed 10,000 on",
             *_other_settings(trainings),
+            *_on_gpu(trainings),
         ],
     }
 
@@ -130,6 +131,18 @@ def _other_settings(trainings: Sequence[TaskTraining]) -> list[str]:
         f"- {training.name} was trained with {', '.join(changed)}"
         for training in trainings
         if training.trained and (changed := training.changed_settings)
+    ]
+
+
+def _on_gpu(trainings: Sequence[TaskTraining]) -> list[str]:
+    """Trainings whose gradients a GPU computed, which another one repeats with other last bits."""
+    return [
+        f"- {training.name} was trained with device=cuda, torch {versions['torch']}"
+        for training in trainings
+        if training.trained
+        and training.run is not None
+        and json.loads((training.run / "config.json").read_text("utf-8")).get("device") == "cuda"
+        and (versions := json.loads((training.run / "versions.json").read_text("utf-8")))
     ]
 
 
