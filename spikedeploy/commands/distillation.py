@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy import seeds
 from spikedeploy.commands.options import Encoders, Json
-from spikedeploy.commands.training import tell_end
+from spikedeploy.commands.training import Resume, Runs, TrainingSeed, run_training
 
 
 def distill(
@@ -58,42 +57,25 @@ def distill(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set updates=8000."),
     ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=seeds.TRAINING.start,
-            max=seeds.TRAINING.stop - 1,
-            help="Seed of the training.",
-            show_default="0",
-        ),
-    ] = None,
-    resume: Annotated[
-        str | None, typer.Option(metavar="RUN|last", help="Resume a run, or the newest.")
-    ] = None,
-    runs: Annotated[Path, typer.Option(help="Folder in which the run folder is made.")] = Path(
-        "runs"
-    ),
+    seed: TrainingSeed = None,
+    resume: Resume = None,
+    runs: Runs = Path("runs"),
     json: Json = False,
 ) -> None:
     """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
-    if resume is not None and seed is not None:
-        raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
     from spikedeploy.trainers.distill.plan import earned, student_settings
-    from spikedeploy.trainers.train import Interrupt, train
 
     recipe, settings = student_settings(teacher, size, encoder, timesteps, budget is not None)
-    interrupt = Interrupt()
-    run = train(
+    run_training(
         recipe if resume is None else None,
+        json,
         env=env,
         overrides=[*settings, *(set_ or ())],
         budget=budget,
-        seed=seed or 0,
+        seed=seed,
         resume=resume,
         runs=runs,
-        quiet=json,
-        interrupt=interrupt,
+        remark=earned,
     )
-    tell_end(run, interrupt.share, runs, json, earned(run))

@@ -1,7 +1,8 @@
 """`train`, `visualize`, `export` and `publish`: from a recipe to a shipped policy."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,6 +17,21 @@ Checkpoint = Annotated[
         show_default="best, else last",
     ),
 ]
+
+_RUNS = Path("runs")
+TrainingSeed = Annotated[
+    int | None,
+    typer.Option(
+        min=seeds.TRAINING.start,
+        max=seeds.TRAINING.stop - 1,
+        help="Seed of the training.",
+        show_default="0",
+    ),
+]
+Resume = Annotated[
+    str | None, typer.Option(metavar="RUN|last", help="Resume a run, or the newest.")
+]
+Runs = Annotated[Path, typer.Option(help="Folder in which the run folder is made.")]
 
 
 def train(
@@ -51,66 +67,61 @@ def train(
             show_default="the recipe's",
         ),
     ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=seeds.TRAINING.start,
-            max=seeds.TRAINING.stop - 1,
-            help="Seed of the training.",
-            show_default="0",
-        ),
-    ] = None,
-    resume: Annotated[
-        str | None, typer.Option(metavar="RUN|last", help="Resume a run, or the newest.")
-    ] = None,
-    runs: Annotated[Path, typer.Option(help="Folder in which the run folder is made.")] = Path(
-        "runs"
-    ),
+    seed: TrainingSeed = None,
+    resume: Resume = None,
+    runs: Runs = _RUNS,
     json: Json = False,
 ) -> None:
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
-    if resume is not None and seed is not None:
-        raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
-    from spikedeploy.trainers.train import Interrupt
-    from spikedeploy.trainers.train import train as learn
-
-    interrupt = Interrupt()
-    run = learn(
+    run_training(
         recipe or what,
+        json,
         env=what if recipe else None,
         config_file=config,
         overrides=set_ or (),
         budget=budget,
-        seed=seed or 0,
+        seed=seed,
         resume=resume,
         runs=runs,
-        quiet=json,
-        interrupt=interrupt,
     )
-    tell_end(run, interrupt.share, runs, json)
 
 
-def tell_end(run: Path, share: float | None, runs: Path, json: bool, remark: str = "") -> None:
-    """Print where a training is, and what to do next; after Ctrl-C, exit with 130.
+def run_training(
+    recipe: str | None,
+    json: bool,
+    *,
+    seed: int | None,
+    resume: str | None,
+    runs: Path,
+    remark: Callable[[Path], str] = lambda run: "",
+    **settings: Any,  # noqa: ANN401
+) -> None:
+    """Train; print where the run is, and what to do next; after Ctrl-C, exit with 130.
 
-    share: of the training that is done, where it was stopped
-    remark: line for a training that ended
+    remark    line on a training that ended
+    settings  more arguments of trainers.train.train
     """
+    if resume is not None and seed is not None:
+        raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.console import print_json, say
     from spikedeploy.shipping.exported_run import trained_in
+    from spikedeploy.trainers.train import Interrupt
+    from spikedeploy.trainers.train import train as learn
 
+    interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
+    run = learn(recipe, quiet=json, interrupt=interrupt, **more)
     if json:
         print_json({"run": str(run)})
-    if share is not None:
-        where = "" if runs == Path("runs") else f" --runs {runs}"
+    if interrupt.share is not None:
+        where = "" if runs == _RUNS else f" --runs {runs}"
         again = f"go on with `spikedeploy train --resume last{where}`"
-        say(f"stopped at {100 * share:.0f} %; {again}")
+        say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
         raise typer.Exit(130)
     if not json:
         env = trained_in(str(run))
-        typer.echo(f"trained: {run}\n{remark}next: spikedeploy compare {env} {run}")
+        typer.echo(f"trained: {run}\n{remark(run)}next: spikedeploy compare {env} {run}")
 
 
 def export(

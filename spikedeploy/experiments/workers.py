@@ -61,8 +61,10 @@ class JobEnd:
         lines = self.job.log.read_text(encoding="utf-8", errors="replace").split("\n")
         return next((line for line in reversed(lines) if line.strip()), "no output")
 
-    def line(self, took: str) -> str:
-        """`12:30:05 ✓ name (took)`; with the error where it failed."""
+    @property
+    def line(self) -> str:
+        """`12:30:05 ✓ name (3.2 min)`; with the error where it failed."""
+        took = f"{self.seconds / 60:.1f} min"
         sign = "✗" if self.failed else "…" if self.status else "✓"
         why = f": {self.last_line} ({self.job.log})" if self.failed else ""
         return f"{time.strftime('%H:%M:%S')} {sign} {self.job.name} ({took}){why}"

@@ -35,17 +35,8 @@ class CudaReplay(ReplayBuffer):
         self._copy = torch.zeros(self.rows.shape, device="cuda")
         self._drawn = torch.zeros((0, self.rows.shape[1]), device="cuda")
 
-    def add(
-        self,
-        observation: NDArray[np.float64],
-        action: NDArray[np.float64],
-        reward: NDArray[np.float64],
-        terminated: NDArray[np.bool_],
-        following: NDArray[np.float64],
-    ) -> None:
-        """Add transitions, one for each row of the arguments (B, ...)."""
-        places = np.arange(self.next, self.next + len(reward)) % len(self.rows)
-        super().add(observation, action, reward, terminated, following)
+    def _store(self, places: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+        super()._store(places, rows)
         self._copy.index_copy_(0, _on_gpu(places), _on_gpu(self.rows[places]))
 
     def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:

@@ -55,9 +55,13 @@ class ReplayBuffer:
         parts = (observation, action, reward[:, None], terminated[:, None], following)
         count, capacity = len(reward), len(self.rows)
         places = np.arange(self.next, self.next + count) % capacity
-        self.rows[places] = np.concatenate(parts, axis=1)
+        self._store(places, np.concatenate(parts, axis=1))
         self.next = (self.next + count) % capacity
         self.size = min(self.size + count, capacity)
+
+    def _store(self, places: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+        """Put rows (B, all numbers of a transition) in their places (B,)."""
+        self.rows[places] = rows
 
     def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
         """Return transitions drawn uniformly with replacement."""

@@ -122,7 +122,7 @@ def _translate_rockpool(nodes: Nodes, convention: Convention) -> Convention:
 
 ROCKPOOL = Writer(
     tool=_ROCKPOOL_TOOL,
-    kinds=(nir.Affine, nir.Linear, nir.CubaLIF),
+    kinds=synsense.ROCKPOOL.kinds,
     timestep=_timestep_rockpool,
     translate=_translate_rockpool,
     source="rockpool 3.1.0, nn/modules/torch/nir.py and lif_torch.py",
@@ -158,16 +158,7 @@ def _translate_sinabs(nodes: Nodes, convention: Convention) -> Convention:
 
 SINABS = Writer(
     tool=_SINABS_TOOL,
-    kinds=(
-        nir.Affine,
-        nir.Conv1d,
-        nir.Conv2d,
-        nir.SumPool2d,
-        nir.Flatten,
-        nir.LI,
-        nir.IF,
-        nir.LIF,
-    ),
+    kinds=synsense.SINABS.kinds,
     timestep=_timestep_sinabs,
     translate=_translate_sinabs,
     source="sinabs 3.1.3, nir.py, layers/lif.py, layers/iaf.py and layers/exp_leak.py",

@@ -185,17 +185,7 @@ def _from_rest(node: nir.NIRNode) -> nir.NIRNode:
 
 SPIKINGJELLY = Writer(
     tool=_SPIKINGJELLY_TOOL,
-    kinds=(
-        nir.Affine,
-        nir.Linear,
-        nir.Conv1d,
-        nir.Conv2d,
-        nir.AvgPool2d,
-        nir.Flatten,
-        nir.IF,
-        nir.LIF,
-        nir.CubaLIF,
-    ),
+    kinds=importers.SPIKINGJELLY.kinds,
     timestep=_timestep_spikingjelly,
     translate=_translate_spikingjelly,
     source="spikingjelly 2.0.0, activation_based/nir_exchange/to_nir.py and neuron/lif.py",

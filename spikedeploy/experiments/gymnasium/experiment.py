@@ -1,21 +1,18 @@
 """The gymnasium experiment: runs the missing parts in order, writes its page."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from spikedeploy.console import console
-from spikedeploy.experiments import workers
 from spikedeploy.experiments.gymnasium import page
 from spikedeploy.experiments.gymnasium.design import GymnasiumDesign
 from spikedeploy.experiments.gymnasium.evaluation import missing
 from spikedeploy.experiments.gymnasium.training import TaskTraining
 from spikedeploy.experiments.pareto.training import check
-from spikedeploy.experiments.workers import Job, JobEnd, Outcome, chosen
+from spikedeploy.experiments.parts import Report, run_missing
+from spikedeploy.experiments.workers import Job, Outcome, chosen
 from spikedeploy.files import check_folder
 
-_EVERY = 300.0  # [s] between two lines on what runs
 _EVALUATION = "spikedeploy.experiments.gymnasium.evaluation"
 
 
@@ -61,38 +58,19 @@ def experiment(
     names = chosen([part.job.name for part in parts], only)
     to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
     _check_what_comes_before(to_do)
-    failed: dict[str, str] = {}
-    said = console(stderr=True)
-    said.print(f"{len(to_do)} of {len(parts)} parts to do", markup=False)
-
-    def ended(end: JobEnd) -> None:
-        said.print(end.line(f"{end.seconds / 60:.1f} min"), markup=False, soft_wrap=True)
-        if end.failed:
-            failed[end.job.name] = end.last_line
-        page.write(design, results)
-
-    whole = workers.run([part.job for part in to_do], count or 1, ended, _Look(parts))
-    files = page.write(design, results)
-    done = [part.done for part in parts]
-    return Outcome(sum(done), len(done), failed, not whole, files)
+    trainings = {part.job.name: part.training for part in parts if not part.evaluates}
+    report = Report(
+        len(to_do),
+        len(parts),
+        lambda: [part.done for part in parts],
+        lambda: page.write(design, results),
+        progress=lambda job: _progress(job, trainings.get(job.name)),
+    )
+    return run_missing([part.job for part in to_do], count or 1, report)
 
 
-class _Look:
-    """Says from time to time what runs, and how far it is."""
-
-    def __init__(self, parts: Sequence[_TaskPart]) -> None:
-        self._trainings = {part.job.name: part.training for part in parts if not part.evaluates}
-        self._said = time.monotonic()
-
-    def __call__(self, running: Sequence[Job]) -> None:
-        if time.monotonic() - self._said > _EVERY:
-            self._said = time.monotonic()
-            line = "; ".join(map(self._progress, running))
-            console(stderr=True).print(f"running: {line}", markup=False, soft_wrap=True)
-
-    def _progress(self, job: Job) -> str:
-        training = self._trainings.get(job.name)
-        return job.name if training is None else f"{job.name}: {training.share:.0%}"
+def _progress(job: Job, training: TaskTraining | None) -> str:
+    return job.name if training is None else f"{job.name}: {training.share:.0%}"
 
 
 def _check_what_comes_before(parts: Sequence[_TaskPart]) -> None:

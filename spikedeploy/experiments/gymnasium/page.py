@@ -26,11 +26,12 @@ _NAMED = 6  # of the trainings that are missing
 _INTRODUCTION = f"""\
 Sparse spiking policies on the field's own tasks, from a float teacher to an emulated chip. One
 teacher a task is trained by SAC (CartPole: PPO). Students imitate it: `{SPARSE}` is a delta
-encoder, 64 LIF neurons or fewer and integrating readouts, pruned to a budget of operations;
-`{TUNED}` goes on from it with reward; `{DENSE}` is a PopSAN 256-256 with T = {TIMESTEPS} and ten
-encoding neurons an observation, the size published for these tasks; `{RIVAL}` is a float MLP that
-learned from the same walks and was pruned by the same ranking to as many operations, its weights
-rounded to 8 bits.
+encoder, a layer of LIF neurons (16 on CartPole, 32 on Pendulum, else 128) and integrating readouts,
+pruned to a budget of operations; `{TUNED}` goes on from it with reward; `{DENSE}` is a PopSAN
+256-256 with T = {TIMESTEPS} and ten encoding neurons an observation, the size published for these
+tasks; `{RIVAL}` is a float MLP that learned from the same episodes and was pruned by the same
+ranking to as many operations, its weights rounded to 8 bits. `{DENSE}` and `{RIVAL}` imitate only:
+neither went on with reward.
 
 Operations are synaptic operations (SOPs) of spiking policies and multiply-accumulates of float
 ones, of a teacher all, of a pruned network those with an input that is not 0. "% of PopSAN" is the

@@ -52,10 +52,10 @@ DIFFERENCES = """\
 Set-ups differ, so that returns are not comparable number by number. Here: version 5 of the tasks,
 whose rewards and observations are not those of earlier versions (Ant-v5 observes 105 numbers,
 contact forces among them); observations normalised with mean and standard deviation of the
-teacher's walks and clipped at 4 of these; one teacher seed, three student seeds. There: spiking
-actors trained from scratch by reinforcement learning. Here a float teacher is trained by SAC
-(CartPole: PPO) and imitated, so the share of the teacher says what spiking, pruning and the chip
-cost, not what reinforcement learning of a spiking network reaches."""
+teacher's episodes and clipped at 4 of these; one teacher seed, at most three of students. There:
+spiking actors trained from scratch by reinforcement learning. Here a float teacher is trained by
+SAC (CartPole: PPO) and imitated, so the share of the teacher says what spiking, pruning and the
+chip cost, not what reinforcement learning of a spiking network reaches."""
 
 
 def published() -> str:

@@ -1,22 +1,19 @@
 """The pareto experiment: runs the missing parts in order of importance, writes its page."""
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from spikedeploy.console import console
-from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import page
 from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.experiments.workers import Job, JobEnd, Outcome, chosen
+from spikedeploy.experiments.parts import Report, run_missing
+from spikedeploy.experiments.workers import Job, Outcome, chosen
 from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
-_EVERY = 300.0  # [s] between two lines on what runs
 _EVALUATION = "spikedeploy.experiments.pareto.evaluation"
 _TRAINING = "spikedeploy.experiments.pareto.training"
 _TUNING = "spikedeploy.experiments.pareto.tuning"
@@ -69,31 +66,15 @@ def experiment(
     names = chosen([part.job.name for part in parts], only)
     to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
     _check_what_comes_before(to_do)
-    jobs = [part.job for part in to_do]
-    failed: dict[str, str] = {}
-    said = console(stderr=True)
-    said.print(f"{len(jobs)} of {len(parts)} parts to do", markup=False)
-
-    def ended(end: JobEnd) -> None:
-        said.print(end.line(f"{end.seconds / 60:.1f} min"), markup=False, soft_wrap=True)
-        if end.failed:
-            failed[end.job.name] = end.last_line
-        page.write(design, results)
-
     trainings = {training.name: training for training in design.everything()}
-    last_line = time.monotonic()
-
-    def look(running: Sequence[Job]) -> None:
-        nonlocal last_line
-        if time.monotonic() - last_line > _EVERY:
-            last_line = time.monotonic()
-            progress = (_progress(job, trainings.get(job.name)) for job in running)
-            said.print("running: " + "; ".join(progress), markup=False, soft_wrap=True)
-
-    whole = workers.run(jobs, count or 1, ended, look)
-    files = page.write(design, results)
-    done = [part.done for part in parts]
-    return Outcome(sum(done), len(done), failed, not whole, files)
+    report = Report(
+        len(to_do),
+        len(parts),
+        lambda: [part.done for part in parts],
+        lambda: page.write(design, results),
+        progress=lambda job: _progress(job, trainings.get(job.name)),
+    )
+    return run_missing([part.job for part in to_do], count or 1, report)
 
 
 def _progress(job: Job, training: Training | RewardTraining | None) -> str:

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from spikedeploy.console import console
-from spikedeploy.experiments import workers
+from spikedeploy.experiments.parts import Report, run_missing
 from spikedeploy.experiments.robustness import page
 from spikedeploy.experiments.robustness.design import RobustnessDesign
 from spikedeploy.experiments.robustness.evaluation import missing
-from spikedeploy.experiments.workers import Job, JobEnd, Outcome, chosen
+from spikedeploy.experiments.workers import Job, Outcome, chosen
 
 _QUICK_PARTS = 8  # of a job
 _PERFORM = "spikedeploy.experiments.robustness.evaluation:perform"
@@ -29,19 +28,14 @@ def experiment(
     train    False only writes the page
     """
     left = [part for part in chosen(design.parts, only) if missing(design, part)] if train else []
-    failed: dict[str, str] = {}
-    said = console(stderr=True)
-    said.print(f"{len(left)} of {len(design.parts)} parts to do", markup=False)
-
-    def ended(end: JobEnd) -> None:
-        said.print(end.line(f"{end.seconds:.0f} s"), markup=False, soft_wrap=True)
-        if end.failed:
-            failed[end.job.name] = end.last_line
-
-    whole = workers.run(_jobs(design, left), count or 1, ended)
-    files = page.write(design, results)
-    done = [not missing(design, part) for part in design.parts]
-    return Outcome(sum(done), len(done), failed, not whole, files)
+    report = Report(
+        len(left),
+        len(design.parts),
+        lambda: [not missing(design, part) for part in design.parts],
+        lambda: page.write(design, results),
+        often=False,
+    )
+    return run_missing(_jobs(design, left), count or 1, report)
 
 
 def _jobs(design: RobustnessDesign, parts: Sequence[str]) -> list[Job]:

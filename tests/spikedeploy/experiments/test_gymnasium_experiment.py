@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import gymnasium
@@ -19,8 +18,8 @@ from spikedeploy.experiments.gymnasium.points import points, reference
 from spikedeploy.experiments.gymnasium.tables import verdict
 from spikedeploy.experiments.gymnasium.tasks import RATE, TASKS
 from spikedeploy.experiments.pareto.training import check
-from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.runtime.errors import ConfigError
+from tests.job_functions import in_this_process
 
 TASK = "Pendulum-v1"
 FEWER = tuple(
@@ -36,18 +35,9 @@ def ran():
     """The names of the jobs that ran, each in this process."""
     names = []
 
-    def run(jobs, count, ended, look):
-        for job in jobs:
-            names.append(job.name)
-            look([job])
-            module, _, function = job.call.partition(":")
-            done = getattr(import_module(module), function)(**json.loads(json.dumps(job.arguments)))
-            ended(JobEnd(job, 1.0, 0 if done else 1))
-        return True
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workers, "run", run)
-        patch.setattr("spikedeploy.experiments.gymnasium.experiment._EVERY", -1.0)
+        patch.setattr(workers, "run", in_this_process(names))
+        patch.setattr("spikedeploy.experiments.parts._EVERY", -1.0)
         patch.setattr("spikedeploy.trainers.sparse.sparse._TOGETHER", 3)
         yield names
 

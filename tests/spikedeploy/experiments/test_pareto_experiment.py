@@ -4,7 +4,6 @@ import json
 import shutil
 import sys
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from spikedeploy import cli
 from spikedeploy.experiments import workers
 from spikedeploy.experiments.pareto import evaluation, page, records
-from spikedeploy.experiments.pareto import experiment as pareto_experiment
 from spikedeploy.experiments.pareto.design import (
     FLOAT,
     LAST,
@@ -23,8 +21,8 @@ from spikedeploy.experiments.pareto.design import (
     asked,
 )
 from spikedeploy.experiments.pareto.experiment import experiment
-from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.runtime.errors import ConfigError
+from tests.job_functions import in_this_process
 
 ENV = "kart-grid"
 SMALLER = (
@@ -38,18 +36,9 @@ def ran():
     """The names of the jobs that ran, each in this process."""
     names = []
 
-    def run(jobs, count, ended, look):
-        for job in jobs:
-            names.append(job.name)
-            look([job])
-            module, _, function = job.call.partition(":")
-            done = getattr(import_module(module), function)(**json.loads(json.dumps(job.arguments)))
-            ended(JobEnd(job, 1.0, 0 if done else 1))
-        return True
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workers, "run", run)
-        patch.setattr(pareto_experiment, "_EVERY", -1.0)
+        patch.setattr(workers, "run", in_this_process(names))
+        patch.setattr("spikedeploy.experiments.parts._EVERY", -1.0)
         yield names
 
 

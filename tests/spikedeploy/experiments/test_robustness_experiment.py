@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -21,12 +20,12 @@ from spikedeploy.experiments.robustness.design import (
 )
 from spikedeploy.experiments.robustness.evaluation import missing, perform, stored
 from spikedeploy.experiments.robustness.experiment import experiment
-from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS
 from spikedeploy.runtime.faults.request import faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.train import train
+from tests.job_functions import in_this_process
 
 ENV = "kart-grid"
 PARTS = (UNDISTURBED, "lidar-noise", "dead-neurons", "lost-spikes")
@@ -37,16 +36,8 @@ def ran():
     """The names of the jobs that ran, each in this process."""
     names = []
 
-    def run(jobs, count, ended, look=None):
-        for job in jobs:
-            names.append(job.name)
-            module, _, function = job.call.partition(":")
-            done = getattr(import_module(module), function)(**json.loads(json.dumps(job.arguments)))
-            ended(JobEnd(job, 1.0, 0 if done else 1))
-        return True
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workers, "run", run)
+        patch.setattr(workers, "run", in_this_process(names))
         yield names
 
 

@@ -1,0 +1,65 @@
+"""Missing parts of an experiment: run as jobs, reported, and the page written of what is there."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from spikedeploy.console import console
+from spikedeploy.experiments import workers
+from spikedeploy.experiments.workers import Job, JobEnd, Outcome
+
+_EVERY = 300.0  # [s] between two lines on what runs
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an experiment says while it runs, and what it leaves.
+
+    left, of    number of parts to do, and of all; a job may do several
+    done        of each part, whether nothing is missing
+    write       the page and its files
+    often       whether the page is written after each job
+    progress    a running job, and how far it is; without it nothing is said between two ends
+    """
+
+    left: int
+    of: int
+    done: Callable[[], Sequence[bool]]
+    write: Callable[[], list[Path]]
+    often: bool = True
+    progress: Callable[[Job], str] | None = None
+
+
+def run_missing(jobs: Sequence[Job], count: int, report: Report) -> Outcome:
+    """Run the jobs of what is missing, `count` at a time; then write the page."""
+    failed: dict[str, str] = {}
+    _say(f"{report.left} of {report.of} parts to do")
+
+    def ended(end: JobEnd) -> None:
+        _say(end.line)
+        if end.failed:
+            failed[end.job.name] = end.last_line
+        if report.often:
+            report.write()
+
+    whole = workers.run(jobs, count, ended, _look(report))
+    files = report.write()
+    return Outcome(sum(report.done()), report.of, failed, not whole, files)
+
+
+def _look(report: Report) -> Callable[[Sequence[Job]], None]:
+    """What says from time to time which jobs run."""
+    said = time.monotonic()
+
+    def look(running: Sequence[Job]) -> None:
+        nonlocal said
+        if report.progress is not None and time.monotonic() - said > _EVERY:
+            said = time.monotonic()
+            _say("running: " + "; ".join(map(report.progress, running)))
+
+    return look
+
+
+def _say(line: str) -> None:
+    console(stderr=True).print(line, markup=False, soft_wrap=True)
