@@ -73,8 +73,8 @@ def earned(run: Path) -> str:
     if not folder.checkpoint("best").is_file():
         return ""
     best, last = folder.load("best")[0], folder.load("last")[0]
-    first = folder.settings()["validation"]["episodes"]
+    episodes = folder.settings()["validation"]["episodes"]
     teacher, student = last.get("teacher_return"), best["eval_return"]
     if teacher is None:
         return ""
-    return f"validation, {first} episodes: teacher {teacher:,.4g}, student {student:,.4g}\n"
+    return f"validation, {episodes} episodes: teacher {teacher:,.4g}, student {student:,.4g}\n"
