@@ -71,17 +71,23 @@ class ProgressBar:
         self._step, self._total = step, total
         count = f"{step:,} / {total:,}"
         self._bar.update(self._task, completed=step, total=total, count=count)
+        self._bar.note = self._note()
         if not self._quiet and not self._screen.is_terminal:
             self._log()
 
     def show(self, row: Mapping[str, float]) -> None:
         """Show the returns and speed of a row of metrics."""
         self._latest.update({key: row[key] for key in _SHOWN if key in row})
-        self._bar.note = self._note()
 
     def _note(self) -> str:
-        known = [key for key in _SHOWN if key in self._latest]
-        return "  ".join(_SHOWN[key].format(self._latest[key]) for key in known)
+        latest = {**self._latest, **self._speed()}
+        return "  ".join(_SHOWN[key].format(latest[key]) for key in _SHOWN if key in latest)
+
+    def _speed(self) -> dict[str, float]:
+        """The speed of the last half minute; a row's is of the steps before that row."""
+        speed = self._bar.tasks[self._task].speed
+        names = [name for name in self._latest if name.endswith("_per_s")]
+        return {} if speed is None else dict.fromkeys(names, speed)
 
     def _log(self) -> None:
         """A line, unless the last one was just written."""

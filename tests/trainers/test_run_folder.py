@@ -212,6 +212,20 @@ def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
     ]  # fmt: skip
 
 
+def test_the_speed_is_of_the_last_half_minute_not_of_the_last_row(capsys, monkeypatch):
+    monkeypatch.setattr("spikedeploy.trainers.progress.PAUSE", 0.0)
+    clock = [0.0]
+    screen = Console(file=io.StringIO(), get_time=lambda: clock[0])
+    with ProgressBar("run", console=screen) as bar:
+        bar.show({"steps_per_s": 500.0})
+        for second in range(0, 101, 10):
+            clock[0] = float(second)
+            bar.at(second * 7, 10_000)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].endswith("500 steps/s")  # nothing else is known yet
+    assert lines[-1].endswith("  7 steps/s")
+
+
 def test_a_path_that_is_no_run_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"no config\.json"):
         RunFolder.find("nothing", tmp_path)
