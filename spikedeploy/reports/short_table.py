@@ -1,6 +1,7 @@
 """A comparison in one table of at most 80 columns, and a single row of it in one line."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.comparison.metrics import drives
@@ -9,10 +10,14 @@ from spikedeploy.reports.columns import finished, interval, label
 from spikedeploy.reports.energy_columns import COMMON_TABLE
 
 WIDTH = 80
+_STAMP = re.compile(r"-\d{8}-\d{6}(-\d+)?$")  # when a training began, at the end of its run's name
 
 
-def short_columns(rows: Sequence[Row]) -> list[Column]:
-    """Policy, return, share of the float ANN, success, operations, and energy by one table."""
+def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
+    """Policy, return, share of the float ANN, success, operations, and energy by one table.
+
+    env  id of the environment, which names of runs need not repeat
+    """
     table = quoted_table(rows)
     success = (
         Column("finished", "episodes that reach the last gate, with the 95% interval", finished)
@@ -27,7 +32,17 @@ def short_columns(rows: Sequence[Row]) -> list[Column]:
         Column("energy", f"a control step, by table {table}", _energy(table)),
     ]
     filled = [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
-    return [Column("policy", "policy · chip", label), *filled]
+    return [Column("policy", "policy · chip", _short_label(rows, env)), *filled]
+
+
+def _short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
+    """Labels whose run names have neither date nor environment, where they still differ."""
+    names = {str(row["policy"]) for row in rows}
+    part = re.sub(r"[^A-Za-z0-9.-]+", "-", f"-{env}-")  # as the run folder has it
+    short = {name: _STAMP.sub("", name).replace(part, "-", 1) for name in names}
+    if len(set(short.values())) < len(names):
+        return label
+    return lambda row: label({**row, "policy": short[str(row["policy"])]})
 
 
 def quoted_table(rows: Sequence[Row]) -> str:

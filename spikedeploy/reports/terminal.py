@@ -52,9 +52,9 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
             print_text(sentence)
 
 
-def print_rows(title: str, rows: Sequence[Row]) -> None:
+def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
     """Print one table of rows of a comparison, and which of their energies to quote."""
-    _print_columns(title, short_columns(rows), rows, WIDTH)
+    _print_columns(title, short_columns(rows, env), rows, WIDTH)
     if hint := energy_hint(rows):
         print_text(hint)
 
@@ -68,7 +68,7 @@ def print_verdict(document: Mapping[str, Any]) -> None:
 
 def _print_short(document: Mapping[str, Any]) -> None:
     rows = document["rows"]
-    print_rows("", rows)
+    print_rows("", rows, document["env_id"])
     if document["meaning"]:
         print_text(document["meaning"])
     print_text("Agreement, sizes, operations, other energies: --tables all")

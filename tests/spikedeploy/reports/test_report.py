@@ -13,6 +13,7 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
 from spikedeploy.reports import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
+from spikedeploy.reports.short_table import short_columns
 from spikedeploy.reports.terminal import print_comparison
 from tests import toy_stroll_env
 
@@ -233,3 +234,28 @@ def test_a_price_of_a_report_from_before_is_printed_as_it_is():
     row = {"j": {"table": 2e-6}}
     assert price("j", "table", "J", "interval")(row) == "2.00 µJ"
     assert price("j", "other", "J", "interval")(row) == ABSENT
+
+
+def labels_of(*policies, env="CartPole-v1"):
+    rows = [
+        {**row(policy, "spiking", "loihi1"), "energy_per_inference_j": {}, "return_ci95": None}
+        for policy in policies
+    ]
+    name, *_ = short_columns(rows, env)
+    return [name.cell(row) for row in rows]
+
+
+def test_the_short_table_names_runs_without_date_and_environment():
+    run = "distill-sparse-CartPole-v1-s0-20261122-131751"
+    assert labels_of(run, "popsan") == ["distill-sparse-s0 · loihi1", "popsan · loihi1"]
+    mine = "ppo-snn-my-module-MyEnv-s0-20261122-131751-1"
+    assert labels_of(mine, env="my_module:MyEnv") == ["ppo-snn-s0 · loihi1"]
+
+
+def test_the_short_table_keeps_names_that_only_the_date_tells_apart():
+    runs = ["smoke-s0-20261122-131751", "smoke-s0-20261122-131800"]
+    assert labels_of(*runs) == [f"{run} · loihi1" for run in runs]
+
+
+def test_the_short_table_takes_nothing_out_of_a_name_without_an_environment():
+    assert labels_of("my-popsan", env="") == ["my-popsan · loihi1"]
