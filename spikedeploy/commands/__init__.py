@@ -11,6 +11,7 @@ evidence     reproduce
 training     train, visualize, export, publish
 distillation  distill
 experiments  experiment
+sweeps       sweep
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes
 """

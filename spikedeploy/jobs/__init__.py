@@ -9,4 +9,6 @@ answer       what a job came to, and the interface of the back-ends
 serial       one job after the other, in this process
 processes    spawned processes of one thread each, replaced where they are killed
 ray_cluster  tasks of Ray, on this machine or a cluster
+environment  variables of worker processes
+interruption  SIGTERM as Ctrl-C
 """
