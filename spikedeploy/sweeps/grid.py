@@ -158,7 +158,8 @@ def _quantisation(key: str, value: object) -> Quantisation:
     for name in (given := _table(key, value)):
         if name not in known:
             raise ConfigError(f"unknown key {key}.{name}; known: {', '.join(known)}")
-    return Quantisation(**given)
+    read = {"thresholds": _positive, "weight_shift": _whole}
+    return Quantisation(**{name: read.get(name, _text)(name, each) for name, each in given.items()})
 
 
 def _seeds(key: str, value: object, episodes: int) -> tuple[int, ...]:
