@@ -8,7 +8,7 @@ a chunk that it gives up is taken apart here, and each of its jobs tried once mo
 import os
 import secrets
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -44,20 +44,7 @@ class RayBackend:
             import ray
 
             options = {"num_cpus": self._workers, "include_dashboard": False} if own else {}
-            try:
-                ray.init(
-                    self._address or "local",
-                    log_to_driver=False,
-                    logging_level="ERROR",
-                    runtime_env={"env_vars": WORKER_ENVIRONMENT},
-                    **options,
-                )
-            except ConnectionError as error:
-                raise ConfigError(
-                    f"--address {self._address}: no cluster of Ray answers ({error}). Start one "
-                    "with `ray start --head`, all with the same RAY_AUTH_TOKEN."
-                ) from error
-        self._ray = ray
+            self._ray = _started(ray, self._address, options)
         return self
 
     def __exit__(
@@ -126,6 +113,24 @@ class _Pace:
         if self._seconds is None:
             return 1
         return max(1, min(int(_CHUNK / max(self._seconds, 1e-3)), -(-left // (2 * cores))))
+
+
+def _started(ray: Any, address: str | None, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
+    """Ray, connected to a cluster or started here."""
+    try:
+        ray.init(
+            address or "local",
+            log_to_driver=False,
+            logging_level="ERROR",
+            runtime_env={"env_vars": WORKER_ENVIRONMENT},
+            **options,
+        )
+    except (ConnectionError, ValueError) as error:
+        raise ConfigError(
+            f"--address {address}: no cluster of Ray answers ({error}). Start one with "
+            "`ray start --head`, all with the same RAY_AUTH_TOKEN."
+        ) from error
+    return ray
 
 
 def _has_token() -> bool:
