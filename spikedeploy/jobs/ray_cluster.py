@@ -9,6 +9,7 @@ import os
 import secrets
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from types import TracebackType
 from typing import Any
 
@@ -39,7 +40,7 @@ class RayBackend:
 
     def __enter__(self) -> "RayBackend":
         own = self._address is None
-        token = {"RAY_AUTH_TOKEN": secrets.token_hex(32)} if own and not _has_token() else {}
+        token = {"RAY_AUTH_TOKEN": _token()} if own and not _has_token() else {}
         with environment({**_RAY, **(_ALONE if own else {}), **token}):
             import ray
 
@@ -125,12 +126,18 @@ def _started(ray: Any, address: str | None, options: Mapping[str, Any]) -> Any: 
             runtime_env={"env_vars": WORKER_ENVIRONMENT},
             **options,
         )
-    except (ConnectionError, ValueError) as error:
+    except (ConnectionError, ValueError, ray.exceptions.RayError) as error:
         raise ConfigError(
             f"--address {address}: no cluster of Ray answers ({error}). Start one with "
             "`ray start --head`, all with the same RAY_AUTH_TOKEN."
         ) from error
     return ray
+
+
+@cache
+def _token() -> str:
+    """A secret for Ray on this machine, which keeps the first one of a process."""
+    return secrets.token_hex(32)
 
 
 def _has_token() -> bool:
