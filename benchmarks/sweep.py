@@ -11,7 +11,10 @@ job twice. Exits with 1 where a result is missing, twice or different. Ratios an
 something on an idle machine alone.
 """
 
-import prepare  # isort: skip  # noqa: F401 - before all others
+import contextlib
+
+with contextlib.suppress(ModuleNotFoundError):  # processes that it spawns have the path already
+    import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
 import csv

@@ -24,13 +24,14 @@ from spikedeploy.jobs.environment import WORKER_ENVIRONMENT, environment
 from spikedeploy.runtime.errors import SpikedeployError
 
 _PATIENCE = 5.0  # [s] for a process to end before it is killed
+_STILLBORN = 3  # processes one after the other that may end before their first job
 
 
 class ProcessBackend:
     """Runs jobs in `count` processes, which are kept for later jobs until the context ends."""
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self._count, self._stillborn = count, 0
         self._workers: list[_Worker] = []
 
     def __enter__(self) -> "ProcessBackend":
@@ -62,6 +63,8 @@ class ProcessBackend:
                         self._replace(number)
             for number in self._heard():
                 worker = self._workers[number]
+                if worker.begins():
+                    continue
                 place, attempt = worker.job
                 answer = worker.answer()
                 if answer is None:
@@ -77,17 +80,25 @@ class ProcessBackend:
         return [ends[end] for end in wait(list(ends)) if isinstance(end, Connection)]
 
     def _replace(self, number: int) -> None:
-        """Start another process in place of a dead one."""
-        self._workers[number].end()
+        """Start another process in place of a dead one; SpikedeployError where none can start."""
+        dead = self._workers[number]
+        dead.end()
+        self._stillborn = 0 if dead.began else self._stillborn + 1
+        if self._stillborn >= _STILLBORN:
+            raise SpikedeployError(
+                "worker processes end before their first job, for the reason above, or for want of "
+                "memory. A script needs `if __name__ == '__main__':` around what it does."
+            )
         self._workers[number] = _Worker()
 
 
 class _Worker:
     """A process, and what it does.
 
-    pipe  to it
-    job   place and attempt of the last job
-    busy  whether its answer is missing
+    pipe   to it
+    job    place and attempt of the last job
+    busy   whether its answer is missing
+    began  whether it has come so far as to wait for jobs
     """
 
     def __init__(self) -> None:
@@ -97,7 +108,7 @@ class _Worker:
         with environment(WORKER_ENVIRONMENT):
             self._process.start()
         theirs.close()  # so that its death closes the pipe
-        self.job, self.busy = (0, 0), False
+        self.job, self.busy, self.began = (0, 0), False, False
 
     def take(self, function: Function, place: int, attempt: int, job: object) -> bool:
         """Give it a job; whether it is alive to take it."""
@@ -107,6 +118,15 @@ class _Worker:
             return False
         self.job, self.busy = (place, attempt), True
         return True
+
+    def begins(self) -> bool:
+        """Whether what it said is that it waits for jobs."""
+        if self.began:
+            return False
+        with suppress(EOFError, OSError):
+            self.pipe.recv_bytes()
+            self.began = True
+        return self.began
 
     def answer(self) -> JobAnswer | None:
         """Its answer; None where it has died."""
@@ -139,6 +159,7 @@ def _work(pipe: Connection) -> None:
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
+        pipe.send_bytes(b"ready")
         while True:
             place, packed = pipe.recv()
             pipe.send_bytes(_packed(answered(_called, place, packed)))

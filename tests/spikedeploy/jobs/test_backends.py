@@ -103,6 +103,22 @@ def test_processes_are_kept_for_later_jobs():
     assert len({*first, *again}) == 1
 
 
+def test_processes_that_cannot_start_are_a_sentence_and_not_an_endless_row(tmp_path):
+    script = tmp_path / "unguarded.py"
+    script.write_text("""
+from tests.spikedeploy.jobs.test_backends import square
+from spikedeploy.jobs.processes import ProcessBackend
+with ProcessBackend(1) as backend:
+    print(len(list(backend.run(square, range(100)))))
+""")
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "SpikedeployError: worker processes end before their first job" in done.stderr
+    assert done.stderr.count("An attempt has been made to start a new process") <= 3
+
+
 def test_a_worker_dies_with_its_parent_in_the_middle_of_a_job(tmp_path):
     code = f"""
 from tests.spikedeploy.jobs.test_backends import linger
