@@ -1,11 +1,16 @@
 """SPEC.toml: what it may say, and what is refused."""
 
+import re
+from dataclasses import replace
+
 import pytest
 
+from spikedeploy.envs.errors import EnvError
 from spikedeploy.runtime.errors import SpikedeployError
 from spikedeploy.seeds import listed_numbers
 from spikedeploy.sweeps.expansion import expand
-from spikedeploy.sweeps.grid import SweepGrid, read_grid
+from spikedeploy.sweeps.grid import _KEYS, SweepGrid, read_grid
+from tests.paths import ROOT
 
 
 def read(tmp_path, text):
@@ -96,10 +101,6 @@ def test_what_is_wrong_is_named(text, words, tmp_path):
     ],
 )
 def test_what_does_not_exist_is_refused_before_a_job_is_run(change, words):
-    from dataclasses import replace
-
-    from spikedeploy.envs.errors import EnvError
-
     with pytest.raises((SpikedeployError, EnvError), match=words):
         expand(replace(SweepGrid("x", ("kart-grid",)), **change))
 
@@ -125,3 +126,16 @@ def test_ranges_and_lists_of_numbers(text, numbers):
 def test_other_texts_are_no_numbers(text):
     with pytest.raises(SpikedeployError, match="--seeds"):
         listed_numbers("--seeds", text)
+
+
+def test_the_page_shows_the_example_which_is_a_grid_of_24_jobs():
+    page, example = ROOT / "docs/sweeps.md", ROOT / "examples/sweep.toml"
+    assert f"```toml\n{example.read_text('utf-8')}```" in page.read_text("utf-8")
+    # on a chip 2 bits x 2 disturbances x 2 faults, in float 2, the script 2; two seeds each
+    assert len(expand(read_grid(example)).jobs) == (8 + 2 + 2) * 2
+
+
+def test_the_page_has_a_row_for_every_key():
+    page = (ROOT / "docs/sweeps.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| .* \| .* \|$", page, re.M)
+    assert rows == list(_KEYS)
