@@ -89,7 +89,7 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
-    settings = {
+    settings: dict[str, Any] = {
         "env": what if recipe else None,
         "config_file": config,
         "overrides": set_ or (),

@@ -54,25 +54,41 @@ class ProcessBackend:
         waiting = deque((place, 1) for place in range(len(jobs)))
         while len(self._workers) < min(self._count, len(jobs)):
             self._workers.append(_Worker())
-        while waiting or any(worker.busy for worker in self._workers):
-            for number, worker in enumerate(self._workers):
-                if waiting and not worker.busy:
-                    place, attempt = waiting.popleft()
-                    if not worker.take(function, place, attempt, jobs[place]):
-                        waiting.appendleft((place, attempt))  # it died idle
-                        self._replace(number)
-            for number in self._heard():
-                worker = self._workers[number]
-                if worker.begins():
-                    continue
-                place, attempt = worker.job
-                answer = worker.answer()
-                if answer is None:
+        ended: list[JobAnswer] = []
+        while True:
+            self._employ(waiting, function, jobs)
+            yield from ended  # after that: processes work while answers are written
+            if not waiting and not any(worker.busy for worker in self._workers):
+                return
+            ended = self._ended(waiting)
+
+    def _employ(
+        self, waiting: "deque[tuple[int, int]]", function: Function, jobs: Sequence[Any]
+    ) -> None:
+        """Give jobs that wait to processes that do."""
+        for number, worker in enumerate(self._workers):
+            if waiting and not worker.busy:
+                place, attempt = waiting.popleft()
+                if not worker.take(function, place, attempt, jobs[place]):
+                    waiting.appendleft((place, attempt))  # it died idle
                     self._replace(number)
-                    if attempt < ATTEMPTS:
-                        waiting.append((place, attempt + 1))
-                        continue
-                yield answer or lost(place)
+
+    def _ended(self, waiting: "deque[tuple[int, int]]") -> list[JobAnswer]:
+        """Answers that have come; jobs whose process was killed wait again, at their first time."""
+        found = []
+        for number in self._heard():
+            worker = self._workers[number]
+            if worker.begins():
+                continue
+            place, attempt = worker.job
+            answer = worker.answer()
+            if answer is None:
+                self._replace(number)
+            if answer is None and attempt < ATTEMPTS:
+                waiting.append((place, attempt + 1))
+            else:
+                found.append(answer or lost(place))
+        return found
 
     def _heard(self) -> list[int]:
         """Numbers of the processes that have answered, or died."""

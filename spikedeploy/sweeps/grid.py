@@ -158,8 +158,11 @@ def _quantisation(key: str, value: object) -> Quantisation:
     for name in (given := _table(key, value)):
         if name not in known:
             raise ConfigError(f"unknown key {key}.{name}; known: {', '.join(known)}")
-    read = {"thresholds": _positive, "weight_shift": _whole}
-    return Quantisation(**{name: read.get(name, _text)(name, each) for name, each in given.items()})
+    readers: dict[str, Callable[[str, object], Any]] = {
+        "thresholds": _positive,
+        "weight_shift": _whole,
+    }
+    return Quantisation(**{name: readers.get(name, _text)(name, given[name]) for name in given})
 
 
 def _seeds(key: str, value: object, episodes: int) -> tuple[int, ...]:
