@@ -28,6 +28,7 @@ COMMANDS = {
         "export": "training",
         "publish": "training",
         "experiment": "experiments",
+        "sweep": "sweeps",
         "draw": "windows",
     },
     "Look": {

@@ -12,6 +12,7 @@ EXTRAS = {
     "onnx": "train",
     "tomli": "train",
     "numba": "fast",
+    "ray": "sweep",
 }
 _EXPECTED = (
     ("spikedeploy.runtime.errors", "SpikedeployError"),

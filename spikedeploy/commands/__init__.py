@@ -9,8 +9,10 @@ open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
 training     train, visualize, export, publish
+training_seeds  train --seeds
 distillation  distill
 experiments  experiment
+sweeps       sweep
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes
 """

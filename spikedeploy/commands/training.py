@@ -8,6 +8,7 @@ import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import Force, Json, States, Workers
+from spikedeploy.commands.training_seeds import run_seeds
 
 Checkpoint = Annotated[
     str | None,
@@ -68,6 +69,19 @@ def train(
         ),
     ] = None,
     seed: TrainingSeed = None,
+    several: Annotated[
+        str | None,
+        typer.Option(
+            "--seeds",
+            metavar="0-4|0,2,5",
+            help="Train with several seeds side by side, each as a command of its own.",
+            show_default="one training",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="With --seeds: trainings side by side.", show_default="all cores"),
+    ] = None,
     resume: Resume = None,
     runs: Runs = _RUNS,
     json: Json = False,
@@ -75,17 +89,19 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
-    run_training(
-        recipe or what,
-        json,
-        env=what if recipe else None,
-        config_file=config,
-        overrides=set_ or (),
-        budget=budget,
-        seed=seed,
-        resume=resume,
-        runs=runs,
-    )
+    settings: dict[str, Any] = {
+        "env": what if recipe else None,
+        "config_file": config,
+        "overrides": set_ or (),
+        "budget": budget,
+    }
+    if several is not None:
+        if seed is not None or resume is not None:
+            raise typer.BadParameter("--seeds goes without --seed and --resume")
+        run_seeds(several, jobs, json, runs, recipe or what, **settings)
+    if jobs is not None:
+        raise typer.BadParameter("--jobs goes with --seeds")
+    run_training(recipe or what, json, seed=seed, resume=resume, runs=runs, **settings)
 
 
 def run_training(

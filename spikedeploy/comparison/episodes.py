@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,6 +19,8 @@ from spikedeploy.policies.costs import Costs
 from spikedeploy.policies.interface import Candidate, Player
 from spikedeploy.policies.registry import open_policy, price
 from spikedeploy.runtime.chips.damage import Damage
+
+_KEPT = 16  # environments and players of a process, for the next episode
 
 
 @dataclass(frozen=True)
@@ -109,11 +111,20 @@ def summarise(
     )
 
 
-@cache
+def foreign_period(env: str, options: str) -> float | None:
+    """Time of a control step [s] of an environment that is not ours, where it says so."""
+    if not envs.spec(env).foreign:
+        return None
+    world: Any = _environment(env, options).unwrapped
+    period: float | None = world.CONTROL_DT
+    return period
+
+
+@lru_cache(_KEPT)
 def _environment(name: str, options: str) -> gymnasium.Env[Any, Any]:
     return make_env(name, json.loads(options))
 
 
-@cache
+@lru_cache(_KEPT)
 def _player(env: str, options: str, candidate: Candidate, chip: str | None) -> Player:
     return open_policy(candidate, chip, _environment(env, options))

@@ -7,6 +7,7 @@ evaluation    greedy episodes of a policy on evaluation seeds
 finishes      environment steps at which training episodes finished
 workers       jobs in processes of their own, some at a time
 worker        the program that such a process runs
+training_seeds  one recipe with several seeds, side by side
 parts         missing parts run as jobs, reported, and the page of what is there
 stored_row    a row of results that is kept until what made it changes
 csv_rows      rows of results as CSV, and read again

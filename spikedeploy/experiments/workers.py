@@ -1,20 +1,24 @@
-"""Jobs in processes of their own, a few at a time, which checkpoint when the experiment stops."""
+"""Jobs in processes of their own, a few at a time, which checkpoint when the experiment stops.
+
+These are trainings and whole parts of experiments: they take hours, write run folders, wait for one
+another, have a log each, and must be asked to stop. spikedeploy.jobs has the back-ends for the
+others, which take seconds, return a value, and can be killed and run again.
+"""
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from spikedeploy.experiments.worker import INTERRUPTED
-from spikedeploy.parallel import WORKER_ENVIRONMENT
+from spikedeploy.jobs.environment import WORKER_ENVIRONMENT
+from spikedeploy.jobs.interruption import sigterm_as_interrupt
 from spikedeploy.runtime.errors import ConfigError
 
 _PAUSE = 0.5  # [s] between two polls of the processes
@@ -114,7 +118,7 @@ def run(
     update  is called with the running jobs at every poll
     """
     waiting, running = list(jobs), list[_Process]()
-    with _sigterm_as_interrupt():
+    with sigterm_as_interrupt():
         try:
             while waiting or running:
                 while len(running) < count and (job := _ready(waiting, running)):
@@ -197,17 +201,3 @@ class _Process:
         status = self._popen.wait()
         self.ask_to_stop()
         return JobEnd(self.job, time.monotonic() - self._start, status)
-
-
-@contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """SIGTERM raises KeyboardInterrupt within the block."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

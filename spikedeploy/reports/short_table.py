@@ -28,8 +28,8 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         Column("return", "mean return, with its 95% interval", interval),
         Column("of ANN", "return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
         success,
-        Column("operations", "a control step, of synapses", _operations),
-        Column("energy", f"a control step, by table {table}", _energy(table)),
+        Column("operations", "a control step, of synapses", operations),
+        Column("energy", f"a control step, by table {table}", energy_cell(table)),
     ]
     filled = [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
     return [Column("policy", "policy · chip", _short_label(rows, env)), *filled]
@@ -67,16 +67,16 @@ def verdict(document: Mapping[str, Any]) -> str:
     said = [
         f"return {interval(row)} in {of}",
         f"{sum(row['successes'])} {done}",
-        *(f"{each} a control step" for each in [_operations(row)] if each != ABSENT),
+        *(f"{each} a control step" for each in [operations(row)] if each != ABSENT),
     ]
     table = quoted_table([row])
-    cell = _energy(table)(row) if table else ABSENT
+    cell = energy_cell(table)(row) if table else ABSENT
     if cell != ABSENT:
         said.append(f"{cell} by {table}")
     return f"{label(row)}: {', '.join(said)}."
 
 
-def _operations(row: Row) -> str:
+def operations(row: Row) -> str:
     """Synaptic operations, or the multiply-accumulates of a float network: `748,544 SOPs`."""
     if row.get("sops_per_inference") is not None:
         return f"{row['sops_per_inference']:,.0f} SOPs"
@@ -84,5 +84,6 @@ def _operations(row: Row) -> str:
     return f"{macs:,.0f} MACs" if macs else ABSENT
 
 
-def _energy(table: str) -> Any:  # noqa: ANN401
+def energy_cell(table: str) -> Any:  # noqa: ANN401
+    """A cell with the energy of a control step by a table."""
     return price("energy_per_inference_j", table, "J", "energy_interval_j")

@@ -20,8 +20,8 @@ def optional():
     extras = tomllib.loads(text)["project"]["optional-dependencies"]
     return {
         re.match(r"[a-z]+", package)[0]: extra
-        for extra, packages in extras.items()
-        if extra in ("train", "fast")
+        for extra, packages in reversed(extras.items())  # the first that has it
+        if extra in ("train", "fast", "sweep")
         for package in packages
     }
 

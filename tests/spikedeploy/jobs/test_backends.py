@@ -1,0 +1,144 @@
+"""Back-ends: one answer for every job, whatever happens to workers."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from spikedeploy.jobs.processes import ProcessBackend
+from spikedeploy.jobs.serial import SerialBackend
+from spikedeploy.runtime.errors import ChipError, SpikedeployError
+from tests.paths import ROOT
+
+BACKENDS = [SerialBackend, lambda: ProcessBackend(2)]
+
+
+class UnpicklableError(Exception):
+    def __init__(self, one, two):
+        super().__init__(f"{one} and {two}")
+
+
+def square(number):
+    if number == 3:
+        raise ChipError("three is no chip")
+    if number == 4:
+        raise UnpicklableError("this", "that")
+    return number * number
+
+
+def die_once(path):
+    """Die at the first attempt; a file tells the second that it is one."""
+    if not Path(path).exists():
+        Path(path).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def die(path):
+    with Path(path).open("a") as file:
+        file.write("x")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def errand(job):
+    name, path = job
+    return {"die": die, "die once": die_once, "work": str}[name](path)
+
+
+def lambda_back(number):
+    return lambda: number
+
+
+def linger(path):
+    Path(path).write_text(str(os.getpid()))
+    time.sleep(60)
+
+
+def answers(backend, function, jobs):
+    with backend as running:
+        found = list(running.run(function, jobs))
+    assert sorted(answer.place for answer in found) == list(range(len(jobs)))
+    return sorted(found, key=lambda answer: answer.place)
+
+
+@pytest.mark.parametrize("made", BACKENDS)
+def test_every_job_has_one_answer_and_an_error_is_one_too(made):
+    found = answers(made(), square, range(6))
+    assert [answer.value for answer in found] == [0, 1, 4, None, None, 25]
+    assert isinstance(found[3].error, ChipError)
+    assert "three is no chip" in found[3].trace
+    with pytest.raises(Exception, match="this and that"):
+        found[4].result()
+
+
+def test_a_job_whose_worker_is_killed_is_run_again_and_the_others_are_not(tmp_path):
+    jobs = [("work", "a"), ("die once", tmp_path / "once"), ("work", "b"), ("work", "c")]
+    found = answers(ProcessBackend(2), errand, jobs)
+    assert [answer.error for answer in found] == [None] * 4
+    assert [answer.value for answer in found if answer.place != 1] == ["a", "b", "c"]
+
+
+def test_a_job_that_kills_its_worker_twice_fails_and_the_others_are_done(tmp_path):
+    jobs = [("die", tmp_path / "tries"), *(("work", str(number)) for number in range(5))]
+    found = answers(ProcessBackend(2), errand, jobs)
+    assert isinstance(found[0].error, SpikedeployError)
+    assert "killed" in str(found[0].error)
+    assert (tmp_path / "tries").read_text() == "xx"
+    assert [answer.value for answer in found[1:]] == list("01234")
+
+
+def test_what_cannot_be_sent_back_is_an_error_and_kills_no_worker():
+    found = answers(ProcessBackend(1), lambda_back, [1, 2])
+    assert all("pickle" in str(answer.error).lower() for answer in found)
+
+
+def test_processes_are_kept_for_later_jobs():
+    with ProcessBackend(1) as backend:
+        first = [answer.worker for answer in backend.run(square, [1, 2])]
+        again = [answer.worker for answer in backend.run(square, [1, 2])]
+    assert len({*first, *again}) == 1
+
+
+def test_processes_that_cannot_start_are_a_sentence_and_not_an_endless_row(tmp_path):
+    script = tmp_path / "unguarded.py"
+    script.write_text("""
+from tests.spikedeploy.jobs.test_backends import square
+from spikedeploy.jobs.processes import ProcessBackend
+with ProcessBackend(1) as backend:
+    print(len(list(backend.run(square, range(100)))))
+""")
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "SpikedeployError: worker processes end before their first job" in done.stderr
+    assert done.stderr.count("An attempt has been made to start a new process") <= 3
+
+
+def test_a_worker_dies_with_its_parent_in_the_middle_of_a_job(tmp_path):
+    code = f"""
+from tests.spikedeploy.jobs.test_backends import linger
+from spikedeploy.jobs.processes import ProcessBackend
+if __name__ == "__main__":
+    with ProcessBackend(1) as backend:
+        list(backend.run(linger, [{str(tmp_path / "pid")!r}]))
+"""
+    script = tmp_path / "driver.py"
+    script.write_text(code)
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    parent.kill()
+    parent.wait()
+    worker = Path("/proc") / (tmp_path / "pid").read_text() / "stat"
+    while worker.exists() and ") Z " not in worker.read_text() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not worker.exists() or ") Z " in worker.read_text()

@@ -1,0 +1,141 @@
+"""SPEC.toml: what it may say, and what is refused."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.seeds import listed_numbers
+from spikedeploy.sweeps.expansion import expand
+from spikedeploy.sweeps.grid import _KEYS, SweepGrid, read_grid
+from tests.paths import ROOT
+
+
+def read(tmp_path, text):
+    (tmp_path / "trial.toml").write_text(text)
+    return read_grid(tmp_path / "trial.toml")
+
+
+def test_an_environment_is_enough(tmp_path):
+    assert read(tmp_path, 'env = "kart-grid"') == SweepGrid("trial", ("kart-grid",))
+
+
+def test_all_that_is_shipped_is_taken_where_no_policy_is_named():
+    names = {job.policy for job in expand(SweepGrid("x", ("kart-grid",))).jobs}
+    assert names == {"ann", "linear", "small", "snn", "sparse"}
+
+
+def test_axes_take_one_value_or_many(tmp_path):
+    found = read(
+        tmp_path,
+        """
+        name = "chips"
+        env = ["kart-grid", "kart-steer"]
+        bits = ["own", 6]
+        disturb = ["none", "noise:2", ["noise:1", "delay:1"]]
+        fault = "dead-neurons:1"
+        specimen = [0, 1]
+        seed = "10000-10019"
+        episodes = 10
+        limits = "off"
+        options.track = "small_S"
+        quantisation.granularity = "channel"
+        """,
+    )
+    assert found.name == "chips"
+    assert found.bits == (None, 6)
+    assert found.disturb == ((), ("noise:2",), ("noise:1", "delay:1"))
+    assert found.seed == (10_000, 10_010)
+    assert not found.limits
+    assert found.options == {"track": "small_S"}
+    assert found.quantisation.granularity == "channel"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("chips = 'loihi1'", "unknown key 'chips': did you mean chip"),
+        ("color = 1", "known: name, env, policy"),
+        ("policy = 'gap'", "env is missing"),
+        ("env = 3", "env is 3; it must be a text"),
+        ("env = []", "env is missing"),
+        ("env = ['a', 'a']", "a is given twice"),
+        ("bits = 'few'", "bits is 'few'"),
+        ("bits = 0", "from 1 up"),
+        ("episodes = 0", "episodes is 0"),
+        ("episodes = true", "episodes is True"),
+        ("seed = 9999", "may have been trained on"),
+        ("seed = [10000, 10005]", "share episodes.*'10000-10014'"),
+        ("seed = 'some'", "write numbers and ranges"),
+        ("seed = '10005-10001'", "has 0 numbers"),
+        ("seed = '10000-99999999'", "from 1 to 100,000"),
+        ("limits = true", "'on' or 'off'"),
+        ("options = 1", r"a table: \[options\]"),
+        ("quantisation = 1", r"a table: \[quantisation\]"),
+        ("quantisation.tuned = 1", "unknown key quantisation.tuned; known: granularity"),
+        ("quantisation.granularity = 'all'", "granularity 'all'"),
+        ("quantisation.thresholds = 'x'", "thresholds is 'x'"),
+        ("metrics = 'speed'", "name:mean"),
+        ("name = '../up'", "name of a folder"),
+        ("env = ", "not valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_named(text, words, tmp_path):
+    with pytest.raises(SpikedeployError, match=words):
+        read(tmp_path, text if text.startswith(("env", "policy")) else f"env = 'kart-grid'\n{text}")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"chip": ("loihi9",)}, "no chip 'loihi9'"),
+        ({"bits": (99,)}, "99"),
+        ({"fault": (("rust:1",),)}, "no fault 'rust'"),
+        ({"disturb": (("rain:1",),)}, "no 'rain'"),
+        ({"policy": ("hexapod/popsan",)}, "none is for kart-grid"),
+        ({"policy": ("gap", "hexapod/popsan")}, "popsan is for"),
+        ({"options": {"wings": 2}}, "no option 'wings'"),
+        ({"env": ("kart-boat",)}, "kart-boat"),
+    ],
+)
+def test_what_does_not_exist_is_refused_before_a_job_is_run(change, words):
+    with pytest.raises((SpikedeployError, EnvError), match=words):
+        expand(replace(SweepGrid("x", ("kart-grid",)), **change))
+
+
+def test_combinations_that_mean_the_same_are_one_job():
+    grid = SweepGrid(
+        "x", ("kart-grid",), policy=("gap", "kart-grid/snn"), chip=("loihi1", "float"),
+        bits=(None, 4), fault=((), ("dead-neurons:1",)), specimen=(0, 1),
+    )  # fmt: skip
+    found = [(job.policy, job.place, job.fault, job.specimen) for job in expand(grid).jobs]
+    assert len(found) == len(set(found)) == 1 + 1 + 2 * (1 + 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [("0-4", [0, 1, 2, 3, 4]), ("0,2,5", [0, 2, 5]), ("3", [3]), ("0-1,7", [0, 1, 7])],
+)
+def test_ranges_and_lists_of_numbers(text, numbers):
+    assert listed_numbers("--seeds", text) == numbers
+
+
+@pytest.mark.parametrize("text", ["", "-1", "1-", "a", "0,0", "0-2,1", "4-1"])
+def test_other_texts_are_no_numbers(text):
+    with pytest.raises(SpikedeployError, match="--seeds"):
+        listed_numbers("--seeds", text)
+
+
+def test_the_page_shows_the_example_which_is_a_grid_of_24_jobs():
+    page, example = ROOT / "docs/sweeps.md", ROOT / "examples/sweep.toml"
+    assert f"```toml\n{example.read_text('utf-8')}```" in page.read_text("utf-8")
+    # on a chip 2 bits x 2 disturbances x 2 faults, in float 2, the script 2; two seeds each
+    assert len(expand(read_grid(example)).jobs) == (8 + 2 + 2) * 2
+
+
+def test_the_page_has_a_row_for_every_key():
+    page = (ROOT / "docs/sweeps.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| .* \| .* \|$", page, re.M)
+    assert rows == list(_KEYS)
