@@ -98,8 +98,8 @@ def run(
     from spikedeploy.envs import spec
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
+    from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted
-    from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison, print_verdict
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -204,7 +204,7 @@ def compare(
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.reports import report
+    from spikedeploy.pages import report
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.faults.request import faults

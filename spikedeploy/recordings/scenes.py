@@ -18,7 +18,7 @@ _COARSE = 0.1  # [m] spacing of the heights that are kept of rough ground
 _DECOR = 2  # MuJoCo's visualiser hides geoms of higher groups
 
 
-class Scene(Protocol):
+class DrawnScene(Protocol):
     """What there is to draw in an environment."""
 
     def shapes(self) -> dict[str, Any]:
@@ -28,7 +28,7 @@ class Scene(Protocol):
         """What moves, (N, 7) positions and quaternions of bodies or (1, 3) x, y, heading."""
 
 
-def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
+def scene_of(env: Any) -> DrawnScene | None:  # noqa: ANN401
     """The scene of an environment; None of one that shows nothing that we know."""
     inner = env.unwrapped
     # of environments that wrap other people's

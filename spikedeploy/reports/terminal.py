@@ -10,9 +10,8 @@ from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables
 from spikedeploy.reports.columns import Column, Row, bounded, scaled, tables
-from spikedeploy.reports.page.headline import headline
-from spikedeploy.reports.page.headline import verdict as verdict_of
-from spikedeploy.reports.report import disturbed
+from spikedeploy.reports.headline import disturbed, headline
+from spikedeploy.reports.headline import verdict as verdict_of
 from spikedeploy.reports.short_table import WIDTH, energy_hint, short_columns, verdict
 
 

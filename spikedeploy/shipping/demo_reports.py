@@ -11,10 +11,10 @@ from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import say
 from spikedeploy.files import write_text
+from spikedeploy.pages import report
+from spikedeploy.pages.html import figures, part
 from spikedeploy.policies.interface import DEFAULT_CHIP
-from spikedeploy.reports import report
-from spikedeploy.reports.page.headline import verdict
-from spikedeploy.reports.page.html import figures, part
+from spikedeploy.reports.headline import verdict
 from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.seeds import EVALUATION
 

@@ -6,8 +6,8 @@ import pytest
 
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
-from spikedeploy.reports import report
-from spikedeploy.reports.page.headline import headline, main_row
+from spikedeploy.pages import report
+from spikedeploy.reports.headline import headline, main_row
 from tests import toy_stroll_env
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")

@@ -11,7 +11,7 @@ from spikedeploy import envs
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
-from spikedeploy.reports import report
+from spikedeploy.pages import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
 from spikedeploy.reports.short_table import short_columns
 from spikedeploy.reports.terminal import print_comparison

@@ -13,12 +13,12 @@ from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances.disturbed import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
+from spikedeploy.pages.html import html
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.recordings.recorded import of_comparison
 from spikedeploy.reports.columns import COST, Row, markdown, tables
 from spikedeploy.reports.energy_columns import COMMON_TABLE
-from spikedeploy.reports.page.headline import main_row
-from spikedeploy.reports.page.html import html
+from spikedeploy.reports.headline import disturbed, main_row
 from spikedeploy.reports.plots import draw_energy, draw_returns
 from spikedeploy.reports.short_table import quoted_table
 from spikedeploy.runtime.artifact.artifact import load
@@ -156,12 +156,6 @@ def _stepped(document: Document) -> list[tuple[str, str]]:
     """How the networks are stepped: conventions, then remarks on chips."""
     remarks = [(label, said) for label, each in document["remarks"].items() for said in each]
     return [*document["conventions"].items(), *remarks]
-
-
-def disturbed(document: Document) -> str:
-    """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
-    found = document.get("disturbances", ())
-    return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
 
 
 def _facts(document: Document) -> dict[str, str]:

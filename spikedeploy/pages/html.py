@@ -8,9 +8,9 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from spikedeploy.pages.svg import energy_svg, returns_svg
 from spikedeploy.reports.columns import COST, Column, Row, tables
-from spikedeploy.reports.page.headline import headline, verdict
-from spikedeploy.reports.page.svg import energy_svg, returns_svg
+from spikedeploy.reports.headline import headline, verdict
 from spikedeploy.reports.short_table import energy_hint, short_columns
 
 _SCRIPTS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
@@ -39,7 +39,7 @@ def html(
         if len(rows) > 1
         else escape(f"{document['env']}: {rows[0]['policy']}"),
         style=part("report.css"),
-        verdict=escape(first),
+        verdict=escape(" ".join(filter(None, (first, _disturbed(facts))))),
         figures=figures(rows),
         instrument=Template(part("instrument.html")).substitute(legend=_LEGEND) if episodes else "",
         video=_video(video) if video else "",
@@ -50,9 +50,13 @@ def html(
     )
 
 
+def _disturbed(facts: Mapping[str, str]) -> str:
+    return f"Disturbed by {facts['disturbed by']}." if "disturbed by" in facts else ""
+
+
 def part(name: str) -> str:
     """A template, style or script of the page."""
-    return files("spikedeploy.reports.page").joinpath(name).read_text(encoding="utf-8")
+    return files("spikedeploy.pages").joinpath(name).read_text(encoding="utf-8")
 
 
 def figures(rows: Sequence[Row]) -> str:

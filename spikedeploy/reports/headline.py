@@ -63,6 +63,12 @@ def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
     return first, " ".join(each for each in sentences if each is not first)
 
 
+def disturbed(document: Mapping[str, Any]) -> str:
+    """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
+    found = document.get("disturbances", ())
+    return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
+
+
 def _kept(row: Row) -> Figure:
     episodes = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
     earned = f"{interval(row)} in {episodes}"
