@@ -167,7 +167,7 @@ class ComparedPolicies:
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write report.json, report.html, report.md and plots; return the files."""
-        from spikedeploy.reports import report
+        from spikedeploy.pages import report
 
         return report.write(self.document, Path(folder))
 
@@ -237,7 +237,7 @@ def compare(
     """
     from spikedeploy.comparison.lineup import line_up
     from spikedeploy.comparison.rounds import compare_policies
-    from spikedeploy.reports import report
+    from spikedeploy.pages import report
     from spikedeploy.shipping.exported_run import runnable
 
     names = [runnable(_named(policy)) for policy in policies]

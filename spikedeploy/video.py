@@ -87,10 +87,3 @@ def captioned(frame: Frame, text: str) -> Frame:
     ImageDraw.Draw(strip).text(middle, text, font=font, fill=(235, 238, 245), anchor="mm")
     image.paste(strip, (0, frame.shape[0] - height))
     return np.asarray(image, dtype=np.uint8)
-
-
-def side_by_side(*frames: Frame) -> Frame:
-    """Frames of equal height in one, left to right, a light line between them."""
-    line = np.full((frames[0].shape[0], 2, 3), 235, dtype=np.uint8)
-    parts = [part for frame in frames for part in (line, frame)][1:]
-    return np.concatenate(parts, axis=1)

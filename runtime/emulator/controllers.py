@@ -59,6 +59,8 @@ class SpikingController:
     sampled: draw one of several actions from the softmax of their scores; else the best is taken.
     backend: what computes on a chip, as in Machine; the float twin is always NumPy.
     faults: of the chip; the float twin has none.
+    trace: whether the network keeps spikes and recordings of the last call.
+    encoded: spikes (B, T, M) of the last call.
     options: for compile_program.
     """
 
@@ -70,6 +72,7 @@ class SpikingController:
         sampled: bool = False,
         backend: BackendName = "numpy",
         faults: Faults = NONE,
+        trace: bool = False,
         **options: Any,  # noqa: ANN401
     ) -> None:
         if artifact.codec is None:
@@ -81,7 +84,8 @@ class SpikingController:
         self._kept = artifact.convention.state == "kept"
         self._sampler = Sampler(self.codec.chooses) if sampled else None
         on_chip = {"backend": backend, "faults": faults, **options} if chip else {}
-        self.network = running(artifact, chip, ledger, **on_chip)
+        self.network = running(artifact, chip, ledger, trace, **on_chip)
+        self.encoded: NDArray[Any] = np.zeros((0, 0, 0), np.uint8)
         pool = self.network if isinstance(self.network, MachinePool) else None
         self._upset = pool is not None and pool.program.upsets is not None
         self._calls = SerialCalls()
@@ -126,7 +130,8 @@ class SpikingController:
         Where states are kept, also by the encoder, B must stay the same until `reset`.
         """
         with self._calls.lock:
-            output = self.network.infer(self.codec.encode(observations, self._state))
+            self.encoded = self.codec.encode(observations, self._state)
+            output = self.network.infer(self.encoded)
             if self._sampler is not None:
                 return self._sampler(self.codec.scores(output))
             return self.codec.decode(output)

@@ -61,6 +61,10 @@ def run(
     fault: FaultsOption = None,
     specimen: Specimen = 0,
     video: Annotated[Path | None, typer.Option(help="MP4 of the first episode.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for report.html, which replays episodes."),
+    ] = None,
     limits: LimitsOption = "on",
     energy: Energy = None,
     quantise: Quantise = "layer",
@@ -93,9 +97,9 @@ def run(
     from spikedeploy.console import print_json
     from spikedeploy.envs import spec
     from spikedeploy.make_env import parse_options
-    from spikedeploy.outputs import check_output, mark, marked
+    from spikedeploy.outputs import check_output, check_output_folder, mark, marked
+    from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted
-    from spikedeploy.reports import report
     from spikedeploy.reports.terminal import print_comparison, print_verdict
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -103,6 +107,10 @@ def run(
 
     if video:
         check_output("--video", video, (policy,), force, lambda path: marked(path, mark("run")))
+    if output:
+        if sampled:
+            raise typer.BadParameter("-o replays greedy episodes: leave --sampled out")
+        check_output_folder("-o", output, report.FILES, (policy,), force, report.is_report)
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
     numbers = range(seed, seed + episodes)
@@ -116,6 +124,7 @@ def run(
         policy = str(adopted(policy, codec, force, written_by=from_, **convention))
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
+    options = parse_options(set_ or (), disturb or (), success)
     comparison = run_policy(
         runnable(policy),
         env or trained_in(policy),
@@ -123,19 +132,24 @@ def run(
         numbers,
         video,
         sampled,
-        parse_options(set_ or (), disturb or (), success),
+        options,
         limits == "on",
         rounded,
         faults(fault or (), specimen),
         metrics,
     )
     document = report.document(replace(comparison, tables=tables))
+    if output:
+        recorded = report.recordings(comparison, document["rows"], options)
+        report.write(document, output, episodes=recorded)
     if json:
         print_json(document)
     else:
         print_comparison(document)
         if video:
             typer.echo(f"wrote {video}")
+        if output:
+            typer.echo(f"wrote {output / 'report.html'}")
         print_verdict(document)
 
 
@@ -190,7 +204,7 @@ def compare(
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.reports import report
+    from spikedeploy.pages import report
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.faults.request import faults
@@ -210,7 +224,8 @@ def compare(
     comparison = compare_policies(env, entries, numbers, workers, options, metrics)
     document = report.document(replace(comparison, tables=prices))
     if output:
-        report.write(document, output)
+        recorded = report.recordings(comparison, document["rows"], options)
+        report.write(document, output, episodes=recorded)
     if json:
         print_json(document)
     else:
@@ -219,11 +234,23 @@ def compare(
             typer.echo(f"wrote {output / 'report.html'}")
 
 
-def demo(tables: Tables = "one", json: Json = False) -> None:
-    """Watch the shipped policies walk: float ANN, float SNN, and the SNN on an emulated Loihi."""
+def demo(
+    tables: Tables = "one",
+    show: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the page, where there is a desktop.")
+    ] = True,
+    json: Json = False,
+) -> None:
+    """Replay shipped policies on an emulated Loihi beside float ones: a page with their spikes."""
     from spikedeploy.console import print_json
+    from spikedeploy.play.display import has_desktop
     from spikedeploy.shipping.demo_reports import FOLDER, write_demo
 
     documents = write_demo(quiet=json, everything=tables == "all")
+    index = FOLDER / "index.html"
     if json:
         print_json({"folder": str(FOLDER), "reports": documents})
+    elif documents:
+        typer.echo(f"wrote {index}: open it in a browser")
+        if show and has_desktop():
+            typer.launch(str(index))

@@ -60,14 +60,31 @@ def _share(row: Row) -> str:
     return "all" if row["success_rate"] == 1 else f"{row['success_rate']:.0%}"
 
 
+def smallest_rival(row: Row, rows: Sequence[Row]) -> Row | None:
+    """The trained float policy of fewest operations that is not shown to be worse than the row."""
+    words = _RACE if any(map(drives, rows)) else _WALK
+    networks = _trained(_equal(row, rows, words))
+    return min(networks, key=macs) if networks else None
+
+
+def macs(row: Row) -> float:
+    """MACs of an inference with an input that is not 0, all where those are not known."""
+    names = ("macs_effective", "effective_macs", "macs_dense")
+    return next((row[name] for name in names if row.get(name) is not None), math.inf)
+
+
+def _equal(row: Row, rows: Sequence[Row], words: _Words) -> list[Row]:
+    """The rows that do not spike and are not shown to be worse."""
+    return [r for r in rows if r["kind"] != "snn" and not _below(r, row, words)]
+
+
 def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> str:
     """The float policy of fewest operations that is not shown to be worse, and scripts likewise."""
-    float_rows = [r for r in rows if r["kind"] != "snn"]
-    equal = [r for r in float_rows if not _below(r, row, words)]
-    networks, count = _trained(equal), len(_trained(float_rows))
+    equal = _equal(row, rows, words)
+    networks, count = _trained(equal), len(_trained([r for r in rows if r["kind"] != "snn"]))
     found = []
     if networks:
-        found.append(_named(min(networks, key=_macs), row, words))
+        found.append(_named(min(networks, key=macs), row, words))
     elif count == 1:
         found.append(f"The one float policy here is shown to {words.less}.")
     elif count:
@@ -87,15 +104,9 @@ def _trained(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["training_seeds"]]
 
 
-def _macs(row: Row) -> float:
-    """MACs of an inference with an input that is not 0, all where those are not known."""
-    names = ("macs_effective", "effective_macs", "macs_dense")
-    return next((row[name] for name in names if row.get(name) is not None), math.inf)
-
-
 def _named(rival: Row, row: Row, words: _Words) -> str:
-    macs = _macs(rival)
-    counted = f"{macs:,.0f} MACs" if math.isfinite(macs) else "MACs that were not counted"
+    count = macs(rival)
+    counted = f"{count:,.0f} MACs" if math.isfinite(count) else "MACs that were not counted"
     own = f"{row['sops_per_inference']:,.0f} synaptic operations"
     if more := round(row.get("effective_macs") or 0):
         own += f" and {more:,} MACs"

@@ -20,6 +20,11 @@ def check_display() -> None:
         raise ConfigError(f"no display: neither {' nor '.join(_DISPLAYS)} is set; {_REMEDY}")
 
 
+def has_desktop() -> bool:
+    """Whether somebody sits at a terminal on a desktop, where a page can be opened."""
+    return sys.stdout.isatty() and (_always_there() or any(map(os.environ.get, _DISPLAYS)))
+
+
 def check_driver(driver: str) -> None:
     """Refuse a window that SDL opened in memory, because the display could not be reached."""
     if driver in _INVISIBLE and not _chosen():

@@ -45,6 +45,7 @@ class NirController:
     codec    likewise
     program  whose operations are counted; for the float twin the one of chip `ideal`
     remarks  of the compiler, on where the chip departs from the file
+    controller  what acts; with `trace` its network keeps spikes and membranes of the last step
     """
 
     def __init__(
@@ -55,39 +56,41 @@ class NirController:
         limits: bool = True,
         quantisation: Quantisation = PLAIN,
         faults: Faults = NONE,
+        trace: bool = False,
     ) -> None:
         artifact = load(path)
         if artifact.codec is None:
             raise ArtifactError(f"{path} has no codec, so it cannot drive a robot")
         self._artifact, self.graph, self.codec = artifact, artifact.graph, artifact.codec
         self.chip = chip_called(chip)
-        self._controller = SpikingController(
+        self.controller = SpikingController(
             artifact,
             self.chip,
-            "total",
+            "each" if trace else "total",
             sampled,
             faults=faults,
+            trace=trace,
             limits=limits,
             quantisation=quantisation,
         )
-        self.program = self._controller.program
+        self.program = self.controller.program
         self.remarks = self.program.remarks
-        self._before, self._hit_before = self._controller.ledger, self._controller.damage
+        self._before, self._hit_before = self.controller.ledger, self.controller.damage
 
     def reset(self, seed: int) -> None:
         """Start an episode and its ledger."""
-        self._controller.reset(seed)
-        self._before, self._hit_before = self._controller.ledger, self._controller.damage
+        self.controller.reset(seed)
+        self._before, self._hit_before = self.controller.ledger, self.controller.damage
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,) or ()."""
-        return self._controller.act(observation)
+        return self.controller.act(observation)
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
-        if not self._controller.remembers:
-            return self._controller.act_batch(observations)
-        return np.stack([self._controller.act(observation) for observation in observations])
+        if not self.controller.remembers:
+            return self.controller.act_batch(observations)
+        return np.stack([self.controller.act(observation) for observation in observations])
 
     @cached_property
     def cores(self) -> dict[str, int] | None:
@@ -104,13 +107,13 @@ class NirController:
         before = {damage.text: damage for damage in self._hit_before}
         return tuple(
             now.since(before[now.text]) if now.over_time and now.text in before else now
-            for now in self._controller.damage
+            for now in self.controller.damage
         )
 
     @property
     def ledger(self) -> Ledger:
         """Counts since the last reset, all inferences in one row."""
-        now, before = self._controller.ledger, self._before
+        now, before = self.controller.ledger, self._before
         return replace(
             now,
             counts=now.counts.sum(axis=0, keepdims=True) - before.counts.sum(axis=0, keepdims=True),

@@ -1,4 +1,4 @@
-"""Reports: tables, plots and pages of what comparison, emulation and training found.
+"""Reports: tables and plots of what comparison, emulation and training found.
 
 Nothing is computed here that is not in the data; the same tables serve terminal, HTML and Markdown.
 
@@ -6,7 +6,7 @@ cells         one column of a table, and how its cells are written
 energy_columns  the columns about energy: by every table, and where it goes
 columns       the tables of a comparison, column by column
 short_table   a comparison in one table of 80 columns, a run in one line
-report        a comparison as report.json, report.html and report.md
+headline      the row that a page is about, and three numbers of it
 markdown      lines of a table in Markdown
 plots         returns, energies and learning curves as PNG
 curves        the learning curve in a run's metrics

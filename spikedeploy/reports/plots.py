@@ -28,6 +28,11 @@ def _colour(row: Row) -> str:
 
 
 def draw_returns(rows: Sequence[Row], path: Path) -> Path:
+    """Write `returns_figure`; return the path."""
+    return save(returns_figure(rows), path)
+
+
+def returns_figure(rows: Sequence[Row]) -> "Figure":
     """Returns as dots, their mean with its 95 % interval as a bar, one line for each row."""
     figure, axes = _figure(len(rows))
     for place, row in enumerate(rows):
@@ -44,11 +49,32 @@ def draw_returns(rows: Sequence[Row], path: Path) -> Path:
             color="#333333",
         )
     axes.set_xlabel("return of an episode (dots), mean and 95% interval (bars)")
+    _limit_returns(axes, rows)
     _name_rows(axes, rows)
-    return save(figure, path)
+    return figure
+
+
+def _limit_returns(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Show the trained policies in full; a row that lies far below them is an arrow at the edge."""
+    trained = [r for row in rows if row["kind"] in ("ann", "snn") for r in row["returns"]]
+    if not trained:
+        return
+    low, high = float(np.quantile(trained, 0.02)), float(np.max(trained))
+    low -= max(1.5 * (high - low), 0.1 * abs(high))
+    if min(min(row["returns"]) for row in rows) >= low:
+        return
+    axes.set_xlim(left=low)
+    for place, row in enumerate(rows):
+        if row["return_mean"] < low:
+            axes.plot(low, place, "<", color=_colour(row), markersize=9, clip_on=False)
 
 
 def draw_energy(rows: Sequence[Row], path: Path) -> Path:
+    """Write `energy_figure`; return the path."""
+    return save(energy_figure(rows), path)
+
+
+def energy_figure(rows: Sequence[Row]) -> "Figure":
     """Joules per inference on a log axis, a marker for each energy table."""
     from matplotlib.ticker import EngFormatter
 
@@ -67,7 +93,7 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
     axes.set_xlabel("energy per inference, estimated from published tables")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(tables), frameon=False)
     _name_rows(axes, rows)
-    return save(figure, path)
+    return figure
 
 
 def draw_curves(curves: Sequence[Curve], path: Path, remark: str = "") -> Path:

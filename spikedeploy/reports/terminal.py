@@ -10,7 +10,8 @@ from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables
 from spikedeploy.reports.columns import Column, Row, bounded, scaled, tables
-from spikedeploy.reports.report import disturbed
+from spikedeploy.reports.headline import disturbed, headline
+from spikedeploy.reports.headline import verdict as verdict_of
 from spikedeploy.reports.short_table import WIDTH, energy_hint, short_columns, verdict
 
 
@@ -50,6 +51,14 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
     for sentence in (document["meaning"], document.get("env_remark", "")):
         if sentence:
             print_text(sentence)
+
+
+def print_headline(document: Mapping[str, Any]) -> None:
+    """Print the first sentence of a comparison and the numbers that its page leads with."""
+    print_text(f"{document['env']}: {verdict_of(document)[0]}")
+    for each in headline(document["rows"]):
+        print_text(f"  {each.number}  {each.title}  ({each.beside})")
+    print_text("")
 
 
 def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:

@@ -9,5 +9,5 @@ card_page            the page of a card, and both written again after a new eval
 record_fields        what a card or report has to say
 recorded_evaluation  what cards and reports record, so that it can be made again
 reproduce            an evaluation made again, number by number
-demo_reports         reports and films of the shipped policies on three tasks
+demo_reports         pages of the shipped policies on two tasks, and an index
 """

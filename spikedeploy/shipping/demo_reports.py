@@ -1,44 +1,27 @@
-"""The demo: shipped policies on three tasks, a report of each, videos of a hexapod and a kart."""
+"""The demo: shipped policies on two tasks, a page of each with its episodes, and an index."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice, zip_longest
+from collections.abc import Mapping
+from html import escape
 from pathlib import Path
+from string import Template
 from typing import Any
 
-from spikedeploy import envs, zoo
-from spikedeploy.comparison.lineup import Entry, line_up
+from spikedeploy import zoo
+from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
-from spikedeploy.console import progress, say
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.console import say
+from spikedeploy.files import write_text
+from spikedeploy.pages import report
+from spikedeploy.pages.html import figures, part
 from spikedeploy.policies.interface import DEFAULT_CHIP
-from spikedeploy.policies.registry import open_policy
-from spikedeploy.reports import report
-from spikedeploy.reports.terminal import print_comparison
+from spikedeploy.reports.headline import verdict
+from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.video import Frame, Pace, captioned, mp4, side_by_side
 
 FOLDER = Path("reports/demo")
-_KINDS = {"ann": "float ANN", "snn": "spiking network"}
-
-
-@dataclass(frozen=True)
-class _DemoTask:
-    """What the demo shows of a task.
-
-    episodes  of its report
-    seconds   of its video; 0 for none. A frame of the hexapod takes 0.2 s without a GPU
-    """
-
-    episodes: int
-    seconds: float = 0.0
-
-
-_TASKS = {
-    "hexapod": _DemoTask(episodes=4, seconds=3.5),
-    "hexapod-command": _DemoTask(episodes=3),
-    "kart-steer": _DemoTask(episodes=10, seconds=15.0),
-}
+# task -> episodes of each policy; a walk takes some seconds, a lap a tenth of that
+_TASKS = {"hexapod-command": 2, "kart-steer": 5}
+_TITLE = "Spiking policies on an emulated chip"
 
 
 def write_demo(
@@ -46,83 +29,55 @@ def write_demo(
 ) -> list[dict[str, Any]]:
     """Compare the shipped policies of every task; return the reports as data.
 
-    folder  for report.json, report.html, plots and video of the first task; the other tasks get
-            folders inside it
+    folder  for index.html, and a folder for each task
     quiet   write nothing to stdout
-    everything  print all tables, else one for each task
+    everything  print all tables, else the numbers that a page leads with
     """
     documents: list[dict[str, Any]] = []
-    for env, task in _TASKS.items():
+    for env, episodes in _TASKS.items():
         if not zoo.policies(env):
             say(f"{env}: no policies are shipped yet")
             continue
-        into = folder if not documents else folder / env
-        entries = line_up(env, (), (DEFAULT_CHIP,))
-        seeds = range(EVALUATION, EVALUATION + task.episodes)
-        document = report.document(compare_policies(env, entries, seeds))
-        video = _film(env, entries, into / "film.mp4", task.seconds) if task.seconds else None
-        files = report.write(document, into, video)
+        document = _compared(env, episodes, folder / env)
         documents.append(document)
         if not quiet:
-            print_comparison(document, everything)
-            say(f"→ {files[0]}{f' and {video}' if video else ''}\n")
+            show = print_comparison if everything else print_headline
+            show(document)
+    if documents:
+        write_text(folder / "index.html", _index(documents))
     return documents
 
 
-def _film(env: str, entries: Sequence[Entry], path: Path, seconds: float) -> Path | None:
-    """A video of the float ANN beside the SNNs on the chip; None where nothing can render."""
-    ann = [e for e in entries if e.candidate.kind == "ann"][:1]
-    snns = [e for e in entries if e.chip == DEFAULT_CHIP]
-    if not ann or not snns:
-        return None
-    pace = _pace(env)
-    count = round(seconds * pace.fps)
-    try:
-        with mp4(path, pace.fps) as write, progress("film", count) as drawn:
-            filmed = (_frames(env, entry) for entry in [*ann, *snns])
-            for frames in islice(_together(*filmed), count):
-                write(side_by_side(*frames))
-                drawn()
-    except EnvError as error:
-        say(f"no film: {error}")
-        return None
-    return path
+def _compared(env: str, episodes: int, folder: Path) -> dict[str, Any]:
+    entries = line_up(env, (), (DEFAULT_CHIP,))
+    comparison = compare_policies(env, entries, range(EVALUATION, EVALUATION + episodes))
+    document = report.document(comparison)
+    recorded = report.recordings(comparison, document["rows"], {})
+    report.write(document, folder, episodes=recorded)
+    return document
 
 
-def _action(action: Any) -> Any:  # noqa: ANN401
-    """An action as environments take it: a choice as an int."""
-    return action if action.shape else int(action)
+def _index(documents: list[dict[str, Any]]) -> str:
+    """A page that leads to those of the tasks."""
+    return Template(part("report.html")).substitute(
+        title=_TITLE,
+        style=part("report.css"),
+        verdict="Each page replays recorded episodes beside the spikes, membranes and energy of "
+        "the network on the chip.",
+        figures="",
+        instrument="".join(_card(document) for document in documents),
+        video="",
+        table="",
+        said="",
+        folded="",
+        data="",
+    )
 
 
-def _pace(env: str) -> Pace:
-    world: Any = envs.make(env)
-    pace = Pace.of(world.unwrapped.CONTROL_DT)
-    world.close()
-    return pace
-
-
-def _together(*films: Iterator[Frame]) -> Iterator[tuple[Frame, ...]]:
-    """A frame of each film until all have ended; a shorter one keeps its last frame."""
-    kept: tuple[Frame | None, ...] = (None,) * len(films)
-    for new in zip_longest(*films):
-        kept = tuple(old if now is None else now for old, now in zip(kept, new, strict=True))
-        shown = tuple(frame for frame in kept if frame is not None)
-        if len(shown) == len(films):
-            yield shown
-
-
-def _frames(env: str, entry: Entry) -> Iterator[Frame]:
-    """Frames of one episode of an entry."""
-    world: Any = envs.make(env, render_mode="rgb_array")
-    player = open_policy(entry.candidate, entry.chip, world)
-    pace, caption = _pace(env), f"{_KINDS[entry.candidate.kind]}: {entry.label}"
-    observation, _ = world.reset(seed=EVALUATION)
-    player.reset(EVALUATION)
-    for step in range(world.unwrapped.max_steps):
-        if step % pace.every == 0:
-            yield captioned(world.render(), caption)
-        observation, _, terminated, _, _ = world.step(_action(player.act(observation)))
-        if terminated:
-            yield captioned(world.render(), caption)
-            break
-    world.close()
+def _card(document: Mapping[str, Any]) -> str:
+    env = escape(document["env"])
+    first = escape(verdict(document)[0])
+    return (
+        f'<h2><a href="{env}/report.html">{env}</a></h2>'
+        f'<p class="more">{first}</p>{figures(document["rows"])}'
+    )

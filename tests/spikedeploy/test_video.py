@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.comparison.closed_loop import run_policy
-from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.shipping import demo_reports
-from spikedeploy.video import Pace, captioned, mp4, side_by_side
+from spikedeploy.video import Pace, captioned, mp4
 from tests import toy_stroll_env
 
 
@@ -53,52 +51,12 @@ def test_a_caption_covers_the_lower_edge_only():
     assert found[185:].min() < 50
 
 
-def test_frames_stand_side_by_side():
-    left, right = np.zeros((4, 5, 3), np.uint8), np.ones((4, 6, 3), np.uint8)
-    found = side_by_side(left, right)
-    assert found.shape == (4, 5 + 2 + 6, 3)
-    assert (found[:, :5] == 0).all()
-    assert (found[:, 7:] == 1).all()
-
-
 def test_run_films_the_first_episode_only(stroll):
     run_policy("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
     assert len(frames(stroll / "film.mp4")) == 1 + 10  # the start, and every second of its 20 steps
-
-
-def test_the_demo_films_the_ann_beside_the_chip(stroll):
-    entries = line_up("stroll", (), ("loihi1",))
-    path = demo_reports._film("stroll", entries, stroll / "film.mp4", seconds=5.0)
-    found = frames(path)
-    assert len(found) == 10  # 20 steps at 50 Hz, filmed at 25 Hz
-    assert found[0].shape == (48, 64 + 2 + 64, 3)
-
-
-def test_a_film_is_as_long_as_asked_for(stroll):
-    entries = line_up("stroll", (), ("loihi1",))
-    assert len(frames(demo_reports._film("stroll", entries, stroll / "film.mp4", seconds=0.2))) == 5
-
-
-def test_who_ends_first_waits_on_its_last_frame():
-    left, right = ([np.full((2, 2, 3), k, np.uint8) for k in range(n)] for n in (2, 4))
-    found = [(a[0, 0, 0], b[0, 0, 0]) for a, b in demo_reports._together(iter(left), iter(right))]
-    assert found == [(0, 0), (1, 1), (1, 2), (1, 3)]
 
 
 @pytest.mark.parametrize(("dt", "every", "fps"), [(0.02, 2, 25), (1 / 60, 2, 30), (0.1, 1, 10)])
 def test_a_film_runs_as_fast_as_its_world(dt, every, fps):
     pace = Pace.of(dt)
     assert (pace.every, pace.fps) == (every, pytest.approx(fps))
-
-
-def test_without_graphics_the_demo_says_so_in_a_line(stroll, monkeypatch, capsys):
-    def dark(self):
-        raise EnvError("no OpenGL to draw with")
-
-    monkeypatch.setattr(toy_stroll_env.StrollEnv, "render", dark)
-    assert (
-        demo_reports._film("stroll", line_up("stroll", (), ("loihi1",)), stroll / "film.mp4", 5.0)
-        is None
-    )
-    assert "no film: no OpenGL to draw with\n" in capsys.readouterr().err
-    assert not (stroll / "film.mp4").exists()

@@ -8,7 +8,7 @@ from spikedeploy.comparison.accounting import control_period, static
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs import ENVS
-from spikedeploy.reports import report
+from spikedeploy.pages import report
 from spikedeploy.reports.columns import ABSENT, markdown, tables
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.metrics.energy_terms import ON_CHIP

@@ -18,8 +18,8 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env, parse_options
+from spikedeploy.pages import report
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.reports import report
 from spikedeploy.reports.columns import tables
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_race_env

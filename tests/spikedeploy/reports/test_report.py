@@ -11,7 +11,7 @@ from spikedeploy import envs
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
-from spikedeploy.reports import report
+from spikedeploy.pages import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
 from spikedeploy.reports.short_table import short_columns
 from spikedeploy.reports.terminal import print_comparison
@@ -55,8 +55,8 @@ def test_the_report_is_whole_and_stands_alone(document, tmp_path):
     files = report.write(document, tmp_path / "out", tmp_path / "film.mp4")
     page = files[0].read_text(encoding="utf-8")
     assert all(file.is_file() for file in files)
-    assert len(Links(page).found) == 3  # two plots and the film
-    assert all(link.startswith("data:") for link in Links(page).found)
+    assert Links(page).found == ["data:video/mp4;base64,ZmlsbQ=="]
+    assert page.count('<svg role="img"') == 2
     assert json.loads((tmp_path / "out/report.json").read_text())["rows"][0]["policy"] == "sac"
 
 

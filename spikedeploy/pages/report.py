@@ -2,13 +2,9 @@
 
 import shlex
 import sys
-from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
-from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 from spikedeploy import envs, zoo
@@ -17,9 +13,14 @@ from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances.disturbed import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
+from spikedeploy.pages.html import html
 from spikedeploy.policies.interface import Candidate
-from spikedeploy.reports.columns import COST, Column, Row, markdown, tables
+from spikedeploy.recordings.recorded import of_comparison
+from spikedeploy.reports.columns import COST, Row, markdown, tables
+from spikedeploy.reports.energy_columns import COMMON_TABLE
+from spikedeploy.reports.headline import disturbed, main_row
 from spikedeploy.reports.plots import draw_energy, draw_returns
+from spikedeploy.reports.short_table import quoted_table
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.metrics.energy import describe_table, energy_table
@@ -48,6 +49,19 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "sha256": zoo.hashes(row["file"] for row in rows),
         "rows": rows,
     }
+
+
+def recordings(
+    comparison: Comparison, rows: Sequence[Row], options: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Episodes for the page, played once more: of the row that it is about and its references.
+
+    rows     of the document
+    options  of the environment
+    """
+    main = main_row(rows)
+    table = quoted_table([main]) or COMMON_TABLE
+    return of_comparison(comparison, list(rows).index(main), options, table)
 
 
 def _conventions(comparison: Comparison) -> dict[str, str]:
@@ -105,8 +119,13 @@ def is_report(folder: Path) -> bool:
     return numbers.is_file() and marked(numbers, '"command": "spikedeploy ')
 
 
-def write(document: Document, folder: Path, video: Path | None = None) -> list[Path]:
-    """Write page, numbers, Markdown and plots into the folder; return the files in that order."""
+def write(
+    document: Document, folder: Path, video: Path | None = None, episodes: Sequence[Document] = ()
+) -> list[Path]:
+    """Write page, numbers, Markdown and plots into the folder; return the files in that order.
+
+    episodes  of `recordings`, which the page alone has
+    """
     folder.mkdir(parents=True, exist_ok=True)
     rows = document["rows"]
     shown = tables(rows)
@@ -114,9 +133,10 @@ def write(document: Document, folder: Path, video: Path | None = None) -> list[P
     if COST in shown:
         pictures[COST] = draw_energy(rows, folder / "energy.png")
     numbers = write_text(folder / "report.json", as_text(document))
-    page = write_text(folder / "report.html", _html(document, pictures, video))
-    text = write_text(folder / "report.md", _page_of_text(document))
-    return [page, numbers, text, *pictures.values(), *([video] if video else [])]
+    text = html(document, _facts(document), _stepped(document), episodes, video)
+    page = write_text(folder / "report.html", text)
+    plain = write_text(folder / "report.md", _page_of_text(document))
+    return [page, numbers, plain, *pictures.values(), *([video] if video else [])]
 
 
 def _page_of_text(document: Document) -> str:
@@ -138,73 +158,8 @@ def _stepped(document: Document) -> list[tuple[str, str]]:
     return [*document["conventions"].items(), *remarks]
 
 
-def disturbed(document: Document) -> str:
-    """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
-    found = document.get("disturbances", ())
-    return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
-
-
-def _html(document: Document, pictures: Mapping[str, Path], video: Path | None = None) -> str:
-    """The page as one file, pictures and video embedded.
-
-    pictures  title of a table -> PNG below it
-    """
-    rows = document["rows"]
-    shown = tables(rows)
-    page = Template(
-        files("spikedeploy.reports").joinpath("report.html").read_text(encoding="utf-8")
-    )
-    return page.substitute(
-        title=escape(f"{document['env']}: {len(rows)} policies on the same seeds"),
-        meaning=escape(document["meaning"]),
-        remark=escape(document.get("env_remark", "")),
-        sections="".join(
-            _section(title, _table(columns, rows), pictures.get(title))
-            for title, columns in shown.items()
-        ),
-        video=_video(video) if video else "",
-        facts=_facts(document),
-        definitions=_definitions([column for columns in shown.values() for column in columns]),
-        sources=_list(document["energy_tables"].items()),
-        conventions=_list(_stepped(document)),
-    )
-
-
-def _section(title: str, table: str, picture: Path | None) -> str:
-    figure = _figure(title, picture) if picture else ""
-    return f'<h2>{escape(title)}</h2><div class="card">{table}</div>{figure}'
-
-
-def _table(columns: Sequence[Column], rows: Sequence[Row]) -> str:
-    head = "".join(f'<th title="{escape(c.meaning)}">{escape(c.title)}</th>' for c in columns)
-    body = "".join(
-        f'<tr class="{_class(row)}">'
-        + "".join(f"<td>{escape(column.cell(row))}</td>" for column in columns)
-        + "</tr>"
-        for row in rows
-    )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _class(row: Row) -> str:
-    """The CSS class of a row: chip, or its kind."""
-    return "chip" if row["kind"] == "snn" and row["chip"] != "float" else str(row["kind"])
-
-
-def _figure(title: str, picture: Path) -> str:
-    return f'<figure><img alt="{escape(title)}" src="{_embedded(picture, "image/png")}"></figure>'
-
-
-def _video(path: Path) -> str:
-    source = _embedded(path, "video/mp4")
-    return f'<h2>The same seed, side by side</h2><video controls muted loop src="{source}"></video>'
-
-
-def _embedded(path: Path, media: str) -> str:
-    return f"data:{media};base64,{b64encode(path.read_bytes()).decode()}"
-
-
-def _facts(document: Document) -> str:
+def _facts(document: Document) -> dict[str, str]:
+    """How the report was made."""
     first, count = document["seeds"]["first"], document["seeds"]["count"]
     facts = {
         "environment": document["env_id"],
@@ -214,13 +169,4 @@ def _facts(document: Document) -> str:
     }
     if said := disturbed(document):
         facts["disturbed by"] = said
-    return _list(facts.items())
-
-
-def _definitions(columns: Sequence[Column]) -> str:
-    return _list({column.title: column.meaning for column in columns}.items())
-
-
-def _list(items: Iterable[tuple[str, str]]) -> str:
-    pairs = (f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in items)
-    return f"<dl>{''.join(pairs)}</dl>"
+    return facts

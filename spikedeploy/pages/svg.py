@@ -1,0 +1,51 @@
+"""The plots of a comparison as SVG in the colours of the page, light or dark."""
+
+from collections.abc import Sequence
+from io import StringIO
+from typing import TYPE_CHECKING
+
+from spikedeploy.reports.cells import Row
+from spikedeploy.reports.plots import energy_figure, returns_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# colours of the plots -> those of report.css
+_COLOURS = {
+    "#0072b2": "var(--ann)",
+    "#e69f00": "var(--snn)",
+    "#d55e00": "var(--chip)",
+    "#8a939e": "var(--control)",
+    "#e6e8eb": "var(--line)",
+    "#000000": "var(--ink)",
+    "#333333": "var(--ink)",
+    "#555555": "var(--soft)",
+}
+
+
+def returns_svg(rows: Sequence[Row]) -> str:
+    """Returns of all episodes, means and intervals."""
+    return _svg(returns_figure(rows), "Return of each episode, mean and 95% interval of each row")
+
+
+def energy_svg(rows: Sequence[Row]) -> str:
+    """Joules per inference by each table; empty where none prices a row."""
+    if not any(row["energy_per_inference_j"] for row in rows):
+        return ""
+    return _svg(energy_figure(rows), "Energy of an inference by each table, on a logarithmic axis")
+
+
+def _svg(figure: "Figure", title: str) -> str:
+    from matplotlib import rc_context
+
+    text = StringIO()
+    # text as text; ids that do not differ from call to call
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
+        figure.savefig(
+            text, format="svg", bbox_inches="tight", transparent=True, metadata={"Date": None}
+        )
+    drawn = text.getvalue()
+    drawn = drawn[drawn.index("<svg") :]
+    for colour, name in _COLOURS.items():
+        drawn = drawn.replace(colour, name)
+    return drawn.replace("<svg", f'<svg role="img" aria-label="{title}"', 1)

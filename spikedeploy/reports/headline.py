@@ -1,0 +1,119 @@
+"""The row that a page is about, and three numbers of it."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from spikedeploy.comparison.summary import macs, smallest_rival
+from spikedeploy.reports.cells import Row, price
+from spikedeploy.reports.columns import difference, interval, label
+from spikedeploy.reports.short_table import quoted_table
+
+_SENTENCE = re.compile(r"(?<=\.) (?=\w)")  # between two sentences
+_AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that operations decide
+
+
+class Figure(NamedTuple):
+    """A number of the headline: what it is, the number, what it is beside."""
+
+    title: str
+    number: str
+    beside: str
+
+
+def main_row(rows: Sequence[Row]) -> Row:
+    """The spiking policy on a chip with the fewest operations among those that are good.
+
+    Good is 95 % of the float ANN's return, or of the best on a chip. Without a chip the first row.
+    """
+    on_chip = [row for row in rows if row["kind"] == "snn" and row["chip"] not in (None, "float")]
+    if not on_chip:
+        return rows[0]
+    best = max(on_chip, key=lambda row: float(row["return_mean"]))
+    ann = ann_row(rows)
+    goal = _AS_GOOD * (ann or best)["return_mean"]
+    good = [row for row in on_chip if row["return_mean"] >= goal] if goal > 0 else []
+    return min(good, key=_operations) if good else best
+
+
+def ann_row(rows: Sequence[Row]) -> Row | None:
+    """The float ANN; None where there is none."""
+    return next((row for row in rows if row["kind"] == "ann"), None)
+
+
+def headline(rows: Sequence[Row]) -> list[Figure]:
+    """Return kept on the chip, operations and energy of a control step, where they are known.
+
+    Operations and energy stand beside the smallest float policy that is not shown to be worse, and
+    beside the float ANN.
+    """
+    row, ann = main_row(rows), ann_row(rows)
+    found = [smallest_rival(row, rows), ann] if row["kind"] == "snn" and "returns" in row else [ann]
+    rivals = {each["policy"]: each for each in found if each and each is not row}
+    numbers = (_kept(row), _counted(row, rivals.values()), _priced(row, rivals.values()))
+    return [each for each in numbers if each]
+
+
+def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
+    """The sentence of a comparison about the row that its page is about, and the others."""
+    row, sentences = main_row(document["rows"]), _SENTENCE.split(document["meaning"])
+    about = f"{row['policy']} on {row['chip']} "
+    first = next((each for each in sentences if each.startswith(about)), sentences[0])
+    return first, " ".join(each for each in sentences if each is not first)
+
+
+def disturbed(document: Mapping[str, Any]) -> str:
+    """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
+    found = document.get("disturbances", ())
+    return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
+
+
+def _kept(row: Row) -> Figure:
+    episodes = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
+    earned = f"{interval(row)} in {episodes}"
+    if row.get("ratio_to_reference") is None:
+        return Figure(f"return of {label(row)}", interval(row).partition(" ")[0], earned)
+    of_ann = row.get("ratio_to_float_ann")
+    said = [earned, f"{difference(row)} to {row['reference']}"]
+    said += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
+    kept = f"{row['ratio_to_reference']:.1%}"
+    return Figure(f"return kept on {row['chip']}, of its float twin's", kept, "; ".join(said))
+
+
+def _counted(row: Row, rivals: Iterable[Row]) -> Figure | None:
+    count = _operations(row)
+    if count <= 0:
+        return None
+    unit = "SOPs" if row.get("sops_per_inference") is not None else "MACs"
+    said = [
+        f"{each['policy']}: {macs(each):,.0f} MACs, {_times(macs(each) / count)} as many"
+        for each in rivals
+        if math.isfinite(macs(each))
+    ]
+    title = f"operations of a control step, {label(row)}"
+    return Figure(title, f"{count:,.0f} {unit}", "; ".join(said))
+
+
+def _priced(row: Row, rivals: Iterable[Row]) -> Figure | None:
+    table = quoted_table([row])
+    joules = row["energy_per_inference_j"].get(table)
+    if not joules:
+        return None
+    energy = price("energy_per_inference_j", table, "J", "energy_interval_j")
+    known = [(each, each["energy_per_inference_j"].get(table)) for each in rivals]
+    said = [
+        f"{each['policy']}: {energy(each)}, {_times(other / joules)} as much"
+        for each, other in known
+        if other
+    ]
+    return Figure("energy of a control step", energy(row), "; ".join([f"by {table}", *said]))
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:,.0f} times" if ratio >= 10 else f"{ratio:.2g} times"
+
+
+def _operations(row: Row) -> float:
+    sops = row.get("sops_per_inference")
+    return float(sops if sops is not None else row.get("macs_dense") or 0.0)

@@ -1,0 +1,140 @@
+"""Recorded episodes are those of the comparison, spike by spike and step by step."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spikedeploy import envs
+from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.make_env import make_env
+from spikedeploy.recordings import recorded
+from spikedeploy.recordings.episode import NetworkTrace, RecordedEpisode, record
+from spikedeploy.recordings.scenes import scene_of
+from spikedeploy.recordings.tracks import tracks
+from tests import toy_stroll_env
+from tests.packed_arrays import unpacked
+
+TABLE = "horowitz45-int8"
+
+
+@pytest.fixture
+def entries(monkeypatch, tmp_path):
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    return line_up("stroll", (), ("loihi1",))
+
+
+def on_chip(entries):
+    return next(entry for entry in entries if entry.chip == "loihi1")
+
+
+def test_what_is_recorded_is_what_was_compared(entries):
+    entry = on_chip(entries)
+    compared = compare_policies("stroll", entries, [10_003], processes=1)
+    episode = compared.row(entry).episodes[0]
+    found = record(make_env("stroll", {}), entry.candidate, "loihi1", "x", 10_003, TABLE)
+    assert found.played.total == episode.total
+    assert found.network.sops.mean() == pytest.approx(episode.costs.sops)
+    assert found.network.energy.mean() == pytest.approx(episode.costs.energy_j[TABLE].value)
+    assert np.mean([raster.sum() for raster in found.network.rasters["input"]]) == pytest.approx(
+        episode.costs.input_spikes
+    )
+    assert found.network.membranes.keys() == found.network.rasters.keys() - {"input"}
+
+
+def test_a_page_has_the_first_and_the_worst_episode_of_the_policy_it_is_about(entries):
+    compared = compare_policies("stroll", entries, range(10_000, 10_006), processes=1)
+    main = [row.entry for row in compared.rows].index(on_chip(entries))
+    first, worst = recorded.of_comparison(compared, main, {}, TABLE)
+    returns = compared.rows[main].returns
+    assert (first["seed"], worst["seed"]) == (10_000, 10_000 + int(np.argmin(returns)))
+    assert [player["label"] for player in worst["players"]] == [
+        "sac", "popsan · float", "popsan · loihi1"
+    ]  # fmt: skip
+    assert worst["players"][-1]["total"] == min(returns)
+    assert worst["players"][0]["network"] is None
+    assert worst["twin"]
+    json.dumps([first, worst], allow_nan=False)
+
+
+def test_a_page_that_would_be_too_large_has_one_episode(entries, monkeypatch):
+    monkeypatch.setattr(recorded, "_MOST_BYTES", 100)
+    monkeypatch.setattr(recorded, "_MOST_BITS", 10)
+    compared = compare_policies("stroll", entries, range(10_000, 10_006), processes=1)
+    main = [row.entry for row in compared.rows].index(on_chip(entries))
+    (only,) = recorded.of_comparison(compared, main, {}, TABLE)
+    network = only["players"][-1]["network"]
+    assert network["layers"] == []
+    assert network["left_out"][0].startswith("input: ")
+
+
+def episode_of(rasters):
+    return RecordedEpisode(
+        "x", "snn", None, None, np.zeros((0, 0, 0)), 1, None, NetworkTrace(rasters, {}, None, None)
+    )
+
+
+def test_the_first_difference_is_the_earliest_in_time_then_in_the_order_of_layers():
+    one = {name: np.zeros((5, 2, 3), np.uint8) for name in ("input", "lif1", "lif2")}
+    other = {name: raster.copy() for name, raster in one.items()}
+    assert recorded.first_difference(episode_of(one), episode_of(other)) is None
+    other["lif2"][1, 1, 2] = 1
+    other["lif1"][2, 0, 0] = 1
+    found = recorded.first_difference(episode_of(one), episode_of(other))
+    assert found == {"step": 1, "timestep": 1, "layer": "lif2", "neuron": 2}
+    other["lif1"][1, 1, 1] = 1
+    found = recorded.first_difference(episode_of(one), episode_of(other))
+    assert (found["layer"], found["neuron"]) == ("lif1", 1)
+
+
+def test_the_bodies_of_a_hexapod_are_drawn_where_they_are():
+    env = envs.make("hexapod")
+    env.reset(seed=3)
+    scene = scene_of(env)
+    shapes, pose = scene.shapes(), scene.pose()
+    assert shapes["kind"] == "bodies"
+    assert pose.shape == (19, 7)
+    assert {geom["kind"] for geom in shapes["geoms"]} <= {"box", "capsule", "cylinder", "sphere"}
+    assert all(0 <= geom["body"] < 19 for geom in shapes["geoms"])
+    # the start is clear: feet stand on the middle height of the bumps
+    heights = unpacked(shapes["ground"]["heights"])
+    assert shapes["ground"]["half"] == [12.0, 4.0]
+    assert heights.min() >= -1e-6
+    assert heights.max() <= 0.0301
+    assert abs(pose[0, 0] + 10.0) < 0.01  # the torso, at the start of the course
+    before = pose.copy()
+    env.step(np.zeros(18))
+    assert (scene.pose() != before).any()
+    assert (before == pose).all()  # a copy
+
+
+def test_a_kart_is_drawn_on_its_track_and_a_cart_pole_is_not_drawn():
+    env = envs.make("kart-grid")
+    env.reset(seed=3)
+    scene = scene_of(env)
+    assert scene.shapes()["kind"] == "track"
+    assert scene.pose().tolist() == [list(env.unwrapped.pose)]
+    assert scene_of(make_env("CartPole-v1", {})) is None
+
+
+def test_mujoco_environments_of_gymnasium_are_drawn():
+    env = make_env("Hopper-v5", {})
+    env.reset(seed=0)
+    scene = scene_of(env)
+    assert len(scene.pose()) == 4
+    assert scene.shapes()["ground"] == {"height": 0.0}
+
+
+def test_commands_are_drawn_with_what_followed_them():
+    played = record(
+        make_env("hexapod-command", {"max_steps": 5}),
+        line_up("hexapod-command", ("hexapod-command/sparse",), ())[0].candidate,
+        None, "x", 10_000, TABLE,
+    ).played  # fmt: skip
+    speed, turn = tracks(played)
+    assert (speed["unit"], turn["unit"]) == ("m/s", "rad/s")
+    wanted, step = unpacked(turn["wanted"]), turn["wanted"]["step"]
+    assert np.abs(wanted - played.info["command_turn"]).max() <= step
+    found = unpacked(turn["values"]) - wanted
+    assert np.abs(found + played.info["turn_error"]).max() < 0.001

@@ -1,0 +1,175 @@
+"""The page of a comparison: what it leads with, and how it behaves in a browser."""
+
+import shutil
+
+import pytest
+
+from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.pages import report
+from spikedeploy.reports.headline import headline, main_row
+from tests import toy_stroll_env
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+
+
+def row(policy, kind, chip=None, earned=3000.0, sops=None, macs=None, joules=None, **changes):
+    plain = {
+        "policy": policy, "kind": kind, "chip": chip, "return_mean": earned, "episodes": 4,
+        "return_ci95": (earned - 10, earned + 10), "reference": None, "ratio_to_reference": None,
+        "ratio_to_float_ann": None, "sops_per_inference": sops, "macs_dense": macs,
+        "energy_per_inference_j": {"horowitz45-int8": joules} if joules else {},
+        "returns": [earned - 1, earned, earned, earned + 1], "training_seeds": 1,
+    }  # fmt: skip
+    return {**plain, **changes}
+
+
+ANN = row("sac", "ann", macs=300_000, joules=480e-9)
+CHIP = {"reference": "popsan · float", "ratio_to_reference": 0.985, "ratio_to_float_ann": 0.97,
+        "difference_mean": -45.0, "difference_ci95": (-60.0, -30.0)}  # fmt: skip
+
+
+def test_a_page_is_about_the_cheapest_policy_that_is_as_good_as_the_float_ann():
+    dense = row("popsan", "snn", "loihi1", 3000, sops=300_000)
+    sparse = row("sparse", "snn", "loihi1", 2860, sops=50)
+    broken = row("tiny", "snn", "loihi1", 2000, sops=5)
+    assert main_row([ANN, dense, sparse, broken]) is sparse
+    assert main_row([ANN, broken]) is broken
+    assert main_row([ANN, row("popsan", "snn", "float")]) is ANN
+
+
+def test_negative_returns_choose_the_best_policy_on_a_chip():
+    rows = [row(name, "snn", "loihi1", earned, sops=9) for name, earned in (("a", -9), ("b", -5))]
+    assert main_row([row("ann", "ann", earned=-4), *rows])["policy"] == "b"
+
+
+def test_three_numbers_lead_with_what_they_are_beside():
+    sparse = row("popsan", "snn", "loihi1", 2910, sops=48.3, joules=0.75e-9, **CHIP)
+    rivals = [ANN, row("mlp-8", "control", macs=700, joules=1.1e-9)]
+    kept, operations, energy = headline(
+        [*rivals, row("tiny", "control", None, 900, macs=9), sparse]
+    )
+    assert kept.number == "98.5%"
+    assert kept.beside == (
+        "2,910 [2,900, 2,920] in 4 episodes; -45 [-60, -30] to popsan · float; "
+        "97.0% of the float ANN"
+    )
+    assert (operations.number, energy.number) == ("48 SOPs", "0.75 nJ")
+    assert operations.beside == (
+        "mlp-8: 700 MACs, 14 times as many; sac: 300,000 MACs, 6,211 times as many"
+    )
+    assert energy.beside == (
+        "by horowitz45-int8; mlp-8: 1.10 nJ, 1.5 times as much; sac: 0.48 µJ, 640 times as much"
+    )
+
+
+def test_a_float_policy_alone_has_a_return_and_what_is_known_of_its_cost():
+    assert [each.number for each in headline([ANN])] == ["3,000", "300,000 MACs", "0.48 µJ"]
+    assert [each.number for each in headline([row("gait", "gait")])] == ["3,000"]
+
+
+@pytest.fixture
+def page(monkeypatch, tmp_path):
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    compared = compare_policies(
+        "stroll", line_up("stroll", (), ("loihi1",)), range(10_000, 10_003), processes=1
+    )
+    document = report.document(compared)
+    episodes = report.recordings(compared, document["rows"], {})
+    return report.write(document, tmp_path / "out", episodes=episodes)[0]
+
+
+def test_the_page_is_small_and_its_names_cannot_end_the_script(page):
+    text = page.read_text(encoding="utf-8")
+    assert len(text) < 3_000_000
+    data = text.split('id="episodes-data">')[1].split("</script>")[0]
+    assert "<" not in data
+
+
+def test_plots_have_the_colours_of_the_page(page):
+    text = page.read_text(encoding="utf-8")
+    drawn = text.split("<figure>", 1)[1].split("</figure>")[0]
+    assert "var(--chip)" in drawn
+    assert "#d55e00" not in drawn.lower()
+
+
+@pytest.fixture
+def browser():
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium")
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("needs chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for each in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,1000"):
+        options.add_argument(each)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+def ready(browser, episode="0"):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    script = "return document.documentElement.dataset.ready"
+    WebDriverWait(browser, 20).until(lambda found: found.execute_script(script) == episode)
+
+
+def now(browser):
+    return browser.find_element("id", "now").text
+
+
+def test_one_cursor_moves_through_the_page(browser, page):
+    browser.get(page.as_uri())
+    ready(browser)
+    assert now(browser) == "0.00 s, control step 0 of 20"
+    names = [each.text.split("\n")[0] for each in browser.find_elements("class name", "strip")]
+    assert names[0].startswith("input spikes")
+    assert {"2 actions", "synaptic operations", "reward"} <= set(names)
+    body = browser.find_element("tag name", "body")
+    body.send_keys("\ue014" * 3)  # arrow right
+    assert now(browser) == "0.06 s, control step 3 of 20"
+    body.send_keys("\ue010")  # end
+    assert now(browser).endswith("step 19 of 20")
+    cursors = browser.execute_script(
+        "return [...document.querySelectorAll('.strip i')].map((each) => each.style.left)"
+    )
+    assert set(cursors) == {"95%"}
+    first = browser.find_element("id", "first")
+    if first.is_displayed():
+        first.click()
+        assert f"control step {now(browser).split()[-3]}," in browser.find_element(
+            "id", "first-said"
+        ).text.replace(":", ",")
+    browser.find_elements("css selector", "#episodes button")[-1].click()
+    ready(browser, "1")
+    assert now(browser).startswith("0.00 s, control step 0")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_is_wider_than_the_screen_in_light_and_dark(browser, page, width, scheme):
+    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    feature = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", feature)
+    browser.get(page.as_uri())
+    ready(browser)
+    shown = "getComputedStyle(document.body).backgroundColor"
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert (browser.execute_script(f"return {shown}") == "rgb(18, 22, 28)") is (scheme == "dark")
+    for details in browser.find_elements("tag name", "details"):
+        details.find_element("tag name", "summary").click()
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+
+
+def test_the_page_prints_with_everything_unfolded(browser, page):
+    browser.get(page.as_uri())
+    ready(browser)
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {})["data"]
+    assert len(printed) > 20_000
+    opened = browser.execute_script(
+        "return document.querySelectorAll('details:not([open])').length"
+    )
+    assert opened == 0
