@@ -239,7 +239,7 @@ def test_demo_says_in_a_line_that_nothing_is_shipped(command, monkeypatch, tmp_p
     monkeypatch.chdir(tmp_path)
     code, out, err = command("demo")
     assert code == 0
-    assert "hexapod: no policies are shipped yet" in err
+    assert "hexapod-command: no policies are shipped yet" in err
     assert out == ""
 
 
