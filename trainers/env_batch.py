@@ -193,7 +193,8 @@ class EnvBatch:
         watcher.episode_begun(k)
         for action, support in zip(history.actions, history.support[1:], strict=True):
             self._set_support(k, support)
-            self.observation[k], reward, terminated, truncated, info = self._envs[k].step(action)
+            taken = self._envs[k].step(action.copy())
+            self.observation[k], reward, terminated, truncated, info = taken
             self._totals[k] += reward
             watcher.step_repeated(k, action, float(reward), info)
             if terminated or truncated:

@@ -41,7 +41,7 @@ class EpisodeHistory:
 
     def add(self, action: NDArray[Any], support: float) -> None:
         """Add a step."""
-        self.actions.append(np.array(action))
+        self.actions.append(np.array(action)[()])  # a choice stays a number
         self.support.append(support)
 
     def tensors(self) -> dict[str, Tensor]:

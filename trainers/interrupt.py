@@ -14,7 +14,7 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Interrupt:
-    """While entered, Ctrl-C (SIGINT), SIGTERM or SIGHUP request a stop; a second interrupts at once.
+    """While entered, Ctrl-C (SIGINT), SIGTERM and SIGHUP request a stop; a second one ends at once.
 
     requested: number of the signal that came, 0 for none
     share: part of the training that is done, where it stopped before its end

@@ -36,10 +36,6 @@ class Journal:
         self.metrics.rewind(step)
         self.board.rewind(step)
 
-    def clear(self) -> None:
-        """Drop all rows, on beginning anew."""
-        self.metrics.clear()
-
     def close(self) -> None:
         """Close the files."""
         self.board.close()

@@ -126,12 +126,12 @@ class RunFolder:
         everything = {
             key: value.contiguous() for key, value in {**weights, **(tensors or {})}.items()
         }
-        path, text = self.checkpoint(name), json.dumps(record)
+        record["sha256"] = _digest(record, everything)
+        path = self.checkpoint(name)
         with said(path):
             with replacing(path) as temporary:
                 # the state is part of the same file, so that the two always belong together
-                metadata = {"state": text, "sha256": _digest(text, everything)}
-                save_file(everything, temporary, metadata=metadata)
+                save_file(everything, temporary, metadata={"state": json.dumps(record)})
             _write_json(path.with_suffix(".json"), record)
 
     def settle(self, name: str, state: Mapping[str, Any]) -> None:
@@ -148,14 +148,12 @@ class RunFolder:
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
         try:
             with safe_open(path, "pt") as file:
-                metadata = file.metadata()
+                state: dict[str, Any] = json.loads(file.metadata()["state"])
                 tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-                state = json.loads(metadata["state"])
-            if metadata.get("sha256") not in (None, _digest(metadata["state"], tensors)):
+            # those of before have none
+            if state.get("sha256") not in (None, _digest(state, tensors)):
                 raise ValueError("its content does not have its checksum")
-            if not isinstance(state, dict):
-                raise ValueError("its state is no table")
-        except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        except (SafetensorError, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
             raise ConfigError(
                 f"{path} is not a valid checkpoint: {error}. {self._remedy(name)}"
             ) from error
@@ -265,10 +263,11 @@ def _write_json(path: Path, data: Mapping[str, Any]) -> None:
         temporary.write_text(_json(data), encoding="utf-8")
 
 
-def _digest(state: str, tensors: Mapping[str, Tensor]) -> str:
+def _digest(state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     """Return the SHA-256 of everything that a checkpoint holds."""
-    digest = hashlib.sha256(state.encode())
+    numbers = {key: value for key, value in state.items() if key != "sha256"}
+    digest = hashlib.sha256(json.dumps(numbers).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.contiguous().reshape(-1).view(torch.uint8).numpy())
+        digest.update(memoryview(tensor.contiguous().reshape(-1).view(torch.uint8).numpy()))
     return digest.hexdigest()

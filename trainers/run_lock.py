@@ -105,9 +105,6 @@ def _busy(run: Path, holder: tuple[int, str]) -> str:
     number, machine = holder
     if not number:
         return f"{run} is being trained by another process: wait for its end."
-    if machine == socket.gethostname():
-        return f"{run} is being trained by process {number}: wait for its end, or stop it."
-    return (
-        f"{run} is being trained by process {number} on {machine}: wait for its end, or stop it. If "
-        f"it has ended, delete {run / _NAME}."
-    )
+    there = "" if machine == socket.gethostname() else f" on {machine}"
+    gone = f" If it has ended, delete {run / _NAME}." if there else ""
+    return f"{run} is being trained by process {number}{there}: wait for its end, or stop it.{gone}"

@@ -76,7 +76,7 @@ class Runner(ABC, Generic[C]):
             journal.rewind(self.step)
         else:
             self._run.forget(self.COUNTERS[0], self._checkpoint_every)
-            self._forget(journal)
+            self._forget()
             self._begin()
         if self.finished:
             return
@@ -122,9 +122,10 @@ class Runner(ABC, Generic[C]):
     def _begin(self) -> None:
         """Prepare a new run, as opposed to one that is resumed."""
 
-    def _forget(self, journal: Journal) -> None:
+    def _forget(self) -> None:
         """Empty what a run that was killed before its first checkpoint has written."""
-        journal.clear()
+        for table in self.tables(self._run, self._config):
+            table.clear()
 
     @classmethod
     def tables(cls, run: RunFolder, config: RunConfig) -> list[Table]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import flush
-from spikedeploy.trainers.metrics import read, renamed
+from spikedeploy.trainers.metrics import Metrics, read, renamed
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,11 @@ class Table:
         """Put the rows onto the disk, before a checkpoint relies on them."""
         if self.path.is_file():
             flush(self.path)
+
+    def clear(self) -> None:
+        """Drop all rows, whatever the file holds; before it is made, do nothing."""
+        if self.path.is_file():
+            Metrics(self.path, self.columns).clear()
 
     def check(self, step: float, state: Mapping[str, Any]) -> None:
         """Refuse a run to be resumed at `step` where rows before are damaged or lost."""

@@ -41,10 +41,6 @@ class EpisodeLog:
         """Drop the rows after a step, on resuming from it."""
         self._file.rewind(env_steps)
 
-    def clear(self) -> None:
-        """Drop all rows, on beginning anew."""
-        self._file.clear()
-
     def begin(self, k: int) -> None:
         """Forget what copy k did: its episode begins."""
         self._steps[k], self._totals[k] = 0, 0.0

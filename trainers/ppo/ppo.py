@@ -81,10 +81,8 @@ class Ppo(EnvRunner[PpoConfig]):
             self._ghosts = GhostLog(self._run.path / "ghosts", self._envs, self._config.env)
         super().learn(journal, stopped)
 
-    def _forget(self, journal: Journal) -> None:
-        super()._forget(journal)
-        if self._log:
-            self._log.clear()
+    def _forget(self) -> None:
+        super()._forget()
         if self._ghosts:
             self._ghosts.rewind(0)
 
