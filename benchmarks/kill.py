@@ -28,13 +28,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=20, help="of each training")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", choices=sorted(CASES), default=sorted(CASES))
+    parser.add_argument("--only", nargs="*", choices=CASES, default=list(CASES))
     parser.add_argument("--keep", type=Path, help="folder in which the run folders stay")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         killer = Killer(options.keep or Path(temporary), options.seed)
-        rows = [killer.tried(CASES[name], options.kills) for name in options.only]
+        rows = []
+        for name in options.only:
+            rows.append(killer.tried(CASES[name], options.kills))
+            print(table(rows[-1:]), file=sys.stderr, flush=True)
     print(json.dumps([asdict(row) for row in rows]) if options.json else table(rows))
     sys.exit(any(row.differences for row in rows))
 

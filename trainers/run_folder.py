@@ -173,11 +173,12 @@ class RunFolder:
         """Delete what a run left that was killed before its first checkpoint "last".
 
         counter: name of the step in checkpoints
-        first: step of the first checkpoint; what is from after it had one, which is missing
+        first: steps after which a checkpoint is due
         """
         left = sorted((self.path / "checkpoints").glob("*.safetensors"))
         for path in left:
-            if self.load(path.stem)[0].get(counter, 0) >= first:
+            # a validation may come just before the first checkpoint; this one is from long after
+            if self.load(path.stem)[0].get(counter, 0) >= 2 * first:
                 raise ConfigError(
                     f"{self.checkpoint('last')} is missing, so that the run cannot be resumed: put "
                     f"it back, or train again; `spikedeploy export {self.path} --checkpoint "
@@ -269,5 +270,5 @@ def _digest(state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     digest = hashlib.sha256(json.dumps(numbers).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(memoryview(tensor.contiguous().reshape(-1).view(torch.uint8).numpy()))
+        digest.update(tensor.contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
