@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.kill_compare import differences
-from benchmarks.kill_process import FINISHED, KILLED, STOPPED, UNHEARD, End, Moment, ended
+from benchmarks.kill_process import FINISHED, KILLED, STOPPED, UNHEARD, End, Moment, ended, load
 
 _MOST = 4  # interruptions of a chain
 _STOPS = 0.2  # part of them that are stops
@@ -31,22 +31,22 @@ class Case:
 CASES = {
     case.name: case
     for case in (
-        # the ring of the replay is overwritten three times, and the temperature is learned
+        # the ring of the replay is overwritten twice, and the temperature is learned
         Case("sac", "smoke", (
-            "steps=480", "checkpoint_every=70", "buffer=150", "learn_temperature=true",
-            "normaliser.finish=300", "log_every=30", "validation.every=60")),
-        Case("ppo", "smoke-kart", ("steps=1280", "checkpoint_every=192", "env.count=3")),
+            "steps=300", "checkpoint_every=50", "buffer=110", "learn_temperature=true",
+            "normaliser.finish=200", "log_every=30", "validation.every=60")),
+        Case("ppo", "smoke-kart", ("steps=768", "checkpoint_every=128", "env.count=3")),
         Case("ppo-mlp", "ppo-mlp", (
             "env.name=CartPole-v1", "steps=1500", "horizon=50", "checkpoint_every=300",
             "validation.every=300", "validation.episodes=2", "env.count=2")),
         Case("distill", "smoke-distill", (
-            "teacher=hexapod/sac", "updates=60", "iterations=3", "checkpoint_every=7")),
+            "teacher=hexapod/sac", "iterations=3", "checkpoint_every=7")),
         Case("distill-snn", "distill-snn", (
             "env.name=CartPole-v1", "teacher=benchmarks.kill_chains:lean", "updates=60",
             "iterations=3", "checkpoint_every=7", "validation.every=20", "log_every=5",
             "policy.coding=bernoulli", "validation.episodes=2", "states=200")),
         Case("sparse", "smoke-sparse", ("checkpoint_every=7",)),
-        Case("sparse-ppo", "smoke-sparse-tuned", ("iterations=5",), start="sparse"),
+        Case("sparse-ppo", "smoke-sparse-tuned", ("iterations=4",), start="sparse"),
     )
 }  # fmt: skip
 
@@ -81,6 +81,7 @@ class Killer:
 
     def __init__(self, folder: Path, seed: int) -> None:
         self._folder, self._seed = folder, seed
+        load()
         self._whole: dict[str, End] = {}
 
     def tried(self, case: Case, kills: int) -> Row:

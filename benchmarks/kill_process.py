@@ -8,14 +8,18 @@ import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from spikedeploy.trainers import ALGORITHMS
 from spikedeploy.trainers.interrupt import Interrupt
 from spikedeploy.trainers.train import train
 
 FINISHED, FAILED, STOPPED = 0, 1, 3
 KILLED, UNHEARD = -signal.SIGKILL, -signal.SIGTERM
+# torch imports the last one for its first optimiser, which takes longer than these trainings
+_MODULES = ("mujoco", "pymunk", "onnxruntime", "matplotlib.figure", "torch._dynamo")
 _FILE_EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.truncate")
 
 
@@ -52,6 +56,12 @@ class End:
     seconds: float
     writes: int
     log: str
+
+
+def load() -> None:
+    """Import what trainings import, so that every fork has it."""
+    for name in (*_MODULES, *(target.split(":")[0] for target in ALGORITHMS.values())):
+        import_module(name)
 
 
 def ended(

@@ -33,6 +33,7 @@ adam.py          the optimiser and its state
 onnx_session.py  ONNX Runtime session of a float network, tried within limits
 onnx_operators.py  what an ONNX file computes with, read from its bytes
 atomic.py        atomic writes
+write_errors.py  a file that could not be written, in a sentence
 
 An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in RECIPES.
 """

@@ -6,10 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from safetensors import SafetensorError
-
-from spikedeploy.runtime.errors import ConfigError
-
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -40,16 +36,3 @@ def flush(path: Path) -> None:
             raise
     finally:
         os.close(handle)
-
-
-@contextmanager
-def said(path: Path) -> Iterator[None]:
-    """Say in a sentence why a file of a training could not be written: a full disk, no right to."""
-    try:
-        yield
-    except (OSError, SafetensorError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(
-            f"{path} could not be written: {why}. The last checkpoint is whole: make room, or copy "
-            "the run where files can be written, and go on with --resume."
-        ) from error

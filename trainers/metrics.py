@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import replacing, said
+from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.write_errors import said
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

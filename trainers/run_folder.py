@@ -29,13 +29,14 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import replacing, said
+from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.checksums import check_summed, write_summed
 from spikedeploy.trainers.config import C, RunConfig
 from spikedeploy.trainers.policies import Policy, build
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import validated
 from spikedeploy.trainers.versions import versions
+from spikedeploy.trainers.write_errors import said
 
 _POLICY = "policy."  # prefix of the policy's tensors
 _FOLDERS = ("checkpoints", "pool", "ghosts")  # of training, in a run folder

@@ -16,7 +16,6 @@ import torch
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
-from spikedeploy.trainers.atomic import said
 from spikedeploy.trainers.checksums import write_summed
 from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.interrupt import Interrupt
@@ -28,6 +27,7 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.run_lock import locked
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.budget import with_budget
+from spikedeploy.trainers.write_errors import said
 
 
 def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config

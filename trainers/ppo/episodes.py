@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.ghost_recorder import POSE, GhostRecorder
-from spikedeploy.trainers.atomic import said
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import EnvBatch, Steps
 from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.tables import Table
+from spikedeploy.trainers.write_errors import said
 
 _OUTCOMES = ("finish", "crash", "gates", "lap_time")  # of the last info, if it has them
 _COLUMNS = ("env_steps", "steps", "return", "success", *_OUTCOMES)

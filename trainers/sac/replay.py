@@ -11,8 +11,9 @@ from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import replacing, said
+from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.checksums import of_file
+from spikedeploy.trainers.write_errors import said
 
 
 @dataclass(frozen=True)

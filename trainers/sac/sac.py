@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import flush, said
+from spikedeploy.trainers.atomic import flush
 from spikedeploy.trainers.checksums import of_file
 from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.run_folder import RunFolder
@@ -19,6 +19,7 @@ from spikedeploy.trainers.sac.cuda import CudaLearner, CudaReplay
 from spikedeploy.trainers.sac.learner import SacLearner
 from spikedeploy.trainers.sac.replay import ReplayBuffer, damaged
 from spikedeploy.trainers.sac.shaping import check_shaping, shaped
+from spikedeploy.trainers.write_errors import said
 
 
 class Sac(EnvRunner[SacConfig]):

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import replacing, said
+from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.checksums import of_file
+from spikedeploy.trainers.write_errors import said
 
 Single = NDArray[np.float32]
 
