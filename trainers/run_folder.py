@@ -65,8 +65,9 @@ class RunFolder:
             raise ConfigError(
                 f"cannot make a run folder in {runs}: {error.strerror}. Name another with --runs."
             ) from error
-        run.write_config(config)
-        _write_json(run.path / "versions.json", versions())
+        with said(run.path / "versions.json"):
+            _write_json(run.path / "versions.json", versions())
+        run.write_config(config)  # last: it makes the folder a run
         return run
 
     @classmethod

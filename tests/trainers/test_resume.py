@@ -194,3 +194,10 @@ def test_a_training_that_is_really_killed_ends_with_the_same_files():
     rows = json.loads(done.stdout)
     assert [row["kills"] for row in rows] == [2, 2]
     assert not any(row["differences"] for row in rows)
+
+
+def test_a_run_folder_has_its_versions_before_it_counts_as_one(sac, tmp_path, monkeypatch):
+    kill(lambda: trained("smoke", SAC, tmp_path), monkeypatch, (RunFolder, "write_config"), 1)
+    (part,) = tmp_path.iterdir()
+    assert (part / "versions.json").is_file()
+    assert not (part / "config.json").exists()
