@@ -18,9 +18,14 @@ sparse_recipes.py  those of sparse policies, their rivals, and PPO after imitati
 config.py        models of the configuration
 resolve.py       recipe, TOML file and overrides combined into a configuration
 run_folder.py    files of a run: configuration, versions, checkpoints
+run_lock.py      one process to a run folder
+checksums.py     checksums of its files
+interrupt.py     signals that stop a training at a checkpoint
+episode_history.py  what brings an environment back where it was, on resuming
 journal.py       metrics to CSV file, TensorBoard and progress bar
 progress.py      the bar on a terminal, lines elsewhere
 metrics.py       the CSV file, and the learning curve
+tables.py        such files checked before a run goes on
 env_batch.py     copies of an environment, stepped as a batch
 validation.py    deterministic episodes that choose the best checkpoint
 critic.py        float networks that estimate returns
@@ -28,6 +33,7 @@ adam.py          the optimiser and its state
 onnx_session.py  ONNX Runtime session of a float network, tried within limits
 onnx_operators.py  what an ONNX file computes with, read from its bytes
 atomic.py        atomic writes
+write_errors.py  a file that could not be written, in a sentence
 
 An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in RECIPES.
 """

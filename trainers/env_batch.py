@@ -1,16 +1,22 @@
 """EnvBatch: several copies of an environment, stepped as a batch in one process."""
 
+import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.adam import under
 from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.episode_history import EpisodeHistory, Watcher
 from spikedeploy.trainers.policies import Head
 
 _SEEDS = 5_000  # training seeds are below, those of validation and evaluation above
@@ -53,11 +59,13 @@ class EnvBatch:
     """
 
     def __init__(self, config: EnvConfig, rng: np.random.Generator) -> None:
-        self._rng = rng
+        self._config, self._rng = config, rng
         self._envs: list[Any] = [
             envs.make(config.name, **config.options) for _ in range(config.count)
         ]
+        self._support = math.nan  # never set
         self.starts = [_EpisodeStart(0, {}) for _ in self._envs]
+        self._histories = [EpisodeHistory(0, self._support) for _ in self._envs]
         self.observation = np.stack([self._reset(k) for k in range(len(self._envs))])
         self._totals = np.zeros(config.count)
         self.returns: list[float] = []
@@ -101,12 +109,15 @@ class EnvBatch:
 
     def support_force(self, fraction: float) -> None:
         """Set the support force [fraction of the full force], where the robot has one."""
+        self._support = fraction
         for env in self._envs:
             env.unwrapped.support_force = fraction
 
     def step(self, action: NDArray[Any]) -> Steps:
         """Step every copy."""
         before = self.observation
+        for history, taken in zip(self._histories, action, strict=True):
+            history.add(taken, self._support)
         results = [env.step(a) for env, a in zip(self._envs, action, strict=True)]
         following, reward, terminated, truncated, infos = zip(*results, strict=True)
         steps = Steps(
@@ -132,7 +143,78 @@ class EnvBatch:
 
     def _reset(self, k: int) -> NDArray[np.float64]:
         seed = int(self._rng.integers(_SEEDS))
+        self._histories[k] = EpisodeHistory(seed, self._support)
+        return self._begin(k, seed)
+
+    def _begin(self, k: int, seed: int) -> NDArray[np.float64]:
         observation: NDArray[np.float64]
         observation, info = self._envs[k].reset(seed=seed)
         self.starts[k] = _EpisodeStart(seed, info)
         return observation
+
+    # checkpoints
+
+    def state(self) -> dict[str, Any]:
+        """Return the numbers of the episodes under way, for a checkpoint."""
+        seeds = [history.seed for history in self._histories]
+        return {"env": self._config.model_dump(mode="json"), "seeds": seeds, "ended": self.returns}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what was done in the episodes under way, for a checkpoint."""
+        each = [history.tensors() for history in self._histories]
+        done = {f"{k}.{name}": t for k, named in enumerate(each) for name, t in named.items()}
+        return {**done, "observation": torch.from_numpy(self.observation)}
+
+    def restore(self, state: Mapping[str, Any], named: dict[str, Tensor], watcher: Watcher) -> None:
+        """Bring every copy where it was at a checkpoint, by taking its actions again.
+
+        Episodes begin anew where the environment was exchanged, and where it does not repeat what
+        it did.
+        """
+        self.returns = list(state["ended"])
+        if state["env"] != self._config.model_dump(mode="json"):
+            return
+        histories = [
+            EpisodeHistory.restored(seed, under(str(k), named))
+            for k, seed in enumerate(state["seeds"])
+        ]
+        before = named["observation"].numpy()
+        self.observation = np.zeros_like(before)
+        repeated = all([self._repeat(k, each, watcher) for k, each in enumerate(histories)])
+        self._histories = histories
+        if not (repeated and np.array_equal(self.observation, before, equal_nan=True)):
+            self._anew(watcher)
+
+    def _repeat(self, k: int, history: EpisodeHistory, watcher: Watcher) -> bool:
+        """Take the actions of an episode again; return whether none of them ended it."""
+        self._set_support(k, history.support[0])
+        self.observation[k] = self._begin(k, history.seed)
+        self._totals[k] = 0.0
+        watcher.episode_begun(k)
+        for action, support in zip(history.actions, history.support[1:], strict=True):
+            self._set_support(k, support)
+            taken = self._envs[k].step(action.copy())
+            self.observation[k], reward, terminated, truncated, info = taken
+            self._totals[k] += reward
+            watcher.step_repeated(k, action, float(reward), info)
+            if terminated or truncated:
+                return False
+        return True
+
+    def _set_support(self, k: int, fraction: float) -> None:
+        if not math.isnan(fraction):
+            self._support = fraction
+            self._envs[k].unwrapped.support_force = fraction
+
+    def _anew(self, watcher: Watcher) -> None:
+        """Begin all episodes anew, and say why."""
+        print(
+            f"{self.env_id} did not repeat the episodes under way from their seeds and actions: it "
+            "is not deterministic. They begin anew, so that this run is not the same as one that "
+            "was never stopped.",
+            file=sys.stderr,
+        )
+        self._totals[:] = 0.0
+        for k in range(len(self)):
+            self.observation[k] = self._reset(k)
+            watcher.episode_begun(k)

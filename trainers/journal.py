@@ -34,6 +34,7 @@ class Journal:
     def rewind(self, step: int) -> None:
         """Drop the rows after a step, on resuming from it."""
         self.metrics.rewind(step)
+        self.board.rewind(step)
 
     def close(self) -> None:
         """Close the files."""
@@ -45,10 +46,20 @@ class _TensorBoardLog:
 
     def __init__(self, folder: Path) -> None:
         self._writer: Any = None
+        self._folder = folder
         if find_spec("tensorboard") is not None:
-            from torch.utils.tensorboard import SummaryWriter
+            self._open()
 
-            self._writer = SummaryWriter(str(folder))
+    def _open(self, purge_step: int | None = None) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._writer = SummaryWriter(str(self._folder), purge_step=purge_step)
+
+    def rewind(self, step: int) -> None:
+        """Let TensorBoard hide the points after a step."""
+        if self._writer is not None:
+            self._writer.close()
+            self._open(step + 1)
 
     def add(self, step: int, row: Mapping[str, float]) -> None:
         """Add one point to the curve of each column."""

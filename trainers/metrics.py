@@ -1,14 +1,14 @@
 """Metrics of a run: CSV file, and learning curve drawn from it."""
 
 import csv
-import math
-import sys
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.write_errors import said
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,15 +33,25 @@ class Metrics:
 
     def add(self, row: Mapping[str, float]) -> None:
         """Append one row."""
-        with self.path.open("a", newline="", encoding="utf-8") as file:
+        with said(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self.columns).writerow(_rounded(row))
 
     def rewind(self, step: float) -> None:
         """Drop the rows after a step, which a resumed run writes again."""
-        self._write([row for row in read(self.path) if row[self.columns[0]] <= step])
+        text = self.path.read_text(encoding="utf-8")
+        whole = text[: text.rfind("\n") + 1]  # a full disk may have cut the last line off
+        self._write([row for row in _rows(whole) if row[self.columns[0]] <= step])
+
+    def clear(self) -> None:
+        """Drop all rows, whatever the file holds."""
+        self._write([])
 
     def _write(self, rows: list[dict[str, float]]) -> None:
-        with replacing(self.path) as temporary, temporary.open("w", newline="") as file:
+        with (
+            said(self.path),
+            replacing(self.path) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.DictWriter(file, self.columns)
             writer.writeheader()
             writer.writerows(_rounded(row) for row in rows)
@@ -50,56 +60,24 @@ class Metrics:
 def read(path: Path) -> list[dict[str, float]]:
     """Return the rows of a metrics file, without empty values and under present names."""
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return [_numbers(row) for row in csv.DictReader(file)]
+        return _rows(path.read_text(encoding="utf-8"))
     except (ValueError, TypeError, csv.Error) as error:  # bytes, words, or more cells than columns
         raise ConfigError(
             f"{path} is no table of numbers ({error}). Put it back, or move it away."
         ) from error
 
 
+def _rows(text: str) -> list[dict[str, float]]:
+    return [_numbers(row) for row in csv.DictReader(io.StringIO(text, newline=""))]
+
+
+def renamed(name: str) -> str:
+    """Return the present name of a column."""
+    return _RENAMED.get(name, name)
+
+
 def _numbers(row: Mapping[str, str]) -> dict[str, float]:
-    return {_RENAMED.get(key, key): float(value) for key, value in row.items() if value}
-
-
-def check(path: Path, columns: tuple[str, ...], step: float, logged: float | None) -> None:
-    """Refuse the metrics of a run to be resumed at `step` where rows before are damaged or lost.
-
-    logged: step of the last row before the checkpoint; None where it is not known
-    """
-    unit = columns[0].replace("_", " ")
-    if fault := _fault(path, columns, logged):
-        raise ConfigError(
-            f"{path} is damaged: {fault}. Put it back, or move it away: then a new one begins at "
-            f"{step:g} {unit}. The policy is not affected."
-        )
-    if logged is not None and not (path.is_file() and read(path)):
-        print(f"{path} has no rows: they begin at {step:g} {unit}", file=sys.stderr)
-
-
-def _fault(path: Path, columns: tuple[str, ...], logged: float | None) -> str:
-    """Return what is wrong with a metrics file; nothing where it is whole, missing or empty."""
-    if not path.is_file():
-        return ""
-    try:
-        rows = read(path)
-        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    except ConfigError:
-        return "it is no table of numbers"
-    head = [_RENAMED.get(name, name) for name in next(csv.reader(lines), [])]
-    if columns[0] not in head:
-        return f"its first line is not the names of columns, of which {columns[0]} is one"
-    if other := sorted(set(head) - set(columns)):
-        return f"it has a column {other[0]}, which this recipe does not write"
-    widths = [len(cells) for cells in csv.reader(lines)]
-    if not lines[-1].endswith("\n") or set(widths) != {len(head)}:
-        return "a line is cut off"
-    steps = [row.get(columns[0], math.nan) for row in rows]
-    if not all(map(math.isfinite, steps)):
-        return f"a row has no {columns[0]}"
-    if logged is not None and steps and max(steps) < logged:
-        return f"its rows end at {max(steps):g}, and were written up to {logged:g}"
-    return ""
+    return {renamed(key): float(value) for key, value in row.items() if value}
 
 
 def _rounded(row: Mapping[str, float]) -> dict[str, str]:

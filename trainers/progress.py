@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -60,7 +61,8 @@ class ProgressBar:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        with suppress(OSError):  # a terminal that was closed takes nothing, and training goes on
+            self._bar.stop()
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""
@@ -70,10 +72,11 @@ class ProgressBar:
         """Set the bar to a step."""
         self._step, self._total = step, total
         count = f"{step:,} / {total:,}"
-        self._bar.update(self._task, completed=step, total=total, count=count)
-        self._bar.note = self._note()
-        if not self._quiet and not self._screen.is_terminal:
-            self._log()
+        with suppress(OSError):
+            self._bar.update(self._task, completed=step, total=total, count=count)
+            self._bar.note = self._note()
+            if not self._quiet and not self._screen.is_terminal:
+                self._log()
 
     def show(self, row: Mapping[str, float]) -> None:
         """Show the returns and speed of a row of metrics."""

@@ -2,33 +2,46 @@
 
 <runs>/<recipe>-s<seed>-<date>-<time>/
     config.json          resolved configuration
+    SHA256SUMS           checksum of it
     versions.json        of Python, packages and source tree
     metrics.csv          one row for each logging interval
     curve.png            learning curve
     replay.safetensors   replay buffer of an unfinished run
     checkpoints/{last,best}.safetensors, each with a .json of its numbers to read
+
+A checkpoint is one file, which is replaced at once and holds the checksum of itself and those of
+the files that belong to it, so that at any moment one that is whole can be resumed.
 """
 
+import errno
+import hashlib
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.checksums import check_summed, write_summed
 from spikedeploy.trainers.config import C, RunConfig
 from spikedeploy.trainers.policies import Policy, build
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import validated
 from spikedeploy.trainers.versions import versions
+from spikedeploy.trainers.write_errors import said
 
 _POLICY = "policy."  # prefix of the policy's tensors
+_FOLDERS = ("checkpoints", "pool", "ghosts")  # of training, in a run folder
+# what `replacing` leaves of a file of training when it is killed; exports have other endings
+_UNFINISHED = re.compile(r"\.(.+\.(json|csv|safetensors|npz)|SHA256SUMS|curve\.png)\.\d+(\.part)?")
 
 
 class RunFolder:
@@ -45,10 +58,16 @@ class RunFolder:
         """Return a new folder with configuration and versions."""
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
         name = f"{_title(config)}-s{config.seed}-{stamp}"
-        run = cls(_unused(Path(runs) / name))
-        (run.path / "checkpoints").mkdir(parents=True)
-        run.write_config(config)
-        _write_json(run.path / "versions.json", versions())
+        try:
+            run = cls(_made(Path(runs) / name))
+            (run.path / "checkpoints").mkdir()
+        except OSError as error:
+            raise ConfigError(
+                f"cannot make a run folder in {runs}: {error.strerror}. Name another with --runs."
+            ) from error
+        with said(run.path / "versions.json"):
+            _write_json(run.path / "versions.json", versions())
+        run.write_config(config)  # last: it makes the folder a run
         return run
 
     @classmethod
@@ -64,6 +83,7 @@ class RunFolder:
 
     def settings(self) -> dict[str, Any]:
         """Return the configuration as written, for any algorithm."""
+        check_summed(self.path / "config.json")
         return _read_json(self.path / "config.json")
 
     def config(self, model: type[C]) -> C:
@@ -72,7 +92,9 @@ class RunFolder:
 
     def write_config(self, config: RunConfig) -> None:
         """Write the configuration."""
-        _write_json(self.path / "config.json", config.model_dump(mode="json"))
+        file = self.path / "config.json"
+        with said(file):
+            write_summed(file, _json(config.model_dump(mode="json")).encode())
 
     def checkpoint(self, name: str) -> Path:
         """Return the path of a checkpoint, whether or not it exists."""
@@ -88,6 +110,11 @@ class RunFolder:
         """Path of the replay buffer."""
         return self.path / "replay.safetensors"
 
+    @property
+    def next_replay(self) -> Path:
+        """Path of the replay buffer of the checkpoint that is being written."""
+        return self.path / "replay.next.safetensors"
+
     def save(
         self,
         name: str,
@@ -101,11 +128,20 @@ class RunFolder:
         everything = {
             key: value.contiguous() for key, value in {**weights, **(tensors or {})}.items()
         }
+        record["sha256"] = _digest(record, everything)
         path = self.checkpoint(name)
-        with replacing(path) as temporary:
-            # the state is part of the same file, so that the two always belong together
-            save_file(everything, temporary, metadata={"state": json.dumps(record)})
-        _write_json(path.with_suffix(".json"), record)
+        with said(path):
+            with replacing(path) as temporary:
+                # the state is part of the same file, so that the two always belong together
+                save_file(everything, temporary, metadata={"state": json.dumps(record)})
+            _write_json(path.with_suffix(".json"), record)
+
+    def settle(self, name: str, state: Mapping[str, Any]) -> None:
+        """Write the numbers to read of a checkpoint where a kill came before them."""
+        path = self.checkpoint(name).with_suffix(".json")
+        if not path.is_file() or path.read_text(encoding="utf-8") != _json(state):
+            with said(path):
+                _write_json(path, state)
 
     def load(self, name: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
         """Return state and tensors of a checkpoint."""
@@ -114,10 +150,51 @@ class RunFolder:
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
         try:
             with safe_open(path, "pt") as file:
-                state = json.loads(file.metadata()["state"])
-                return state, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        except (SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"{path} is not a valid checkpoint: {error}") from error
+                state: dict[str, Any] = json.loads(file.metadata()["state"])
+                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            # those of before have none
+            if state.get("sha256") not in (None, _digest(state, tensors)):
+                raise ValueError("its content does not have its checksum")
+        except (SafetensorError, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+            raise ConfigError(
+                f"{path} is not a valid checkpoint: {error}. {self._remedy(name)}"
+            ) from error
+        return state, tensors
+
+    def _remedy(self, name: str) -> str:
+        """Return what can be saved of a run whose checkpoint is damaged."""
+        others = sorted(path.stem for path in (self.path / "checkpoints").glob("*.safetensors"))
+        others = [each for each in others if each != name]
+        anew = "Put the file back, or train again"
+        if not others:
+            return f"{anew}."
+        saved = f"`spikedeploy export {self.path} --checkpoint {others[0]}`"
+        return f"{anew}; the checkpoint '{others[0]}' is a file of its own: {saved}."
+
+    def forget(self, counter: str, first: int) -> None:
+        """Delete what a run left that was killed before its first checkpoint "last".
+
+        counter: name of the step in checkpoints
+        first: steps after which a checkpoint is due
+        """
+        left = sorted((self.path / "checkpoints").glob("*.safetensors"))
+        for path in left:
+            # a validation may come just before the first checkpoint; this one is from long after
+            if self.load(path.stem)[0].get(counter, 0) >= 2 * first:
+                raise ConfigError(
+                    f"{self.checkpoint('last')} is missing, so that the run cannot be resumed: put "
+                    f"it back, or train again; `spikedeploy export {self.path} --checkpoint "
+                    f"{path.stem}` still has a policy."
+                )
+        for path in (*left, *(path.with_suffix(".json") for path in left)):
+            path.unlink(missing_ok=True)
+
+    def sweep(self) -> None:
+        """Delete unfinished files of processes that were killed; the run must be locked."""
+        for folder in (self.path, *(self.path / name for name in _FOLDERS)):
+            for path in folder.glob(".*"):
+                if _UNFINISHED.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
 
     def policy(self, name: str = "best") -> Policy:
         """Return the policy of a checkpoint, ready to act."""
@@ -145,10 +222,15 @@ def _title(config: RunConfig) -> str:
     return f"{config.recipe}-{re.sub(r'[^A-Za-z0-9.-]+', '-', config.env.name)}"
 
 
-def _unused(path: Path) -> Path:
-    """Return the path, with a number appended if it exists."""
-    candidates = (path.with_name(f"{path.name}-{k}") if k else path for k in range(1000))
-    return next(candidate for candidate in candidates if not candidate.exists())
+def _made(path: Path) -> Path:
+    """Make the folder, with a number appended if it exists, and return it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for k in range(1000):
+        named = path.with_name(f"{path.name}-{k}") if k else path
+        with suppress(FileExistsError):
+            named.mkdir()
+            return named
+    raise FileExistsError(errno.EEXIST, "exists, and so do 999 beside it", str(path))
 
 
 def _newest(runs: Path, recipe: str) -> Path:
@@ -175,6 +257,20 @@ def _read_json(path: Path) -> dict[str, Any]:
     return data
 
 
+def _json(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, indent=2) + "\n"
+
+
 def _write_json(path: Path, data: Mapping[str, Any]) -> None:
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(_json(data), encoding="utf-8")
+
+
+def _digest(state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
+    """Return the SHA-256 of everything that a checkpoint holds."""
+    numbers = {key: value for key, value in state.items() if key != "sha256"}
+    digest = hashlib.sha256(json.dumps(numbers).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()

@@ -7,14 +7,17 @@ from typing import Any, ClassVar, Generic, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from spikedeploy.trainers.adam import under
 from spikedeploy.trainers.config import C, RunConfig
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.journal import Journal
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.policies.normaliser import Moments
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.tables import Table
 from spikedeploy.trainers.validation import Validator, sparsities
 
 
@@ -72,6 +75,8 @@ class Runner(ABC, Generic[C]):
             self._resume()
             journal.rewind(self.step)
         else:
+            self._run.forget(self.COUNTERS[0], self._checkpoint_every)
+            self._forget()
             self._begin()
         if self.finished:
             return
@@ -116,6 +121,16 @@ class Runner(ABC, Generic[C]):
 
     def _begin(self) -> None:
         """Prepare a new run, as opposed to one that is resumed."""
+
+    def _forget(self) -> None:
+        """Empty what a run that was killed before its first checkpoint has written."""
+        for table in self.tables(self._run, self._config):
+            table.clear()
+
+    @classmethod
+    def tables(cls, run: RunFolder, config: RunConfig) -> list[Table]:
+        """Return the tables that training appends to, and a checkpoint must agree with."""
+        return [Table(run.metrics, cls.columns(config), "logged")]
 
     def _state(self) -> dict[str, Any]:
         """Return more numbers for the checkpoint "last"."""
@@ -171,9 +186,12 @@ class Runner(ABC, Generic[C]):
     def _checkpoint(self) -> None:
         """Save everything that resuming needs."""
         done = {"finished": self.finished, "share": self.share}
-        counters = {**self._counters(), "logged": self._logged, **done}
+        counters = {**self._counters(), "logged": self._logged, "returns": self._returns, **done}
         state = {**counters, **self._state(), "rng": self._rng.bit_generator.state}
-        self._run.save("last", self.policy, state, {**self.learner.tensors(), **self._tensors()})
+        tensors = {**self.learner.tensors(), **self._tensors(), "torch_rng": torch.get_rng_state()}
+        for table in self.tables(self._run, self._config):
+            table.flush()
+        self._run.save("last", self.policy, state, tensors)
 
     def _resume(self) -> None:
         """Restore the checkpoint "last"."""
@@ -181,14 +199,18 @@ class Runner(ABC, Generic[C]):
         self.learner.load(tensors)
         self.best = -np.inf if state["best"] is None else state["best"]
         self._logged = state.get("logged")
+        self._returns = state.get("returns", [])
         self._rng.bit_generator.state = state["rng"]
         self._restore(state, tensors)
+        if "torch_rng" in tensors:  # last, as restoring may draw; distillation lacked it before
+            torch.set_rng_state(tensors["torch_rng"])
+        self._run.settle("last", state)
 
 
 class EnvRunner(Runner[C]):
     """A run that counts environment steps and normalises by running moments.
 
-    env_steps, episodes: counters, continued by a resumed run; unfinished episodes start anew
+    env_steps, episodes: counters, continued by a resumed run
     """
 
     def __init__(
@@ -206,13 +228,23 @@ class EnvRunner(Runner[C]):
         self._returns, self._envs.returns = self._envs.returns, []
         self.episodes += len(self._returns)
 
+    def episode_begun(self, k: int) -> None:
+        """Forget what copy k did: its episode begins, when a run is resumed."""
+
+    def step_repeated(
+        self, k: int, action: NDArray[Any], reward: float, info: Mapping[str, Any]
+    ) -> None:
+        """Take a step of copy k into account that is repeated when a run is resumed."""
+
     def _state(self) -> dict[str, Any]:
-        return {"finished": self.finished, "observed": self._moments.count}
+        return {"observed": self._moments.count, "under_way": self._envs.state()}
 
     def _tensors(self) -> dict[str, Tensor]:
-        return {**self._moments.tensors(), "torch_rng": torch.get_rng_state()}
+        under_way = {f"under_way.{name}": t for name, t in self._envs.tensors().items()}
+        return {**self._moments.tensors(), **under_way}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self.env_steps, self.episodes = state["env_steps"], state["episodes"]
         self._moments = Moments.restored(tensors, state["observed"])
-        torch.set_rng_state(tensors["torch_rng"])
+        if "under_way" in state:  # in checkpoints of before, episodes under way were not kept
+            self._envs.restore(state["under_way"], under("under_way", dict(tensors)), self)

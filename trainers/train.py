@@ -5,13 +5,10 @@ An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 
 import json
 import shutil
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import torch
@@ -19,15 +16,18 @@ import torch
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
-from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.checksums import write_summed
 from spikedeploy.trainers.config import RunConfig
+from spikedeploy.trainers.interrupt import Interrupt
 from spikedeploy.trainers.journal import Journal
 from spikedeploy.trainers.progress import ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import amended, known, resolve
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.run_lock import locked
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.budget import with_budget
+from spikedeploy.trainers.write_errors import said
 
 
 def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config
@@ -47,7 +47,7 @@ def train(
     resume: str | Path | None = None,
     runs: str | Path = "runs",
     quiet: bool = False,
-    interrupt: "Interrupt | None" = None,
+    interrupt: Interrupt | None = None,
 ) -> Path:
     """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
@@ -66,26 +66,41 @@ def train(
         raise ConfigError("name a recipe to train, or a run to resume")
     kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe")].algorithm)
     overrides = [*_named(recipe, env), *overrides]
-    if resume is None:
-        config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
-        config = config if budget is None else with_budget(config, budget)
-        _check_env(config)
-        run = RunFolder.create(runs, config)
-        with _removed_if_refused(run):
-            _learn(kind(config, run), config, run, quiet, stopped)
-    else:
+    if resume is not None:
         run = RunFolder.find(resume, runs, recipe)
-        if (recipe_of_run := run.settings()["recipe"]) != recipe:
-            raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
-        if env not in (None, there := run.settings()["env"]["name"]):
-            raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
-        config = amended(run.config(kind.Config), file=config_file, overrides=overrides)
-        config = config if budget is None else with_budget(config, budget)
-        _check_metrics(run, kind, config)
-        with _written(run, config):
-            runner = kind(config, run)
-        _learn(runner, config, run, quiet, stopped)
+        with locked(run.path):
+            runner, config = _resumed(run, kind, recipe, env, config_file, overrides, budget)
+            _learn(runner, config, run, quiet, stopped)
+        return run.path
+    config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
+    config = config if budget is None else with_budget(config, budget)
+    _check_env(config)
+    run = RunFolder.create(runs, config)
+    with locked(run.path), _removed_if_refused(run):
+        _learn(kind(config, run), config, run, quiet, stopped)
     return run.path
+
+
+def _resumed(
+    run: RunFolder,
+    kind: Any,  # noqa: ANN401 - see `algorithm`
+    recipe: str,
+    env: str | None,
+    file: str | Path | None,
+    overrides: Iterable[str],
+    budget: str | None,
+) -> tuple[Runner[Any], RunConfig]:
+    """Return the runner of a run to be resumed, and its configuration, which is written."""
+    if (recipe_of_run := run.settings()["recipe"]) != recipe:
+        raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
+    if env not in (None, there := run.settings()["env"]["name"]):
+        raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
+    config = amended(run.config(kind.Config), file=file, overrides=overrides)
+    config = config if budget is None else with_budget(config, budget)
+    run.sweep()
+    _check_tables(run, kind, config)
+    with _written(run, config):
+        return kind(config, run), config
 
 
 def _named(recipe: str, env: str | None) -> list[str]:
@@ -133,23 +148,22 @@ def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
     try:
         yield
     except Exception:
-        with replacing(file) as part:
-            part.write_bytes(before)
+        write_summed(file, before)
         raise
 
 
-def _check_metrics(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
-    """Refuse a run to be resumed whose metrics are damaged."""
+def _check_tables(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
+    """Refuse a run to be resumed whose tables are damaged; one without a checkpoint starts anew."""
     if run.checkpoint("last").is_file():
         state, _ = run.load("last")
-        step = state[kind.COUNTERS[0]]
-        metrics.check(run.metrics, kind.columns(config), step, state.get("logged"))
+        for table in kind.tables(run, config):
+            table.check(state[kind.COUNTERS[0]], state)
 
 
 def _learn(
-    runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool, stopped: "Interrupt"
+    runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool, stopped: Interrupt
 ) -> None:
-    """Run the algorithm under a progress bar until it ends or Ctrl-C, then draw its curve."""
+    """Run the algorithm under a progress bar until it ends or is stopped, then draw its curve."""
     with ProgressBar(run.path.name, quiet) as bar, stopped.acknowledged(bar, quiet):
         journal = Journal(run, runner.columns(config), bar)
         try:
@@ -157,46 +171,5 @@ def _learn(
         finally:
             journal.close()
     stopped.share = None if runner.finished else runner.share
-    metrics.draw_curve(run.metrics, run.path / "curve.png", run.path.name)
-
-
-class Interrupt:
-    """While entered, Ctrl-C (SIGINT) requests a stop; a second one interrupts at once.
-
-    requested: whether it was pressed
-    share: part of the training that is done, where it stopped before its end
-    """
-
-    def __init__(self) -> None:
-        self.requested = False
-        self.share: float | None = None
-        self._before: Any = None
-        self._say: Callable[[str], None] | None = None
-
-    def __call__(self) -> bool:
-        """Return whether a stop was requested."""
-        return self.requested
-
-    @contextmanager
-    def acknowledged(self, bar: ProgressBar, quiet: bool) -> Iterator[None]:
-        """Say beside the bar that it was pressed, at once."""
-        self._say = None if quiet else bar.say
-        with self:
-            yield
-        self._say = None
-
-    def __enter__(self) -> "Interrupt":
-        if threading.current_thread() is threading.main_thread():  # elsewhere Python forbids it
-            self._before = signal.signal(signal.SIGINT, self._request)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
-        if self._say is not None:
-            self._say("stopping after this step … (Ctrl-C again stops at once)")
+    with said(run.path / "curve.png"):
+        metrics.draw_curve(run.metrics, run.path / "curve.png", run.path.name)

@@ -1,6 +1,7 @@
 """`train`, `visualize`, `export` and `publish`: from a recipe to a shipped policy."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -114,7 +115,7 @@ def run_training(
     remark: Callable[[Path], str] = lambda run: "",
     **settings: Any,  # noqa: ANN401
 ) -> None:
-    """Train; print where the run is, and what to do next; after Ctrl-C, exit with 130.
+    """Train; print where the run is, and what to do next; stopped by a signal, exit with its code.
 
     remark    line on a training that ended
     settings  more arguments of trainers.train.train
@@ -123,7 +124,7 @@ def run_training(
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.console import print_json, say
     from spikedeploy.shipping.exported_run import trained_in
-    from spikedeploy.trainers.train import Interrupt
+    from spikedeploy.trainers.interrupt import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
@@ -133,8 +134,9 @@ def run_training(
     if interrupt.share is not None:
         where = "" if runs == _RUNS else f" --runs {runs}"
         again = f"go on with `spikedeploy train --resume last{where}`"
-        say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
-        raise typer.Exit(130)
+        with suppress(OSError):  # of a terminal that was closed
+            say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
+        raise typer.Exit(interrupt.exit_code)
     if not json:
         env = trained_in(str(run))
         typer.echo(f"trained: {run}\n{remark(run)}next: spikedeploy compare {env} {run}")

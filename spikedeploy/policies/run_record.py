@@ -8,11 +8,13 @@ from typing import Any
 from spikedeploy.policies.interface import env_id
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.checksums import check_summed
 from spikedeploy.trainers.versions import own
 
 
 def settings(run: Path) -> dict[str, Any]:
     """The resolved configuration of a run."""
+    check_summed(run / "config.json")
     return _read(run / "config.json")
 
 

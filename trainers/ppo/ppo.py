@@ -8,15 +8,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.journal import Journal
 from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.ppo.batch import Transition
 from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.ppo.episodes import EpisodeLog, GhostLog, has_poses
+from spikedeploy.trainers.ppo.episodes import EpisodeLog, GhostLog, episode_table, has_poses
 from spikedeploy.trainers.ppo.learner import PpoLearner
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import EnvRunner
+from spikedeploy.trainers.tables import Table
 
 
 class Ppo(EnvRunner[PpoConfig]):
@@ -74,10 +76,20 @@ class Ppo(EnvRunner[PpoConfig]):
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
         """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
-        self._log = EpisodeLog(self._run.path / "episodes.csv", len(self._envs))
+        self._log = EpisodeLog(self._run.path, len(self._envs))
         if self._config.ghosts and has_poses(self._envs):
             self._ghosts = GhostLog(self._run.path / "ghosts", self._envs, self._config.env)
         super().learn(journal, stopped)
+
+    def _forget(self) -> None:
+        super()._forget()
+        if self._ghosts:
+            self._ghosts.rewind(0)
+
+    @classmethod
+    def tables(cls, run: RunFolder, config: RunConfig) -> list[Table]:
+        """Return the tables that training appends to, and a checkpoint must agree with."""
+        return [*super().tables(run, config), episode_table(run.path)]
 
     @property
     def finishes(self) -> int:
@@ -147,11 +159,33 @@ class Ppo(EnvRunner[PpoConfig]):
         names = ("env_steps", "iterations", "episodes", "finishes")
         return {**{name: getattr(self, name) for name in names}, **self._learned}
 
+    def _state(self) -> dict[str, Any]:
+        return {**super()._state(), "episode_logged": self._log.latest if self._log else None}
+
+    def episode_begun(self, k: int) -> None:
+        """Forget what copy k did: its episode begins, when a run is resumed."""
+        self._totals[k] = 0.0
+        if self._log:
+            self._log.begin(k)
+        if self._ghosts:
+            self._ghosts.begin(k)
+
+    def step_repeated(
+        self, k: int, action: NDArray[Any], reward: float, info: Mapping[str, Any]
+    ) -> None:
+        """Take a step of copy k into account that is repeated when a run is resumed."""
+        self._totals[k] += reward
+        if self._log:
+            self._log.repeat(k, reward)
+        if self._ghosts:
+            self._ghosts.repeat(k, action, reward, info)
+
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
         self.iterations, self.held = state["iterations"], state.get("held", 0)
         if self._log:
             self._log.finishes = state["finishes"]
+            self._log.latest = state.get("episode_logged")
             self._log.rewind(self.env_steps)
         if self._ghosts:
             self._ghosts.rewind(self.iterations)

@@ -6,11 +6,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.checksums import of_file
+from spikedeploy.trainers.write_errors import said
 
 
 @dataclass(frozen=True)
@@ -72,12 +75,14 @@ class ReplayBuffer:
         observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
         return ReplayBatch(observation, action, reward[:, 0], terminated[:, 0], following)
 
-    def save(self, path: Path) -> None:
-        """Write the transitions held, oldest first."""
+    def save(self, path: Path) -> str:
+        """Write the transitions held, oldest first; return the file's checksum."""
         start = self.next if self.size == len(self.rows) else 0
         held = np.concatenate([self.rows[start : self.size], self.rows[:start]])
-        with replacing(path) as temporary:
-            save_file({"rows": held}, temporary)
+        with said(path):
+            with replacing(path) as temporary:
+                save_file({"rows": held, "next": np.array([self.next])}, temporary)
+            return of_file(path)
 
     def load(self, path: Path) -> None:
         """Load the transitions of a file; if there are too many, the newest."""
@@ -86,13 +91,37 @@ class ReplayBuffer:
                 f"{path} is missing: resuming a run needs its replay, which a finished run no "
                 "longer has. Start a new run with more steps."
             )
-        held = load_file(path)["rows"]
+        held, place = _read(path)
         if held.shape[1] != self.rows.shape[1]:
             raise ConfigError(
                 f"{path} holds transitions of {held.shape[1]} numbers, this task has "
                 f"{self.rows.shape[1]}: was it written for another environment?"
             )
-        held = held[-len(self.rows) :]
-        self.rows[: len(held)] = held
+        capacity = len(self.rows)
+        held = held[-capacity:]
+        # in a full ring each transition takes its place again, as updates draw places
+        self.next = place % capacity if len(held) == capacity else len(held) % capacity
+        first = self.next if len(held) == capacity else 0
+        self.rows[first : len(held)] = held[: len(held) - first]
+        self.rows[:first] = held[len(held) - first :]
         self.size = len(held)
-        self.next = self.size % len(self.rows)
+
+
+def _read(path: Path) -> tuple[NDArray[np.float32], int]:
+    """Return the rows of a file, and the place of the next one; 0 in files of before."""
+    try:
+        arrays = load_file(path)
+        rows = arrays["rows"]
+        if rows.ndim != 2 or rows.dtype != np.float32:
+            raise ValueError(f"its rows are {rows.dtype} {rows.shape}")
+        return rows, int(arrays["next"][0]) if "next" in arrays else 0
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise ConfigError(damaged(path, str(error))) from error
+
+
+def damaged(path: Path, why: str) -> str:
+    """Return what to say of a replay that is damaged."""
+    return (
+        f"{path} is damaged: {why}. The run cannot go on without it: put it back, or train again; "
+        f"its policies are whole: `spikedeploy export {path.parent}`."
+    )

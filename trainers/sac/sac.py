@@ -1,5 +1,6 @@
 """Soft actor-critic (Haarnoja et al. 2018): a run of it."""
 
+import os
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -7,14 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.atomic import flush
+from spikedeploy.trainers.checksums import of_file
 from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import EnvRunner
 from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.cuda import CudaLearner, CudaReplay
 from spikedeploy.trainers.sac.learner import SacLearner
-from spikedeploy.trainers.sac.replay import ReplayBuffer
+from spikedeploy.trainers.sac.replay import ReplayBuffer, damaged
 from spikedeploy.trainers.sac.shaping import check_shaping, shaped
+from spikedeploy.trainers.write_errors import said
 
 
 class Sac(EnvRunner[SacConfig]):
@@ -63,7 +68,8 @@ class Sac(EnvRunner[SacConfig]):
         capacity = min(config.buffer, config.steps)
         self._buffer = (CudaReplay if gpu else ReplayBuffer)(capacity, *sizes)
         self.updates = 0
-        self._losses: Mapping[str, Tensor] = {}
+        self._losses: Mapping[str, Tensor | float] = {}
+        self._replay_sum: str | None = None  # checksum of the replay of the last checkpoint
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         self._collect()
@@ -125,17 +131,38 @@ class Sac(EnvRunner[SacConfig]):
             **{name: float(loss) for name, loss in self._losses.items()},
         }
 
+    def _state(self) -> dict[str, Any]:
+        losses = {name: float(loss) for name, loss in self._losses.items()}
+        return {**super()._state(), "losses": losses, "replay_sha256": self._replay_sum}
+
     def _checkpoint(self) -> None:
         """Save everything that resuming needs; a finished run needs no replay."""
         self.learner.settle()
-        if not self.finished:
-            self._buffer.save(self._run.replay)
+        self._replay_sum = None if self.finished else self._buffer.save(self._run.next_replay)
+        # from here to the next line, a kill leaves this checkpoint's replay under its other name
         super()._checkpoint()
-        if self.finished:
-            self._run.replay.unlink(missing_ok=True)
+        self._take_replay(self._replay_sum)
+
+    def _take_replay(self, checksum: str | None) -> None:
+        """Give the replay of the last checkpoint its name; delete it where there is none."""
+        run = self._run
+        with said(run.replay):
+            if checksum is None:
+                run.replay.unlink(missing_ok=True)
+            elif run.next_replay.is_file() and of_file(run.next_replay) == checksum:
+                os.replace(run.next_replay, run.replay)
+                flush(run.path)
+            run.next_replay.unlink(missing_ok=True)
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
-        self.updates = state["updates"]
-        if not self.finished:
-            self._buffer.load(self._run.replay)
+        self.updates, self._losses = state["updates"], state.get("losses", {})
+        checksum = state.get("replay_sha256")
+        if "replay_sha256" in state:  # not in checkpoints of before
+            self._take_replay(checksum)
+        if self.finished:
+            return
+        if checksum and self._run.replay.is_file() and of_file(self._run.replay) != checksum:
+            why = "its content does not have the checksum in checkpoints/last"
+            raise ConfigError(damaged(self._run.replay, why))
+        self._buffer.load(self._run.replay)

@@ -15,6 +15,8 @@ from torch import Tensor
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.checksums import of_file
+from spikedeploy.trainers.write_errors import said
 
 Single = NDArray[np.float32]
 
@@ -179,17 +181,19 @@ class WalkPool:
         return np.stack(padded, axis=1)
 
 
-def save_walks(walks: list[Walk], path: Path) -> None:
-    """Write walks as a safetensors file, atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+def save_walks(walks: list[Walk], path: Path) -> str:
+    """Write walks as a safetensors file, atomically; return its checksum."""
     arrays = {
         "observation": np.concatenate([walk.observation for walk in walks]),
         "label": np.concatenate([walk.label for walk in walks]),
         "length": np.array([len(walk.label) for walk in walks]),
         "crashed": np.array([walk.crashed for walk in walks]),
     }
-    with replacing(path) as temporary:
-        save_file(arrays, temporary)
+    with said(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            save_file(arrays, temporary)
+        return of_file(path)
 
 
 def load_walks(path: Path) -> list[Walk]:

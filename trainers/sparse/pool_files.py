@@ -7,6 +7,7 @@ import numpy as np
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.checksums import of_file
 from spikedeploy.trainers.distill.teachers import same_teacher
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
@@ -20,14 +21,26 @@ def pool_file(run: Path, number: int) -> Path:
     return run / "pool" / f"{number:03d}.safetensors"
 
 
-def collected(run: Path, count: int, sizes: Sizes) -> list[Walk]:
-    """Return the walks of a run's first `count` collections, which it needs to be resumed."""
+def pool_files(run: Path, count: int) -> list[Path]:
+    """Return the files of a run's first `count` collections, which it needs to be resumed."""
     files = [pool_file(run, number) for number in range(count)]
     if lost := [path for path in files if not path.is_file()]:
         raise ConfigError(
             f"{lost[0]} is missing: {run} has learned from its walks and cannot go on without "
             "them. Put the file back, or train again."
         )
+    return files
+
+
+def collected(files: list[Path], sums: list[str], sizes: Sizes) -> list[Walk]:
+    """Return the walks of files that have these checksums."""
+    for path, checksum in zip(files, sums, strict=True):
+        if of_file(path) != checksum:
+            raise ConfigError(
+                f"{path} is damaged: its content does not have the checksum in checkpoints/last. "
+                "Put the file back, or train again; the policies of the run are whole: "
+                f"`spikedeploy export {path.parent.parent}`."
+            )
     return [walk for path in files for walk in _fitting(path, sizes)]
 
 

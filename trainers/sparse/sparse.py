@@ -16,6 +16,7 @@ from torch import Tensor
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.checksums import of_file
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
@@ -28,7 +29,7 @@ from spikedeploy.trainers.sparse.learner import SparseLearner
 from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
 from spikedeploy.trainers.sparse.phases import LEVEL, phases
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, save_walks
-from spikedeploy.trainers.sparse.pool_files import collected, pool_file, walks_of
+from spikedeploy.trainers.sparse.pool_files import collected, pool_file, pool_files, walks_of
 from spikedeploy.trainers.sparse.pruning import operations
 from spikedeploy.trainers.sparse.rounding import check_rounding, deployed, rounding_offsets
 from spikedeploy.trainers.sparse.steps import binary_columns, retuned, tuned_thresholds
@@ -96,6 +97,7 @@ class Sparse(Runner[SparseConfig]):
         self._episodes = Episodes(config.env, _TOGETHER, config.validation.limit)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
+        self._sums: list[str] = []  # checksums of the files of walks
         self.teacher_return = np.nan
         self._loss = math.nan
 
@@ -185,7 +187,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _keep(self, walks: list[Walk]) -> None:
         # over what a run that was killed may have left after its last checkpoint
-        save_walks(walks, pool_file(self._run.path, self.collections))
+        self._sums.append(save_walks(walks, pool_file(self._run.path, self.collections)))
         self.collections += 1
         self.pool.add(walks)
 
@@ -260,12 +262,17 @@ class Sparse(Runner[SparseConfig]):
             "neurons": self._student.neurons,
         }
 
+    def _state(self) -> dict[str, Any]:
+        return {"pool_sha256": self._sums}
+
     def _tensors(self) -> dict[str, Tensor]:
         return {"binary": torch.from_numpy(self._binary)}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         for name in self.COUNTERS:
             setattr(self, name, state[name])
-        self.pool.add(collected(self._run.path, self.collections, self._sizes))
+        files = pool_files(self._run.path, self.collections)
+        self._sums = state.get("pool_sha256") or [of_file(path) for path in files]
+        self.pool.add(collected(files, self._sums, self._sizes))
         self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool)

@@ -144,10 +144,10 @@ class SparsePpo(Runner[SparsePpoConfig]):
     def _metrics(self) -> dict[str, float]:
         return {"iterations": self.iterations, "env_steps": self.env_steps, **self._learned}
 
-    def _tensors(self) -> dict[str, Tensor]:
-        return {"torch_rng": torch.get_rng_state()}
+    def _state(self) -> dict[str, Any]:
+        return {"first": self._first}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self.iterations, self.env_steps = state["iterations"], state["env_steps"]
         self.start_return, self.allowed = state["start_return"], state["allowed"]
-        torch.set_rng_state(tensors["torch_rng"])
+        self._first = state.get("first", {})  # its row, where a stop came before the first report

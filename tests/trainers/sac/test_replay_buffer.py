@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.sac.replay import ReplayBuffer
@@ -43,14 +44,50 @@ def test_a_batch_may_wrap_around_the_end():
     assert held(buffer) == [2, 3, 4, 5]
 
 
-def test_what_is_saved_comes_back_oldest_first(tmp_path):
+@pytest.mark.parametrize("count", [3, 4, 6, 7])
+def test_what_is_saved_comes_back_in_its_places(count, tmp_path):
     buffer, copy = ReplayBuffer(4, 3, 2), ReplayBuffer(4, 3, 2)
-    fill(buffer, range(6))
+    fill(buffer, range(count))
     buffer.save(tmp_path / "replay.safetensors")
     copy.load(tmp_path / "replay.safetensors")
-    assert list(copy.rows[:, 0]) == [2, 3, 4, 5]
+    for each in (9, 10):
+        assert np.array_equal(copy.rows, buffer.rows)
+        assert (copy.size, copy.next) == (buffer.size, buffer.next)
+        fill(buffer, [each])
+        fill(copy, [each])
+
+
+def test_what_is_saved_comes_back_oldest_first_in_a_ring_of_another_size(tmp_path):
+    buffer = ReplayBuffer(4, 3, 2)
+    fill(buffer, range(6))
+    buffer.save(tmp_path / "replay.safetensors")
+    for capacity, expected in ((3, [3, 4, 5]), (6, [2, 3, 4, 5])):
+        copy = ReplayBuffer(capacity, 3, 2)
+        copy.load(tmp_path / "replay.safetensors")
+        assert held(copy) == expected
     fill(copy, [6])
-    assert held(copy) == [3, 4, 5, 6]
+    assert held(copy) == [2, 3, 4, 5, 6]
+
+
+def test_a_replay_of_before_comes_back_oldest_first(tmp_path):
+    buffer, copy = ReplayBuffer(4, 3, 2), ReplayBuffer(4, 3, 2)
+    fill(buffer, range(4))
+    save_file({"rows": buffer.rows}, tmp_path / "replay.safetensors")
+    copy.load(tmp_path / "replay.safetensors")
+    fill(copy, [6])
+    assert held(copy) == [1, 2, 3, 6]
+
+
+@pytest.mark.parametrize("part", [0.0, 0.5])
+def test_a_replay_that_is_cut_off_is_named_with_what_can_be_saved(part, tmp_path):
+    buffer, path = ReplayBuffer(4, 3, 2), tmp_path / "replay.safetensors"
+    fill(buffer, range(4))
+    buffer.save(path)
+    path.write_bytes(path.read_bytes()[: int(part * path.stat().st_size)])
+    with pytest.raises(
+        ConfigError, match=r"replay\.safetensors is damaged.*its policies are whole"
+    ):
+        ReplayBuffer(4, 3, 2).load(path)
 
 
 def test_only_the_filled_part_is_written(tmp_path):

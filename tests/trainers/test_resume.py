@@ -1,0 +1,203 @@
+"""A training that was stopped or killed ends with the files of one that was not."""
+
+import json
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+from benchmarks.kill_compare import differences
+from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.interrupt import Interrupt
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import Runner
+from spikedeploy.trainers.sac.sac import Sac
+from spikedeploy.trainers.train import train
+from tests.paths import ROOT
+from tests.toy_pointing_env import PointingEnv
+from tests.toy_quadrant_env import QuadrantEnv
+
+SAC = [
+    "steps=300", "warm_up=40", "batch=8", "policy.hidden=[8]", "critic_hidden=[8]", "buffer=70",
+    "log_every=35", "checkpoint_every=60", "validation.every=80", "validation.limit=5",
+    "learn_temperature=true", "env.count=3",
+]  # fmt: skip
+PPO = [
+    "steps=600", "horizon=7", "checkpoint_every=60", "validation.every=90", "env.count=3",
+    "policy.hidden=[8]", "running_total=true",
+]  # fmt: skip
+CASES = {"smoke": (SAC, PointingEnv), "smoke-kart": (PPO, QuadrantEnv)}
+KART = ["steps=384", "checkpoint_every=128", "horizon=32"]
+
+
+class After(Interrupt):
+    """A stop that is requested by the n-th time that it is asked for."""
+
+    def __init__(self, count):
+        super().__init__()
+        self.left = count
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0
+
+
+class Killed(BaseException):
+    """What a test raises where a process would be killed."""
+
+
+@pytest.fixture(params=CASES)
+def case(request, monkeypatch):
+    settings, env = CASES[request.param]
+    monkeypatch.setattr(envs, "make", lambda name, **options: env())
+    return request.param, settings
+
+
+@pytest.fixture
+def sac(monkeypatch):
+    monkeypatch.setattr(envs, "make", lambda name, **options: PointingEnv())
+
+
+def trained(recipe, settings, runs):
+    return train(recipe, overrides=settings, runs=runs, quiet=True)
+
+
+def resumed(run):
+    return train(None, resume=run, quiet=True)
+
+
+def kill(run, monkeypatch, place, count):
+    """Resume or begin a run, and kill it when it calls a method for the n-th time."""
+    owner, name = place
+    left, method = [count], getattr(owner, name)
+
+    def killed(*arguments, **named):
+        left[0] -= 1
+        if left[0] == 0:
+            raise Killed
+        return method(*arguments, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, killed)
+        with pytest.raises(Killed):
+            run()
+
+
+@pytest.mark.parametrize("stops", [(3,), (11, 1, 30), (0, 24)])
+def test_a_stopped_run_ends_with_the_same_files(stops, case, tmp_path):
+    whole = trained(*case, tmp_path / "whole")
+    part = train(*case[:1], overrides=case[1], runs=tmp_path, quiet=True, interrupt=After(stops[0]))
+    for count in stops[1:]:
+        train(None, resume=part, quiet=True, interrupt=After(count))
+    resumed(part)
+    assert differences(whole, part) == []
+
+
+def test_ghosts_and_episodes_go_on_where_a_kart_was(tmp_path):
+    whole = trained("smoke-kart", KART, tmp_path / "whole")
+    part = train("smoke-kart", overrides=KART, runs=tmp_path, quiet=True, interrupt=After(3))
+    assert json.loads((part / "checkpoints" / "last.json").read_text())["env_steps"] < 384
+    resumed(part)
+    assert differences(whole, part) == []
+    assert list((part / "ghosts").glob("*.npz"))
+
+
+# two files cannot be replaced at once: the replay first has another name
+@pytest.mark.parametrize(
+    "place",
+    [(RunFolder, "save"), (Sac, "_take_replay"), (RunFolder, "settle")],
+    ids=["before-the-checkpoint", "before-its-replay-is-renamed", "while-resuming"],
+)
+def test_a_kill_while_a_checkpoint_is_written_loses_nothing(place, sac, tmp_path, monkeypatch):
+    whole = trained("smoke", SAC, tmp_path / "whole")
+    runs = tmp_path / "part"
+    train("smoke", overrides=SAC, runs=runs, quiet=True, interrupt=After(50))
+    (part,) = runs.iterdir()
+    for count in (1, 1, 2) if place[1] != "settle" else (1, 1):
+        kill(lambda: resumed(part), monkeypatch, place, count)
+    resumed(part)
+    assert differences(whole, part) == []
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_begins_anew(case, tmp_path, monkeypatch):
+    whole = trained(*case, tmp_path / "whole")
+    runs, reports = tmp_path / "part", {"smoke": 19, "smoke-kart": 3}[case[0]]
+    kill(lambda: trained(*case, runs), monkeypatch, (Runner, "_report"), reports)
+    (part,) = runs.iterdir()
+    assert (part / "metrics.csv").read_text().count("\n") > 1
+    (part / "metrics.csv").write_bytes(b"\x00 and whatever else a power cut leaves")
+    assert not RunFolder(part).checkpoint("last").is_file()
+    resumed(part)
+    assert differences(whole, part) == []
+
+
+def test_a_run_whose_last_checkpoint_is_gone_does_not_begin_anew(sac, tmp_path):
+    run = RunFolder(trained("smoke", [*SAC, "checkpoint_every=20"], tmp_path))
+    run.checkpoint("last").unlink()
+    with pytest.raises(ConfigError, match=r"last\.safetensors is missing.*--checkpoint best"):
+        resumed(run.path)
+    assert run.checkpoint("best").is_file()
+
+
+class Restless(PointingEnv):
+    """Draws what no seed decides."""
+
+    def _draw(self):
+        return np.random.default_rng().uniform(-0.8, 0.8, 2)
+
+
+def test_an_environment_that_does_not_repeat_itself_is_named(tmp_path, monkeypatch, capsys):
+    made = gymnasium.make("CartPole-v1").spec
+    monkeypatch.setattr(Restless, "spec", made, raising=False)
+    monkeypatch.setattr(envs, "make", lambda name, **options: Restless())
+    run = train("smoke", overrides=SAC, runs=tmp_path, quiet=True, interrupt=After(43))
+    capsys.readouterr()
+    resumed(run)
+    assert "CartPole-v1 did not repeat the episodes under way" in capsys.readouterr().err
+    assert json.loads((run / "checkpoints" / "last.json").read_text())["finished"]
+
+
+def test_episodes_begin_anew_in_an_environment_that_was_exchanged(sac, tmp_path, capsys):
+    run = train("smoke", overrides=SAC, runs=tmp_path, quiet=True, interrupt=After(43))
+    train(None, resume=run, overrides=["env.count=2", "steps=302"], quiet=True)
+    assert json.loads((run / "checkpoints" / "last.json").read_text())["finished"]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_checkpoint_of_before_is_resumed(sac, tmp_path):
+    path = train("smoke", overrides=SAC, runs=tmp_path, quiet=True, interrupt=After(43))
+    run = RunFolder(path)
+    state, tensors = run.load("last")
+    for key in ("under_way", "losses", "returns", "replay_sha256", "sha256"):
+        del state[key]
+    others = {
+        key: tensor
+        for key, tensor in tensors.items()
+        if not key.startswith(("policy.", "under_way."))
+    }
+    run.save("last", run.policy("last"), state, others)
+    (path / "SHA256SUMS").unlink()
+    resumed(path)
+    assert json.loads((path / "checkpoints" / "last.json").read_text())["finished"]
+
+
+def test_a_training_that_is_really_killed_ends_with_the_same_files():
+    done = subprocess.run(
+        [sys.executable, "benchmarks/kill.py", "--kills", "2", "--only", "ppo-mlp", "distill-snn",
+         "--json"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)
+    assert [row["kills"] for row in rows] == [2, 2]
+    assert not any(row["differences"] for row in rows)
+
+
+def test_a_run_folder_has_its_versions_before_it_counts_as_one(sac, tmp_path, monkeypatch):
+    kill(lambda: trained("smoke", SAC, tmp_path), monkeypatch, (RunFolder, "write_config"), 1)
+    (part,) = tmp_path.iterdir()
+    assert (part / "versions.json").is_file()
+    assert not (part / "config.json").exists()
