@@ -103,7 +103,8 @@ def _job(seed: int, folder: Path, logs: Path, arguments: Mapping[str, Any]) -> J
 
 def perform(place: str, **arguments: Any) -> bool:  # noqa: ANN401
     """Train (a job of `workers`), and write into the file `place` where; False if interrupted."""
-    from spikedeploy.trainers.train import Interrupt, train
+    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.train import train
 
     interrupt = Interrupt()
     run = train(quiet=True, interrupt=interrupt, **arguments)
