@@ -131,7 +131,8 @@ def exported(folder: Path) -> None:
 
 def rows(folder: Path) -> None:
     """The rows of its metrics."""
-    metrics.read(folder / "metrics.csv")
+    if (folder / "metrics.csv").is_file():
+        metrics.read(folder / "metrics.csv")
 
 
 def ghosts(folder: Path) -> None:

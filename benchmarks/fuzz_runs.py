@@ -122,7 +122,7 @@ def serve(pipe: Connection, corpus: list[Path], seed: int, folder: Path, name: s
         copy = folder / f"file{path.suffix}"
         shutil.copytree(path, copy) if path.is_dir() else shutil.copyfile(path, copy)
         attempt(copy, np.random.default_rng(0))
-    libraries = _resident("VmRSS")
+    libraries = resident("VmRSS")
     while number is not None:
         pipe.send(tried(number, corpus, seed, folder, name, libraries))
         number = pipe.recv()
@@ -147,7 +147,7 @@ def tried(
     except BaseException as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         violation = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
-    seconds, megabytes = _cpu() - began, _resident("VmHWM") - libraries
+    seconds, megabytes = _cpu() - began, resident("VmHWM") - libraries
     if seconds > CPU_SECONDS or megabytes > MEGABYTES:
         violation = violation or f"{seconds:.1f} s, {megabytes:.0f} MB"
     return Outcome(number, source.name, damage, read, refused, violation, seconds, megabytes)
@@ -171,7 +171,7 @@ def _forget_highest() -> None:
         clear.write_text("5")
 
 
-def _resident(field: str) -> float:
+def resident(field: str) -> float:
     """Resident memory [MB] of this process: VmRSS now, VmHWM at most since the reset."""
     status = Path("/proc/self/status")
     if status.exists():

@@ -12,7 +12,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.hdf5_limits import budget
 from spikedeploy.runtime.artifact.nir_data import EXPANSION, FREE, is_nir_data, read_nir_data
 from spikedeploy.runtime.errors import ObservationError
-from spikedeploy.runtime.graph.ports import ports
+from spikedeploy.runtime.graph.ports import check_unmasked, ports
 
 Raster = NDArray[Any]
 
@@ -98,9 +98,5 @@ def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raste
 
 def as_raster(found: object) -> Raster:
     """The raster (T, *shape) that an array is, in the type that a file of it would have."""
-    if isinstance(found, np.ma.MaskedArray) and np.ma.getmaskarray(found).any():
-        raise ObservationError(
-            "the raster has masked values, which nothing says what to do with. Fill them, such as "
-            "with raster.filled(0)."
-        )
+    check_unmasked(found)
     return _checked("the raster", np.asarray(found))
