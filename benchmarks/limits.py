@@ -81,7 +81,7 @@ def attempt(path: Path) -> tuple[str, float]:
             finally:
                 seconds.append(sum(os.times()[:4]) - began)
     except OURS as error:
-        text = " ".join(str(error).replace(f"{path}: ", "").split())
+        text = " ".join(str(error).replace(f"{path}", path.name).split())
         outcome = f"{type(error).__name__}: {text[:100]}…"
     return outcome, seconds[0] + max(seconds[1:], default=0.0)
 
@@ -89,12 +89,14 @@ def attempt(path: Path) -> tuple[str, float]:
 def steps(path: Path) -> Iterator[Callable[[], object]]:
     """Reading it; of a network also checking it, for one chip after the other."""
     from benchmarks.fuzz_readers import READERS
+    from spikedeploy.emulation.rasters import read_rasters
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import CHIPS, chip
     from spikedeploy.runtime.compiler.compile import check
 
-    if path.suffix != ".nir":
-        yield lambda: READERS[path.suffix][0](path)
+    if path.suffix != ".nir":  # of rasters without playing them, which takes as long as they last
+        raster = path.suffix in (".npy", ".npz")
+        yield partial(read_rasters if raster else READERS[path.suffix][0], path)
         return
     found = []
     yield lambda: found.append(load(path, dt=1e-3))

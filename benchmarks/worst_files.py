@@ -196,7 +196,7 @@ FILES: dict[str, tuple[str, Writer]] = {
     "ONNX, a product of 1.6 GB": (".onnx", product),
     "ONNX, endless Loop": (".onnx", endless),
     "ONNX, ConstantOfShape of 2 GB": (".onnx", filled),
-    ".npz, 2 GB of zeros": (".npz", partial(archive, megabytes=2000)),
+    ".npz, 1 GB of zeros": (".npz", partial(archive, megabytes=1000)),
     ".npz, 120 MB of zeros": (".npz", partial(archive, megabytes=120)),
     ".npy, 1.9 GB of holes": (".npy", raster),
     "track of 200,000 points": (".track", partial(walls, points=200_000)),

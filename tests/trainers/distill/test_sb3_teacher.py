@@ -305,7 +305,7 @@ def test_names_in_an_archive_that_are_no_text_are_refused(tmp_path):
     raw = (MODELS / "ppo.zip").read_bytes()
     path = tmp_path / "a.zip"
     path.write_bytes(raw.replace(b"data", b"\xff\xfe\xfd\xfc"))
-    with pytest.raises(ConfigError, match="no model of Stable-Baselines3|cannot be read"):
+    with pytest.raises(ConfigError, match=r"no model of Stable-Baselines3|cannot be read"):
         teacher(str(path), CARTPOLE)
     inner = saved(state_of("ppo")).replace(b"data.pkl", b"\xff" * 8)
     with pytest.raises(ConfigError, match="cannot be read"):
