@@ -64,7 +64,7 @@ class Camera:
 
 def _check_display() -> None:
     """Raise EnvError where no display can be reached: the viewer would end the process."""
-    import glfw  # comes with MuJoCo, whose viewer calls it in a thread of its own
+    from mujoco.glfw import glfw  # which the viewer calls in a thread of its own
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

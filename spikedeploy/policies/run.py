@@ -79,7 +79,9 @@ def policy_of(run: str | Path, checkpoint: str | None = None) -> "Policy":
     from spikedeploy.trainers.run_folder import load_policy
 
     try:
-        return load_policy(run, checkpoint)
+        policy = load_policy(run, checkpoint)
+        float(getattr(policy.normalizer, "clip", 0.0))  # which nothing else looks at before it acts
+        return policy
     # of torch, and of whatever else a value stands that is none
     except (RuntimeError, KeyError, TypeError, ValueError, AttributeError, MemoryError) as error:
         if isinstance(error, SpikedeployError):

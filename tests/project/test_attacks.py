@@ -15,7 +15,7 @@ CASES = re.findall(r"^\| (?!case|---)(.+) \| `([^`]+\.py)::(\w+)` \|$", PAGE, re
 @cache
 def functions(file):
     """The tests of a file, and the names of their decorators."""
-    tree = ast.parse((ROOT / "tests" / file).read_text("utf-8"))
+    tree = ast.parse((ROOT / file).read_text("utf-8"))
     return {
         node.name: [ast.unparse(each) for each in node.decorator_list]
         for node in tree.body
@@ -33,5 +33,5 @@ def test_every_row_names_a_test():
 @pytest.mark.parametrize(("file", "name"), sorted({case[1:] for case in CASES}))
 def test_the_test_of_a_case_is_there_and_not_switched_off(file, name):
     found = functions(file)
-    assert name in found, f"docs/attacks.md names {name}, which tests/{file} has not"
+    assert name in found, f"docs/attacks.md names {name}, which {file} has not"
     assert not [each for each in found[name] if "mark.skip(" in each or "xfail" in each]

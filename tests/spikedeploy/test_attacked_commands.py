@@ -144,15 +144,17 @@ def test_a_share_that_is_no_number_is_refused_by_name(run):
         run_record.unfinished(run)
 
 
-@pytest.mark.parametrize("change", ["missing", "axes", "spec"])
+@pytest.mark.parametrize("change", ["missing", "axes", "spec", "clip"])
 def test_a_checkpoint_without_its_policy_is_refused_in_a_sentence(change, run):
     policy = MlpPolicy(12, 5, [4], head="discrete")
     if change == "missing":
         del policy.layers[0].weight
     elif change == "axes":
         policy.layers[0].weight = torch.nn.Parameter(torch.zeros(3, 3))
-    else:
+    elif change == "spec":
         policy.hidden = ([],)
+    else:
+        policy.normalizer.clip = {}
     RunFolder(run).save("best", policy, {"env_steps": 10})
     with pytest.raises(ConfigError, match=r"checkpoint best or last holds no whole policy \(\w+"):
         policy_of(run)
@@ -187,6 +189,7 @@ def test_broken_teachers_are_refused_before_a_run_folder(teacher, tmp_path, comm
         ('{"timesteps": 16', "is no JSON that can be read"),
         ("[" * 100_000, "is no JSON that can be read"),
         ("[1]", "holds no codec, but a list"),
+        ('{"normaliser": {"mean": [0], "std": [1], "clip": %s}}' % ("9" * 400), "finite number"),
         ('{"normaliser": {"mean": [0, [1]]}}', "holds lists that are no arrays"),
         ('{"timesteps": 16, "squash": "argmax"}', "normaliser"),
     ],

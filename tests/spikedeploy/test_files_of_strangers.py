@@ -277,3 +277,12 @@ def test_a_damaged_record_of_a_run_is_refused(text, tmp_path):
     (tmp_path / "config.json").write_text(text)
     with pytest.raises(ConfigError, match="is damaged"):
         settings(tmp_path)
+
+
+@pytest.mark.parametrize("field", ["spread", "sway"])
+def test_a_start_or_finish_that_moves_beyond_every_track_is_refused(field, tmp_path):
+    record = json.loads((track_file.FOLDER / "small_S.json").read_text())
+    (record["start"] if field == "spread" else record)[field] = 1e308
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(EnvError, match="more than a track has"):
+        track_file.load(tmp_path / "a.json")

@@ -61,7 +61,9 @@ def _members(path: str) -> dict[str, bytes]:
                 )
             return {name: _bounded(path, archive, name) for name in _LARGEST}
     # ValueError of names that are no text; what zipfile raises besides depends on the damage
-    except (*_ZIP, zlib.error, EOFError, RuntimeError) as error:
+    except (*_ZIP, zlib.error, EOFError, RuntimeError, OSError) as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise  # there is no such file
         raise _damaged(path, str(error)) from error
 
 

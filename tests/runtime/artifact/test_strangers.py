@@ -14,7 +14,12 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.artifact.nir_data import read_nir_data
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
-from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
+from spikedeploy.runtime.errors import (
+    ArtifactError,
+    ConventionError,
+    ObservationError,
+    RuleError,
+)
 from spikedeploy.runtime.graph.order import order, sources
 
 TWO = np.ones(2)
@@ -260,3 +265,13 @@ def test_nir_data_of_strangers_are_refused_in_a_sentence(changes, tmp_path):
     path = recorded_events(tmp_path / "b.h5", **changes)
     with pytest.raises(ObservationError, match=r"b\.h5"):  # and no warning, which is an error here
         read_nir_data(path, {"input": (2,)}, 1e-3)
+
+
+def test_a_time_constant_below_the_smallest_float_forgets_at_once(tmp_path):
+    cells = lif(2)
+    cells.tau = np.full(2, np.longdouble("1e-1600"))
+    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(np.eye(2)), cells=cells))
+    with pytest.raises(ConventionError, match="longer than tau"):
+        load(tmp_path / "a.nir", dt=1e-3)
+    # and no warning, which is an error here
+    load(tmp_path / "a.nir", dt=1e-3, integrator="exponential")
