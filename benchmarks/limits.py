@@ -9,6 +9,7 @@ and the slowest counts. Exits with 1 where a file takes more than 5 s or 500 MB.
 
 import prepare  # isort: skip  # noqa: F401 - before all others
 
+import argparse
 import json
 import os
 import subprocess
@@ -27,12 +28,16 @@ CLOCK = 300  # seconds after which a file is given up
 
 def main() -> None:
     """Measure each, and print the table."""
-    if len(sys.argv) > 2 and sys.argv[1] == "--file":
-        print(json.dumps(measured(Path(sys.argv[2]))))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(FILES)}")
+    parser.add_argument("--file", type=Path, help="measure this one alone, and print JSON")
+    options = parser.parse_args()
+    if options.file:
+        print(json.dumps(measured(options.file)))
         return
     print("| file | MB | CPU s | MB of memory | what came of it |\n|---|---:|---:|---:|---|")
-    names, wrong = sys.argv[1:] or list(FILES), False
-    for name in names:
+    wrong = False
+    for name in options.names or FILES:
         with tempfile.TemporaryDirectory() as folder:
             suffix, write = FILES[name]
             path = Path(folder) / f"file{suffix}"

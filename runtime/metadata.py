@@ -54,8 +54,9 @@ class Record:
     def number(self, name: str) -> float:
         """The finite number called `name`."""
         value = self._field(name)
-        known = isinstance(value, (float, int, np.floating, np.integer))
-        if not known or abs(value) > _LARGEST or value != value:  # whole ones can have any length
+        if not isinstance(value, (float, int, np.floating, np.integer)):
+            raise self._wrong(name, value, "a finite number")
+        if not abs(value) <= _LARGEST:  # NaN is not, and whole ones can have any length
             raise self._wrong(name, value, "a finite number")
         return float(value)
 
