@@ -1,15 +1,15 @@
 """Fuzz everything that reads files: only SpikedeployErrors, bounded time and memory.
 
-    python benchmarks/fuzz.py [--files 10000] [--seed 0] [--only .onnx] [--keep FOLDER]
+    python benchmarks/fuzz.py [--format nir …] [--files 10000] [--record FOLDER] [--keep FOLDER]
 
-Valid files of every primitive, with and without our metadata, ONNX policies, traces, tracks,
-rasters, ghosts, rollouts, TOML files and configurations of runs are mutated: bytes; values,
-shapes, types, links and edges of the HDF5 tree; values of JSON; arrays of archives. Each is
-loaded, written again, read as another tool would, compiled for every chip with and without limits,
-and run for three timesteps on some; traces are verified. That happens in a process of its own with
-a memory limit; one that dies or takes too long is a violation, like any other error, and
-another takes its place. The same seed and version give the same mutations. Exits with 1 on a
-violation.
+Valid files of each format are mutated: bytes; values, shapes, types, links and edges of the HDF5
+tree; operators and constants of ONNX; values of JSON; arrays of archives; files of run folders.
+Networks are loaded, written again, read as another tool would, compiled for every chip with and
+without limits, and run for three timesteps on some; other files are read by every command that
+takes such a file. That happens in a process of its own with a memory limit; one that dies or takes
+too long is a violation, like any error that is not ours, and another takes its place. The same seed
+and version give the same mutations. With --record, outcomes are kept, and what is there is not
+tried again. Exits with 1 on a violation.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others
@@ -22,32 +22,33 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.fuzz_runs import describe, fuzz, summary
+from benchmarks.fuzz_formats import FORMATS
+from benchmarks.fuzz_runs import recorded, resumed, table
 
 
 def main() -> None:
     """Try the files and print the outcomes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--files", type=int, default=10_000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first file")
+    parser.add_argument("--format", nargs="+", choices=FORMATS, default=list(FORMATS))
+    parser.add_argument("--files", type=int, default=10_000, help="of each format")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--record", type=Path, help="folder that keeps outcomes")
     parser.add_argument("--keep", type=Path, help="folder for files that violate")
-    parser.add_argument("--only", default="", help="format, such as .onnx, .ghosts or .toml")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    numbers = range(options.first, options.first + options.files)
-    outcomes = []
-    with (
-        tempfile.TemporaryDirectory() as folder,
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.record or Path(temporary) / "records"
+        files = {name: folder / f"{name}-{options.seed}.jsonl" for name in options.format}
         # interrupted, it sums up what was tried
-        contextlib.suppress(KeyboardInterrupt),
-    ):
-        for outcome in fuzz(numbers, options.seed, Path(folder), options.keep, options.only):
-            outcomes.append(outcome)
-            if outcome.violation:
-                print(describe(outcome), file=sys.stderr, flush=True)
-    print(json.dumps([asdict(o) for o in outcomes]) if options.json else summary(outcomes))
-    sys.exit(any(outcome.violation for outcome in outcomes))
+        with contextlib.suppress(KeyboardInterrupt):
+            for name, file in files.items():
+                work = Path(tempfile.mkdtemp(dir=temporary))
+                resumed(file, options.files, options.seed, options.keep, name, work)
+                print(name, file=sys.stderr, flush=True)
+        outcomes = {name: recorded(file)[: options.files] for name, file in files.items()}
+    found = {name: [asdict(outcome) for outcome in made] for name, made in outcomes.items()}
+    print(json.dumps(found) if options.json else table(outcomes))
+    sys.exit(any(outcome.violation for made in outcomes.values() for outcome in made))
 
 
 if __name__ == "__main__":

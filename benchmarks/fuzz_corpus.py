@@ -1,23 +1,17 @@
-"""Valid files that fuzzing starts from: all primitives, our metadata, traces, tracks."""
+"""Valid networks that fuzzing starts from: all primitives, our metadata."""
 
-import json
 from itertools import pairwise
 from pathlib import Path
 
 import nir
 import numpy as np
-from onnx import TensorProto, helper, numpy_helper
 
-from spikedeploy import envs
-from spikedeploy.envs.ghosts import Ghost, Ghosts
-from spikedeploy.envs.rollout import Rollout
+from benchmarks.fuzz_records import write_records
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser, PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import resolve
 
 TWO = np.array([2, 2])
 ORIGIN = Provenance(
@@ -41,52 +35,8 @@ def write_corpus(folder: Path) -> list[Path]:
     policies = {"population": population(), "rate": rate(), "delta": delta()}
     for name, artifact in policies.items():
         save(artifact, folder / f"ours-{name}.nir")
-    traces = {name: loihi_trace(name) for name in ("lava", "brian2", "nengo", "loihi2")}
-    for name, trace in {**traces, "xylo": xylo_trace()}.items():
-        (folder / f"{name}.json").write_text(json.dumps(trace))
-    track = Path(envs.__file__).parent / "kart" / "tracks" / "small_S.json"
-    (folder / "track.json").write_bytes(track.read_bytes())
-    np.save(folder / "raster.npy", np.eye(4, dtype=np.uint8))
-    np.savez_compressed(folder / "rasters.npz", a=np.eye(2), b=np.ones((2, 1, 2)))
-    records(folder)
-    policy(folder / "policy.onnx")
+    write_records(folder)
     return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-
-
-def records(folder: Path) -> None:
-    """A ghost file, a rollout, settings in TOML, and the configuration of a run."""
-    poses, reward = np.zeros((3, 3), np.float32), np.ones(2, np.float32)
-    drive = Ghost(poses, poses[:, 0], np.array([1, 2]), reward, True, False, 1)
-    Ghosts("spikedeploy/KartSteer-v0", [drive, drive], {"track": "big_S"}).save(
-        folder / "drives.ghosts"
-    )
-    numbers = {"x": np.zeros(2), "y": np.ones(2)}
-    episode = (np.zeros((3, 4)), np.ones((2, 1)), np.ones(2), True, False, numbers)
-    Rollout("spikedeploy/Hexapod-v0", 1, *episode, {"slope": 1}).save(folder / "walk.rollout")
-    tables = ("steps = 1000", "[env]", "count = 2", "[policy]", "hidden = [8, 8]")
-    (folder / "settings.toml").write_text("\n".join(tables))
-    made = resolve(PpoConfig, "kart-grid-ann", seed=0).model_dump(mode="json")
-    (folder / "run.config").write_text(json.dumps(made))
-
-
-def policy(path: Path) -> None:
-    """A float policy with our metadata."""
-    names = {"w": np.ones((4, 300), np.float32), "v": np.ones((300, 2), np.float32)}
-    nodes = [
-        helper.make_node("MatMul", ["x", "w"], ["h"]),
-        helper.make_node("Relu", ["h"], ["r"]),
-        helper.make_node("MatMul", ["r", "v"], ["y"]),
-    ]
-    x, y, r = (
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width])
-        for name, width in (("x", 4), ("y", 2), ("r", 300))
-    )
-    constants = [numpy_helper.from_array(array, name) for name, array in names.items()]
-    graph = helper.make_graph(nodes, "policy", [x], [y, r], constants)
-    opsets = [helper.make_opsetid("", 17)]
-    model = helper.make_model(graph, opset_imports=opsets, ir_version=8)
-    helper.set_model_props(model, {"env": "spikedeploy/Hexapod-v0", "macs": "1800", "seed": "0"})
-    path.write_bytes(model.SerializeToString())
 
 
 def lif(*shape: int, tau: float = 4e-3, gain: float = 4.0) -> nir.LIF:
@@ -220,28 +170,3 @@ def delta() -> Artifact:
     }
     codec = Codec(Normaliser(np.zeros(2), np.ones(2), 5.0), code, 1, "tanh")
     return Artifact(chain([code.width], [3], **layers), codec, Convention(1e-3, state="kept"))
-
-
-def loihi_trace(source: str) -> dict[str, object]:
-    """Two Loihi neurons, three presynaptic axons, four timesteps."""
-    zeros = [[0, 0]] * 4
-    return {
-        "source": source,
-        "input_spikes": [[1, 0, 1], [0, 1, 0], [1, 1, 1], [0, 0, 0]],
-        "weights": [[10, -20, 30], [40, 50, -60]],
-        "du": 2047, "dv": 1024, "vth": 150, "bias_mant": 3, "bias_exp": 1,
-        "u": zeros, "v": zeros, "s": zeros,
-    }  # fmt: skip
-
-
-def xylo_trace() -> dict[str, object]:
-    """Two hidden neurons and an output of Xylo for two timesteps."""
-    return {
-        "source": "xylosim",
-        "input_counts": [[1, 0], [0, 2]],
-        "weights_in": [[[10], [20]], [[30], [-40]]],
-        "weights_out": [[5], [6]],
-        "dash_mem": [1, 1], "dash_syn": [1, 1], "dash_mem_out": [1], "dash_syn_out": [1],
-        "threshold": [5, 5], "threshold_out": [5],
-        "v_mem": [[0, 0], [0, 0]], "out_spikes": [[0], [0]],
-    }  # fmt: skip

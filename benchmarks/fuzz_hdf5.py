@@ -257,3 +257,8 @@ HDF5 = [
     huge_claim, huge_shape, link, elsewhere, deep, many, attribute, strange_value, strange_shape,
     *[other_value] * 12, huge_shape,
 ]  # fmt: skip
+# those that need no graph
+ARRAYS = [
+    strange_value, strange_shape, strange_type, missing, renamed, stray, huge_claim, link,
+    elsewhere, attribute, other_value,
+]  # fmt: skip

@@ -1,40 +1,30 @@
 """Mutations of a file: of its bytes, and of its contents where its format is known."""
 
-from collections.abc import Callable
+import shutil
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
-from benchmarks.fuzz_archives import ARCHIVES, TOML
-from benchmarks.fuzz_bytes import BYTES, flip
-from benchmarks.fuzz_hdf5 import HDF5
-from benchmarks.fuzz_json import JSON
-
-Rng: TypeAlias = np.random.Generator
-STRUCTURED: dict[str, list[Callable[[Path, Rng], None]]] = {
-    ".nir": HDF5,
-    ".json": JSON,
-    ".config": JSON,
-    ".npz": ARCHIVES,
-    ".ghosts": ARCHIVES,
-    ".rollout": ARCHIVES,
-    ".toml": TOML,
-}
+from benchmarks.fuzz_bytes import flip
+from benchmarks.fuzz_folders import flip_inside
+from benchmarks.fuzz_formats import damages
 
 
-def mutate(source: Path, target: Path, rng: Rng) -> str:
-    """Write the source with one or several mutations; the names of those."""
-    target.write_bytes(source.read_bytes())
-    by_kind = STRUCTURED.get(source.suffix, [])
+def mutate(source: Path, target: Path, rng: np.random.Generator, name: str = "") -> str:
+    """Write the source with one or several mutations; the names of those.
+
+    name: of the format, which says how many of them are of bytes.
+    """
+    shutil.copytree(source, target) if source.is_dir() else shutil.copyfile(source, target)
     done = []
     for _ in range(1 + rng.geometric(0.6) if rng.random() < 0.4 else 1):
-        choices: list[Any] = by_kind if by_kind and rng.random() < 0.75 else BYTES
+        choices = damages(source.suffix, rng, name)
         change = choices[rng.integers(len(choices))]
         try:
-            change(target, rng)
+            with np.errstate(all="ignore"):
+                change(target, rng)
         except Exception:
-            flip(target, rng)
-            change = flip
+            change = flip_inside if target.is_dir() else flip
+            change(target, rng)
         done.append(change.__name__)
     return "+".join(done)

@@ -7,14 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.fuzz_readers import READERS
 from spikedeploy.emulation.open_loop import emulate_artifact
-from spikedeploy.emulation.rasters import read_rasters
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.ghosts import Ghosts
-from spikedeploy.envs.kart import track_file
-from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.policies.run_record import settings
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.presets.preset import PRESETS
 from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -24,10 +19,6 @@ from spikedeploy.runtime.errors import ConventionError, SpikedeployError
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.floating_point import CubaFloat64
 from spikedeploy.runtime.graph.ports import ports
-from spikedeploy.runtime.traces.verify import verify
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import resolve
-from spikedeploy.trainers.run_folder import RunFolder
 
 TIMESTEPS = 3
 # no fast kernels compute these: their machine is the interpreter
@@ -51,12 +42,12 @@ def attempt(path: Path, rng: np.random.Generator) -> tuple[bool, tuple[str, ...]
     with warnings.catch_warnings():
         # a warning would be a wrong result that somebody scrolls past
         warnings.simplefilter("error")
-        kinds = {
-            ".nir": _network, ".npy": _raster, ".npz": _raster, ".onnx": _policy,
-            ".ghosts": _ghosts, ".rollout": _rollout, ".toml": _settings, ".config": _run,
-        }  # fmt: skip
-        read = kinds.get(path.suffix, _text)(path, rng, refused)
-    return read, tuple(refused)
+        if path.suffix == ".nir":
+            return _network(path, rng, refused), tuple(refused)
+        for read in READERS[path.suffix]:
+            with _ours(refused):
+                read(path)
+    return len(refused) < len(READERS[path.suffix]), tuple(refused)
 
 
 def _network(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
@@ -129,56 +120,3 @@ def _driven(_: Path, artifact: Artifact, rng: np.random.Generator) -> None:
         return
     observation = rng.normal(size=(1, artifact.codec.encoder.observed))
     artifact.codec.encode(observation)
-
-
-def _text(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    """Verify a trace; read any file as a track."""
-    for read in (verify, track_file.load):
-        with _ours(refused):
-            read(path)
-    return len(refused) < 2
-
-
-def _raster(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    with _ours(refused):
-        read_rasters(path)
-    return not refused
-
-
-def _policy(path: Path, rng: np.random.Generator, refused: list[str]) -> bool:
-    """Open an ONNX file, act, and count."""
-    with _ours(refused):
-        player = OnnxController(path)
-        player.act(rng.normal(size=player.observed))
-        player.effective_macs(rng.normal(size=(3, player.observed)))
-    return not refused
-
-
-def _ghosts(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    with _ours(refused):
-        Ghosts.load(path)
-    return not refused
-
-
-def _rollout(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    with _ours(refused):
-        Rollout.load(path)
-    return not refused
-
-
-def _settings(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    """Settings of a training."""
-    with _ours(refused):
-        resolve(PpoConfig, "kart-grid-ann", file=path)
-    return not refused
-
-
-def _run(path: Path, _: np.random.Generator, refused: list[str]) -> bool:
-    """The configuration of a run folder."""
-    folder = path.with_suffix(".folder")
-    folder.mkdir(exist_ok=True)
-    (folder / "config.json").write_bytes(path.read_bytes())
-    for read in (settings, lambda run: RunFolder(run).config(PpoConfig)):
-        with _ours(refused):
-            read(folder)
-    return not refused

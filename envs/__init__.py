@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -160,6 +161,21 @@ def make(
         return _foreign(name, disturb, success, options)
     if success is not None:
         raise EnvError(f"{entry.short} defines success itself: leave --success out")
+    try:
+        return _own(entry, disturb, options)
+    except TypeError as error:
+        wrong = re.search(r"unexpected keyword argument '([^']+)'", str(error))
+        if wrong is None:
+            raise
+        raise EnvError(
+            f"{entry.short} has no option {wrong[1]!r}; the docstring of "
+            f"{entry.target.replace(':', '.')} lists those that it has"
+        ) from error
+
+
+def _own(
+    entry: EnvSpec, disturb: Sequence[str], options: dict[str, Any]
+) -> gymnasium.Env[Any, Any]:
     if not disturb:
         return gymnasium.make(entry.id, **options)
     from spikedeploy.envs.disturbances.disturbed import disturbed

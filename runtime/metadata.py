@@ -11,6 +11,7 @@ from spikedeploy.runtime.errors import ArtifactError
 
 # what NIR metadata can hold: nir refuses None and loses the type of lists
 Tree: TypeAlias = dict[str, "str | int | float | NDArray[np.float64] | Tree"]
+_LARGEST = float(np.finfo(np.float64).max)
 
 
 class Record:
@@ -53,7 +54,9 @@ class Record:
     def number(self, name: str) -> float:
         """The finite number called `name`."""
         value = self._field(name)
-        if not isinstance(value, (float, int, np.floating, np.integer)) or not np.isfinite(value):
+        if not isinstance(value, (float, int, np.floating, np.integer)):
+            raise self._wrong(name, value, "a finite number")
+        if not abs(value) <= _LARGEST:  # NaN is not, and whole ones can have any length
             raise self._wrong(name, value, "a finite number")
         return float(value)
 

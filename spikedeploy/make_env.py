@@ -1,7 +1,6 @@
 """Environments with options, as the command line asks for them."""
 
 import json
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -14,17 +13,7 @@ from spikedeploy.runtime.errors import ConfigError
 
 def make_env(name: str, options: Mapping[str, Any], **more: Any) -> gymnasium.Env[Any, Any]:  # noqa: ANN401
     """The environment with this short name or id; unknown options are refused."""
-    try:
-        return envs.make(name, **options, **more)
-    except TypeError as error:
-        wrong = re.search(r"unexpected keyword argument '([^']+)'", str(error))
-        if wrong is None:
-            raise
-        spec = envs.spec(name)
-        raise ConfigError(
-            f"{spec.short} has no option {wrong[1]!r}; the docstring of "
-            f"{spec.target.replace(':', '.')} lists those that it has"
-        ) from error
+    return envs.make(name, **options, **more)
 
 
 def confirm(found: str, named: str | None, source: str) -> None:

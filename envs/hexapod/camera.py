@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from typing import Any
 
 import mujoco
@@ -61,12 +62,25 @@ class Camera:
         self._gl.free()
 
 
+def _check_display() -> None:
+    """Raise EnvError where no display can be reached: the viewer would end the process."""
+    from mujoco.glfw import glfw  # which the viewer calls in a thread of its own
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not glfw.init():
+            raise EnvError(
+                "no window: no display can be reached; render_mode='rgb_array' needs none"
+            )
+
+
 class CameraWindow:
     """MuJoCo's viewer, slowed to real time."""
 
     def __init__(self, subject: Robot, period: float) -> None:
         import mujoco.viewer as viewer  # needs a display, so only when a window is wanted
 
+        _check_display()
         try:
             self._viewer: Any = viewer.launch_passive(subject.model, subject.data)
         except Exception as error:  # every windowing library raises its own type

@@ -52,6 +52,11 @@ def _check_size(track: Track, where: str) -> None:
         raise EnvError(
             f"{where}: the track is {widest:g} px wide; at most {_LARGEST_TRACK:g}. Scale it down"
         )
+    if (moved := max(track.spread, track.sway)) > _LARGEST_TRACK:
+        raise EnvError(
+            f"{where}: spread {track.spread:g} and sway {track.sway:g}, and {moved:g} px are more "
+            f"than a track has, {_LARGEST_TRACK:g}. Make them smaller"
+        )
     if (area := float(np.prod(np.ptp(points, axis=0)))) > _LARGEST_AREA:
         raise EnvError(
             f"{where}: the track covers {area:g} square px; at most {_LARGEST_AREA:g}. Scale it "

@@ -56,10 +56,15 @@ def check_file(path: Path) -> int:
 
 def _budget(path: Path) -> int:
     """Bytes that a file may unpack to."""
+    return budget(path, _FREE_BYTES, _MAX_EXPANSION)
+
+
+def budget(path: Path, free: int, expansion: int) -> int:
+    """Bytes that a file may unpack to: `free`, and more for each that it takes on the disk."""
     found = path.stat()
     # what a file claims beyond what the disk holds of it are holes
     stored = min(found.st_size, 512 * getattr(found, "st_blocks", found.st_size))
-    return _FREE_BYTES + _MAX_EXPANSION * stored
+    return min(free + expansion * stored, _MAX_PARAMETER_BYTES)
 
 
 def _longest_text(content: mmap.mmap, at: int) -> int:
@@ -84,15 +89,20 @@ def _number(content: mmap.mmap, at: int, width: int) -> int:
     return int.from_bytes(content[at : at + width], "little")
 
 
-def check_container(file: h5py.File, path: Path, longest_text: int) -> None:
-    """Raise ArtifactError where links leave the file or form a circle, or sizes are impossible."""
+def check_container(
+    file: h5py.File, path: Path, longest_text: int, most: int | None = None
+) -> None:
+    """Raise ArtifactError where links leave the file or form a circle, or sizes are impossible.
+
+    most: bytes that all arrays together may unpack to; by default those of a network.
+    """
     sizes: dict[str, int] = {}
     for name, dataset in _datasets(file):
         _check_type(name, dataset)
         sizes[name] = _size(name, dataset)
         if dataset.dtype.kind == "O":
             _check_texts(name, dataset, path, longest_text)
-    most = min(_budget(path), _MAX_PARAMETER_BYTES)
+    most = _budget(path) if most is None else most
     if sum(sizes.values()) > most:
         largest = max(sizes, key=lambda name: sizes[name])
         raise ArtifactError(

@@ -15,10 +15,12 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.errors import ObservationError
+from spikedeploy.runtime.artifact.hdf5_limits import budget, check_container, check_file
+from spikedeploy.runtime.errors import ArtifactError, ObservationError
 
-# values of an array; a damaged file may ask for any number
-_MOST = 1 << 31
+# bytes that a file may unpack to, and more for each of its own: spikes shrink two hundredfold
+FREE, EXPANSION = 128 << 20, 20
+_EVENT_BYTES = 128 << 20  # of all arrays of events, of which several copies are made
 _EVENT_ROUNDING = 1e-3  # of a timestep
 _SPIKES = "spikes"
 
@@ -35,8 +37,14 @@ def read_nir_data(
 
     dt: [s] of the network, on which events are laid and which a grid must have.
     """
+    most = budget(path, FREE, EXPANSION)
     try:
+        longest = check_file(path)
+        with h5py.File(path, "r") as file:
+            check_container(file, path, longest, most)
         nodes = nir.read_data(path).nodes
+    except ArtifactError as error:
+        raise ObservationError(f"{path} is HDF5 and no NIRData: {error}") from error
     # h5py and nir raise exceptions of many types for a damaged file
     except Exception as error:
         raise ObservationError(
@@ -50,7 +58,7 @@ def read_nir_data(
             "the network needs some. Name it so."
         )
     return {
-        name: _grid(f"{path}: node {name!r}", nodes[name], dt, shape)
+        name: _grid(f"{path}: node {name!r}", nodes[name], dt, shape, most)
         for name, shape in shapes.items()
     }
 
@@ -71,8 +79,8 @@ def write_nir_data(
             file.attrs["remark"] = remark
 
 
-def _grid(where: str, node: object, dt: float, shape: tuple[int, ...]) -> NDArray[Any]:
-    """(T, *shape) of the spikes of a node, or of its only observable."""
+def _grid(where: str, node: object, dt: float, shape: tuple[int, ...], most: int) -> NDArray[Any]:
+    """(T, *shape) of the spikes of a node, or of its only observable, in at most so many bytes."""
     found = getattr(node, "observables", {})
     name = _SPIKES if _SPIKES in found else next(iter(found), "")
     if len(found) != 1 and name != _SPIKES:
@@ -81,7 +89,7 @@ def _grid(where: str, node: object, dt: float, shape: tuple[int, ...]) -> NDArra
             f"play {_SPIKES!r}."
         )
     data = found[name]
-    rows = data.data if isinstance(data, nir.TimeGriddedData) else _of_events(where, data, dt)
+    rows = data.data if isinstance(data, nir.TimeGriddedData) else _of_events(where, data, dt, most)
     if isinstance(data, nir.TimeGriddedData) and not np.isclose(data.dt, dt, rtol=1e-3):
         raise ObservationError(
             f"{where} has a grid of dt = {data.dt:g} s, the network {dt:g} s. Give that dt to the "
@@ -95,25 +103,53 @@ def _grid(where: str, node: object, dt: float, shape: tuple[int, ...]) -> NDArra
     return np.asarray(rows[0].reshape(-1, *shape))
 
 
-def _of_events(where: str, data: nir.EventData, dt: float) -> NDArray[Any]:
+def _of_events(where: str, data: nir.EventData, dt: float, most: int) -> NDArray[Any]:
     """(1, T, N) of events, or of their values, of one sample."""
-    timesteps = max(1, round(data.t_max / dt)) if np.isfinite(data.t_max) else 0
-    if data.idx.ndim != 2 or len(data.idx) != 1 or not 0 < timesteps * data.n_neurons <= _MOST:
+    values = data.value if isinstance(data, nir.ValuedEventData) else None
+    _check_events(where, data.idx, data.time, *(() if values is None else (values,)))
+    ends = data.t_max / dt
+    timesteps = max(1, round(ends)) if np.isfinite(ends) else 0
+    size = timesteps * data.n_neurons
+    if len(data.idx) != 1 or not 0 < size <= most // (8 if values is not None else 1):
         raise ObservationError(
             f"{where} holds events {data.idx.shape} of {data.n_neurons} neurons up to "
-            f"{data.t_max:g} s, that is {timesteps} timesteps; needed are one sample and at most "
-            f"{_MOST} values. Write one sample, or give the dt of the network."
+            f"{data.t_max:g} s, that is {timesteps} timesteps; needed are one sample, and of a "
+            f"file of this size at most {most} bytes. Write one sample, or give the dt of the "
+            "network."
         )
     there = data.idx[0] >= 0
-    step = np.floor(data.time[0][there] / dt + _EVENT_ROUNDING).astype(np.int64)
+    step = np.floor(data.time[0][there] / dt + _EVENT_ROUNDING)
     neuron = data.idx[0][there].astype(np.int64)
-    if ((step < 0) | (step >= timesteps) | (neuron >= data.n_neurons)).any():
+    if not ((step >= 0) & (step < timesteps) & (neuron < data.n_neurons)).all():
         raise ObservationError(
             f"{where} has an event after its t_max, before 0, or of a neuron that it has not. "
             "Correct the events."
         )
-    rows = np.zeros((1, timesteps, data.n_neurons))
-    values = data.value[0][there] if isinstance(data, nir.ValuedEventData) else 1.0
-    # several events of a neuron in a timestep add up
-    np.add.at(rows[0], (step, neuron), values)
+    cells = step.astype(np.int64) * data.n_neurons + neuron
+    rows = _added(cells, None if values is None else values[0][there], size)
+    return rows.reshape(1, timesteps, data.n_neurons)
+
+
+def _added(cells: NDArray[Any], values: NDArray[Any] | None, size: int) -> NDArray[Any]:
+    """(size,) of what is in each cell; several events of a neuron in a timestep add up."""
+    most = np.unique(cells, return_counts=True)[1].max(initial=0) if values is None else size
+    rows = np.zeros(size, np.uint8 if values is None and most <= 255 else np.float64)
+    np.add.at(rows, cells, 1 if values is None else values.astype(np.float64))
     return rows
+
+
+def _check_events(where: str, *arrays: NDArray[Any]) -> None:
+    """Refuse arrays of events that are no numbers, or too long."""
+    kinds = ("iu", "iuf", "iuf")  # of neurons, times and values
+    shapes = {np.shape(each) for each in arrays}
+    known = all(np.asarray(a).dtype.kind in k for a, k in zip(arrays, kinds, strict=False))
+    if not known or len(shapes) != 1 or arrays[0].ndim != 2:
+        found = ", ".join(f"{np.asarray(each).dtype} {np.shape(each)}" for each in arrays)
+        raise ObservationError(
+            f"{where} holds events of {found}; needed are whole numbers of neurons, times and "
+            "values (samples, events). Write it with nir.write_data."
+        )
+    if (found_bytes := sum(each.nbytes for each in arrays)) > _EVENT_BYTES:
+        raise ObservationError(
+            f"{where} holds {found_bytes} bytes of events; at most {_EVENT_BYTES}. Split it."
+        )

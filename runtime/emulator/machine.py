@@ -25,6 +25,7 @@ from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.emulator.upset_backend import UpsetBackend
 from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.graph.ports import check_unmasked
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
@@ -218,6 +219,7 @@ class Machine:
                 f"the spikes have shape {spikes.shape}; this machine takes ({wanted}). Give the "
                 "raster of this network, or make a machine with another batch."
             )
+        check_unmasked(spikes)
         # their values are looked at by the backends
         if not spikes.size or spikes.dtype.kind not in "bu":
             raise not_spikes(spikes, self.program.chip.input_spikes_max)

@@ -19,7 +19,7 @@ from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.faults.injection import injected
 from spikedeploy.runtime.faults.request import NONE, Faults
-from spikedeploy.runtime.graph.ports import Port
+from spikedeploy.runtime.graph.ports import Port, check_unmasked
 
 _FLOAT = "float"
 # inferences that are computed at once: enough to fill matrix products, few enough for the cache
@@ -178,6 +178,7 @@ class MachinePool:
 
     def _joined(self, spikes: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         for name, rows in spikes.items():
+            check_unmasked(rows)
             if rows.dtype.kind not in "bu":
                 raise ObservationError(
                     f"the raster of node {name!r} holds {_held(rows)}; a chip takes spikes, "

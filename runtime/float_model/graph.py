@@ -17,7 +17,7 @@ from spikedeploy.runtime.float_model.neurons import Array, FloatNeurons, SigmaDe
 from spikedeploy.runtime.float_model.nodes import Delay, Node, build_node
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import Edge, sources, timing
-from spikedeploy.runtime.graph.ports import by_port, ports
+from spikedeploy.runtime.graph.ports import by_port, check_unmasked, ports
 from spikedeploy.runtime.graph.sigma_delta import SigmaDelta
 
 # bytes that one run may compute
@@ -137,6 +137,8 @@ class FloatGraph:
         return np.concatenate([before, values[source][:, :-1]], axis=1)
 
     def _checked(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
+        for each in raster.values() if isinstance(raster, Mapping) else (raster,):
+            check_unmasked(each)
         if isinstance(raster, Mapping):
             given = by_port(self.inputs, {n: np.asarray(r, self.dtype) for n, r in raster.items()})
         else:

@@ -118,7 +118,8 @@ def _rounding(node: nir.NIRNode) -> float:
 
 def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> tuple[Array, Array]:
     """The decay factor of one timestep, and 1 minus it computed without cancellation."""
-    with np.errstate(over="ignore"):
+    # a tau below the smallest float64 forgets everything at once
+    with np.errstate(over="ignore", divide="ignore"):
         step = convention.dt / _array(getattr(node, field))
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)

@@ -60,6 +60,15 @@ def by_port(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[st
     return given
 
 
+def check_unmasked(raster: object) -> None:
+    """Raise ObservationError where a raster has masked values."""
+    if isinstance(raster, np.ma.MaskedArray) and np.ma.getmaskarray(raster).any():
+        raise ObservationError(
+            "the raster has masked values, which nothing says what to do with. Fill them, such as "
+            "with raster.filled(0)."
+        )
+
+
 def _check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
     """Raise ObservationError where the rasters (B, T, *shape) do not fit the ports."""
     if names := sorted({port.name for port in all_} ^ set(rows)):

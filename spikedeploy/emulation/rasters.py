@@ -9,16 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.artifact.nir_data import is_nir_data, read_nir_data
+from spikedeploy.runtime.artifact.hdf5_limits import budget
+from spikedeploy.runtime.artifact.nir_data import EXPANSION, FREE, is_nir_data, read_nir_data
 from spikedeploy.runtime.errors import ObservationError
-from spikedeploy.runtime.graph.ports import ports
+from spikedeploy.runtime.graph.ports import check_unmasked, ports
 
 Raster = NDArray[Any]
-
-# bytes of all arrays together; a small archive may unpack to any number
-_LARGEST = 1 << 31
-# of a file that takes so many on the disk: spikes of a quiet network shrink two hundredfold
-_FREE, _EXPANSION = 128 << 20, 20
 
 
 def read_rasters(path: Path) -> Raster | dict[str, Raster]:
@@ -30,11 +26,12 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
         raise ObservationError(f"{path} is no file. Give a .npy or .npz file.")
     try:
         if zipfile.is_zipfile(path):
-            return {name: _checked(f"{path}: {name}", a) for name, a in _archive(path).items()}
+            arrays, most = _archive(path), budget(path, FREE, EXPANSION)
+            return {name: _checked(f"{path}: {name}", a, most) for name, a in arrays.items()}
         # memory-mapped: a header that claims more than the file holds takes no memory
         raster = np.lib.format.open_memmap(path, mode="r")
         _check_claim(path, raster.nbytes)
-        return _checked(str(path), raster)
+        return _checked(str(path), raster, budget(path, FREE, EXPANSION))
     except ObservationError:
         raise
     # zipfile, zlib and numpy raise their own exceptions for a broken file
@@ -50,7 +47,8 @@ def read_inputs(path: Path, artifact: Artifact) -> Raster | dict[str, Raster]:
         return read_rasters(path)
     shapes = {port.name: port.shape for port in ports(artifact.graph.inputs)}
     found = read_nir_data(path, shapes, artifact.convention.dt)
-    return {name: _checked(f"{path}: {name}", rows) for name, rows in found.items()}
+    most = budget(path, FREE, EXPANSION)
+    return {name: _checked(f"{path}: {name}", rows, most) for name, rows in found.items()}
 
 
 def _archive(path: Path) -> dict[str, Raster]:
@@ -64,25 +62,30 @@ def _archive(path: Path) -> dict[str, Raster]:
 
 def _check_claim(path: Path, claimed: int) -> None:
     """Refuse what takes far more memory than disk: holes and zeros."""
-    found = path.stat()
-    stored = min(found.st_size, 512 * getattr(found, "st_blocks", found.st_size))
-    if claimed > (most := min(_LARGEST, _FREE + _EXPANSION * stored)):
+    if claimed > (most := budget(path, FREE, EXPANSION)):
         raise ObservationError(
             f"{path} would be {claimed} bytes when unpacked; the limit of a file of its size is "
             f"{most}. Split it, and play the parts one by one."
         )
 
 
-def _checked(where: str, found: object) -> Raster:
+def _checked(where: str, found: object, most: int | None = None) -> Raster:
+    """The raster, if it is one that takes at most so many bytes."""
     if not isinstance(found, np.ndarray) or found.ndim < 1 or not found.size:
         shape = f"shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
         raise ObservationError(f"{where} must hold an array (T, *shape), found {shape}")
-    if found.dtype.kind not in "biuf" or not np.isfinite(found).all():
+    if found.dtype.kind not in "biuf" or (found.dtype.kind == "f" and not np.isfinite(found).all()):
         raise ObservationError(
             f"{where} holds {found.dtype} values, or NaN or infinity; it must hold spikes, 0 or 1, "
             "or other finite numbers"
         )
-    counts = found.min() >= 0 and found.max() <= 255 and (found == np.rint(found)).all()
+    counts = found.min() >= 0 and found.max() <= 255
+    counts = counts and (found.dtype.kind != "f" or (found == np.rint(found)).all())
+    if not counts and most is not None and 8 * found.size > most:
+        raise ObservationError(
+            f"{where} holds {found.size} numbers, which take 8 bytes each; the limit of a file of "
+            f"its size is {most} bytes. Split it, and play the parts one by one."
+        )
     return found.astype(np.uint8 if counts else np.float64)
 
 
@@ -95,9 +98,5 @@ def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raste
 
 def as_raster(found: object) -> Raster:
     """The raster (T, *shape) that an array is, in the type that a file of it would have."""
-    if isinstance(found, np.ma.MaskedArray) and np.ma.getmaskarray(found).any():
-        raise ObservationError(
-            "the raster has masked values, which nothing says what to do with. Fill them, such as "
-            "with raster.filled(0)."
-        )
+    check_unmasked(found)
     return _checked("the raster", np.asarray(found))

@@ -96,7 +96,7 @@ def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgre
     except SpikedeployError as error:
         hint = _equal_from(path, given, recorded)
         raise type(error)(f"{error}{hint}") from error
-    inputs, outputs, unread = _read(recorded, artifact)
+    inputs, outputs, unread = read_recorded(recorded, artifact)
     said = artifact.convention.describe()
     spikes = int(np.count_nonzero(outputs))
     first = difference(artifact, inputs, outputs)
@@ -111,13 +111,13 @@ def _equal_from(path: Path, given: Changes, recorded: Path) -> str:
     for tool in () if {"like", "written_by"} & given.keys() else WRITERS:
         artifact = read_with(path, given, {"written_by": tool})
         if artifact is not None:
-            inputs, outputs, _ = _read(recorded, artifact)
+            inputs, outputs, _ = read_recorded(recorded, artifact)
             if difference(artifact, inputs, outputs) is None:
                 return f" With --from {tool} your framework = our float: equal."
     return ""
 
 
-def _read(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple[str, ...]]:
+def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple[str, ...]]:
     """Input (B, T, *shape) and output (B, T, *shape), and the names of other arrays."""
     arrays = read_rasters(path)
     if not isinstance(arrays, dict) or not {"input", "output"} <= arrays.keys():

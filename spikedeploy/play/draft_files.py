@@ -38,7 +38,7 @@ def open_draft(path: Path, copy: str | None = None) -> TrackDraft:
         return TrackDraft(path.stem)
     try:
         tree = json.loads(here.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"track {here}: not a JSON file ({error})") from error
     if here == path:
         track = parse(tree, f"track {path}")

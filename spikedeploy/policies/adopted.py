@@ -67,12 +67,16 @@ def read_codec(path: Path) -> Codec:
     """The codec in a JSON file."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"{path} is no JSON that can be read: {error}") from error
     if not isinstance(record, dict):
         raise ArtifactError(f"{path} holds no codec, but a {type(record).__name__}")
     try:
-        return Codec.from_record(Record(_arrays(record), str(path)))
+        arrays = _arrays(record)
+    except (ValueError, OverflowError) as error:  # lists of different lengths
+        raise ArtifactError(f"--codec {path} holds lists that are no arrays: {error}") from error
+    try:
+        return Codec.from_record(Record(arrays, str(path)))
     except ArtifactError as error:
         raise ArtifactError(f"--codec {error}; docs/own-network.md has a whole one") from error
 

@@ -100,7 +100,14 @@ class OnnxController:
     def _fan_outs(self) -> list[NDArray[np.int64]]:
         """Weights (M,) of each input of each matrix; pruned networks say how many are left."""
         if "fan_out" in self.metadata:
-            return [np.array(each, np.int64) for each in json.loads(self.metadata["fan_out"])]
+            said = [np.array(each, np.int64) for each in json.loads(self.metadata["fan_out"])]
+            widths = [_width(self.path, each) for each in self._presynaptic]
+            if widths != (found := [len(each) for each in said]):
+                raise ArtifactError(
+                    f"{self.path} says fan_out of {found} units, and its matrices take {widths}. "
+                    "Export it again"
+                )
+            return said
         targets = [_width(self.path, each) for each in [*self._presynaptic[1:], self._output]]
         return [
             np.full(_width(self.path, each), target)
@@ -112,7 +119,13 @@ class OnnxController:
             batch = self._checked(observed_numbers(observations)).astype(self._dtype)
         names = [each.name for each in outputs]
         parts = batch[:, None] if self._single else [batch]
-        runs = [self._session.run(names, {self._input.name: part}) for part in parts]
+        try:
+            runs = [self._session.run(names, {self._input.name: part}) for part in parts]
+        except Exception as error:  # ONNX Runtime's errors share no other base class
+            raise ArtifactError(
+                f"{self.path} cannot be run on observations of {self.observed} numbers: "
+                f"{' '.join(str(error).split())[:300]}. Export it again"
+            ) from error
         found = [np.asarray(np.concatenate(each), np.float64) for each in zip(*runs, strict=True)]
         if not all(np.isfinite(each).all() for each in found):
             raise ObservationError(

@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import UNCOUNTED, Costs
-from spikedeploy.policies.interface import FLOAT, Candidate, env_id
-from spikedeploy.policies.run_record import settings
+from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.run_record import env_of
 from spikedeploy.runtime.codec.xorshift import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from spikedeploy.trainers.policies import Policy
 
 Floats = NDArray[np.float64]
 
@@ -31,11 +33,9 @@ class TorchController:
     def __init__(self, run: str, sampled: bool = False, checkpoint: str | None = None) -> None:
         import torch
 
-        from spikedeploy.trainers.run_folder import load_policy
-
         torch.set_num_threads(1)
         self._torch = torch
-        self.policy = load_policy(run, checkpoint)
+        self.policy = policy_of(run, checkpoint)
         self._sampler = Sampler(self.policy.head == "discrete") if sampled else None
         self.reset(0)
 
@@ -74,20 +74,38 @@ class TorchController:
         return self.policy.forward_spikes(raster(self.policy, batch, self._rng.draw_sequence)).mean
 
 
+def policy_of(run: str | Path, checkpoint: str | None = None) -> "Policy":
+    """The policy of a run; ConfigError where a checkpoint does not hold what it says."""
+    from spikedeploy.trainers.run_folder import load_policy
+
+    try:
+        policy = load_policy(run, checkpoint)
+        float(getattr(policy.normalizer, "clip", 0.0))  # which nothing else looks at before it acts
+        return policy
+    # of torch, and of whatever else a value stands that is none
+    except (RuntimeError, KeyError, TypeError, ValueError, AttributeError, MemoryError) as error:
+        if isinstance(error, SpikedeployError):
+            raise
+        what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise ConfigError(
+            f"{run}: checkpoint {checkpoint or 'best or last'} holds no whole policy ({what}): "
+            "copy it from a backup, or take another with --checkpoint"
+        ) from error
+
+
 def describe(path: Path) -> Candidate:
     """The candidate in a run folder."""
     from spikedeploy.exporters.to_nir import SpikingPolicy
     from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
-    from spikedeploy.trainers.run_folder import load_policy
 
-    policy = load_policy(path)
+    policy = policy_of(path)
     network = "control" if isinstance(policy, PrunedMlpPolicy) else "ann"
     return Candidate(
         path=str(path),
         name=path.resolve().name,
         kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else network,
         format="run",
-        env=env_id(settings(path)["env"]["name"]),
+        env=env_of(path),
         observed=policy.observations,
         actions=policy.actions,
     )

@@ -1,6 +1,8 @@
 """The records of a run folder: configuration, versions, checkpoint; read without torch."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,13 @@ def settings(run: Path) -> dict[str, Any]:
     """The resolved configuration of a run."""
     check_summed(run / "config.json")
     return _read(run / "config.json")
+
+
+def env_of(run: Path) -> str | None:
+    """Id of the environment that a run was trained in."""
+    config = settings(run)
+    with _whole(run / "config.json"):
+        return env_id(config["env"]["name"])
 
 
 def versions(run: Path) -> dict[str, str | None]:
@@ -37,9 +46,11 @@ def deployed(run: Path, checkpoint: str | None = None) -> str:
 
 def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
     """How long the policy of a checkpoint was trained, and in which unit: see Provenance."""
-    record = _read(run / "checkpoints" / f"{deployed(run, checkpoint)}.json")
+    path = run / "checkpoints" / f"{deployed(run, checkpoint)}.json"
+    record = _read(path)
     unit = "environment steps" if "env_steps" in record else "updates"
-    return int(record.get("env_steps", record.get("updates", 0))), unit
+    with _whole(path):
+        return int(record.get("env_steps", record.get("updates", 0))), unit
 
 
 def unfinished(run: Path) -> str:
@@ -50,21 +61,36 @@ def unfinished(run: Path) -> str:
     file = run / "checkpoints" / "last.json"
     state = _read(file) if file.is_file() else {}
     ended = state.get("finished", True) or "share" not in state
-    return "" if ended else f"{100 * state['share']:.0f} %"
+    with _whole(file):
+        return "" if ended else f"{100 * state['share']:.0f} %"
 
 
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     """The provenance of the policy of a checkpoint, for an exported file."""
     config, name = settings(run), deployed(run, checkpoint)
+    with _whole(run / "config.json"):
+        recipe, seed = str(config["recipe"]), int(config["seed"])
     return Provenance(
-        env=env_id(config["env"]["name"]) or "",
-        recipe=config["recipe"],
-        seed=config["seed"],
+        env=env_of(run) or "",
+        recipe=recipe,
+        seed=seed,
         steps=steps(run, name)[0],
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
         checkpoint="" if name == deployed(run) else name,
     )
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Refuse the record in a file where a field that is taken is missing, or no such value."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(
+            f"{path} is damaged ({type(error).__name__}: {error}): copy it from a backup, or train "
+            "again"
+        ) from error
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -15,13 +15,13 @@ from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.exporters.parity import check
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
-from spikedeploy.policies.run import TorchController
+from spikedeploy.policies.run import TorchController, policy_of
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.trainers.onnx_session import session
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from spikedeploy.runtime.convention import State
@@ -78,7 +78,7 @@ def export_run(
     to = to or _format(path, folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
-    policy = load_policy(folder, run_record.deployed(folder, checkpoint))
+    policy = policy_of(folder, run_record.deployed(folder, checkpoint))
     given, origin = path, run_record.origin(folder, checkpoint)
     path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
     # where no path is given, it is our own file in the run folder

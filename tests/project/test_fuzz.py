@@ -1,4 +1,4 @@
-"""Damaged files raise only SpikedeployErrors; benchmarks/fuzz.py tries ten thousand."""
+"""Damaged files raise only errors of ours; benchmarks/fuzz.py tries ten thousand a format."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.fuzz_corpus import chain, lif, write_corpus
-from benchmarks.fuzz_runs import fuzz, summary
+from benchmarks.fuzz_formats import FORMATS
+from benchmarks.fuzz_readers import READERS
+from benchmarks.fuzz_runs import fuzz, recorded, resumed, summary, table
 from benchmarks.fuzz_trials import attempt
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart import track_file
@@ -31,14 +33,39 @@ def test_damaged_files_raise_only_errors_of_ours(tmp_path):
 
 def test_the_files_that_fuzzing_starts_from_are_valid(tmp_path):
     rng = np.random.default_rng(0)
-    for path in write_corpus(tmp_path / "corpus"):
+    corpus = write_corpus(tmp_path / "corpus")
+    assert {each.suffix for each in FORMATS.values()} == {path.suffix for path in corpus}
+    for path in corpus:
         read, refused = attempt(path, rng)
         assert read, (path, refused)
-        # a track is not a trace and a trace is not a track; chips refuse by their rules
-        allowed = {"TraceError", "EnvError"} if path.suffix == ".json" else {"RuleError"}
-        assert set(refused) <= allowed | {"ArtifactError", "ConventionError"}, (path, refused)
-        if path.suffix == ".nir":
+        if path.suffix == ".nir":  # chips refuse by their rules
+            assert set(refused) <= {"RuleError", "ArtifactError", "ConventionError"}, path
             assert load(path, dt=1e-3).graph.nodes
+        else:  # a file of a format may be for one of its readers alone
+            assert len(refused) < len(READERS[path.suffix])
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_fuzzed_by_itself(name, tmp_path):
+    outcomes = list(fuzz(range(8), 3, tmp_path, name=name))
+    assert {Path(outcome.source).suffix for outcome in outcomes} == {FORMATS[name].suffix}
+    assert not any(outcome.violation for outcome in outcomes), summary(outcomes)
+
+
+def test_fuzzing_goes_on_where_it_was_cut_off(tmp_path):
+    record, whole = tmp_path / "toml.jsonl", tmp_path / "whole.jsonl"
+    for file, counts in ((record, (3, 6)), (whole, (6,))):
+        for count in counts:
+            folder = tmp_path / f"{file.stem}-{count}"
+            folder.mkdir()
+            resumed(file, count, 5, None, "toml", folder)
+        with file.open("a") as cut:
+            cut.write('{"number": 6, "sou')
+    found, wanted = recorded(record), recorded(whole)
+    assert [(o.number, o.damage, o.refused) for o in found] == [
+        (o.number, o.damage, o.refused) for o in wanted
+    ]
+    assert f"toml{6:>15}" in table({"toml": found})
 
 
 @pytest.fixture

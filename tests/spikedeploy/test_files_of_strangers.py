@@ -9,18 +9,25 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.emulation.rasters import read_rasters
+from spikedeploy.emulation.rasters import as_raster, read_rasters
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart import track_file
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.run_record import settings
 from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import observed_numbers
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.trainers.distill.config import DistillConfig
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import resolve
+from tests.networks import popsan
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +73,36 @@ def test_the_largest_number_is_clipped_without_a_warning(codec):
 @pytest.mark.parametrize("kind", ["f2", "f4", "i1", "u8", "?"])
 def test_real_numbers_of_any_type_are_taken_as_they_are(kind):
     assert observed_numbers(np.ones(3, kind)).dtype == np.dtype(kind)
+
+
+def masked_inputs():
+    """What runs rasters, and the same spikes with masked ones."""
+    artifact = popsan()
+    program = compile_program(artifact, chip("loihi1"))
+    spikes = np.ma.MaskedArray(np.ones((1, 5, artifact.codec.encoder.width), np.uint8), mask=True)
+    yield "machine", lambda: Machine(program).infer(spikes)
+    yield "step", lambda: Machine(program).step(spikes[:, 0])
+    yield "pool", lambda: MachinePool(program).infer(spikes)
+    yield "pool by name", lambda: MachinePool(program).infer({"input": spikes})
+    yield "float machine", lambda: FloatMachine(artifact).infer(spikes)
+    yield "float", lambda: FloatGraph(artifact).run({"input": spikes})
+    yield "list", lambda: as_raster(spikes[0])
+
+
+@pytest.mark.parametrize("call", [pytest.param(c, id=name) for name, c in masked_inputs()])
+def test_masked_spikes_are_refused_wherever_they_come_in(call):
+    with pytest.raises(ObservationError, match=r"masked values.* Fill them"):
+        call()
+
+
+def test_numbers_that_would_take_gigabytes_as_floats_are_refused(tmp_path):
+    path = tmp_path / "a.npz"
+    rows = np.ones((3_000_000, 8), np.int8)
+    np.savez_compressed(path, rows)
+    assert read_rasters(path)["arr_0"].dtype == np.uint8
+    np.savez_compressed(path, -rows)
+    with pytest.raises(ObservationError, match="24000000 numbers, which take 8 bytes each"):
+        read_rasters(path)
 
 
 @pytest.fixture
@@ -240,3 +277,12 @@ def test_a_damaged_record_of_a_run_is_refused(text, tmp_path):
     (tmp_path / "config.json").write_text(text)
     with pytest.raises(ConfigError, match="is damaged"):
         settings(tmp_path)
+
+
+@pytest.mark.parametrize("field", ["spread", "sway"])
+def test_a_start_or_finish_that_moves_beyond_every_track_is_refused(field, tmp_path):
+    record = json.loads((track_file.FOLDER / "small_S.json").read_text())
+    (record["start"] if field == "spread" else record)[field] = 1e308
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(EnvError, match="more than a track has"):
+        track_file.load(tmp_path / "a.json")

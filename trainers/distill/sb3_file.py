@@ -20,6 +20,7 @@ from torch import Tensor
 from spikedeploy.runtime.errors import ConfigError
 
 _LARGEST = {"data": 2**24, "policy.pth": 2**28}  # bytes when decompressed: 16 and 256 MiB
+_ZIP = (zipfile.BadZipFile, NotImplementedError, ValueError)  # of a damaged archive
 # Stable-Baselines3 compresses nothing, and weights hardly compress
 _FREE, _RATIO = 2**20, 16  # bytes that any file may unpack to, and more for each that it takes
 
@@ -59,7 +60,10 @@ def _members(path: str) -> dict[str, bytes]:
                     f"{path} is no model of Stable-Baselines3: it has no {' and no '.join(missing)}"
                 )
             return {name: _bounded(path, archive, name) for name in _LARGEST}
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError) as error:
+    # ValueError of names that are no text; what zipfile raises besides depends on the damage
+    except (*_ZIP, zlib.error, EOFError, RuntimeError, OSError) as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise  # there is no such file
         raise _damaged(path, str(error)) from error
 
 
@@ -117,7 +121,7 @@ def _check_inside(path: str, raw: bytes) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             members = archive.infolist()
-    except (zipfile.BadZipFile, NotImplementedError) as error:
+    except _ZIP as error:
         raise _damaged(path, "policy.pth is in the format of torch before 1.6") from error
     if any(each.filename.endswith("constants.pkl") for each in members):
         raise _damaged(path, "policy.pth is a script of torch, which runs code")

@@ -1,6 +1,7 @@
 """Small files that would take minutes or gigabytes are refused, or read in linear time."""
 
 import time
+import warnings
 from itertools import combinations, pairwise
 
 import h5py
@@ -10,9 +11,15 @@ import pytest
 
 from benchmarks.fuzz_corpus import chain, lif
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.artifact.nir_data import read_nir_data
+from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import (
+    ArtifactError,
+    ConventionError,
+    ObservationError,
+    RuleError,
+)
 from spikedeploy.runtime.graph.order import order, sources
 
 TWO = np.ones(2)
@@ -196,3 +203,75 @@ def test_whole_numbers_that_no_float_holds_are_refused(tmp_path):
     nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(huge), cells=lif(2)))
     with pytest.raises(ArtifactError, match="weight holds whole numbers beyond 9007199254740992"):
         load(tmp_path / "a.nir", dt=1e-3)
+
+
+@pytest.mark.parametrize("value", [5e-324, 1e-310, -1e-320, 1e-40])
+def test_denormal_weights_give_no_warnings(value, tmp_path):
+    weights = np.array([[value, 1.0], [0.0, value]])
+    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(weights), cells=lif(2)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        artifact = load(tmp_path / "a.nir", dt=1e-3)
+        for name in CHIPS:
+            check(artifact, chip(name))
+            try:
+                compile_program(artifact, chip(name), limits=False)
+            except RuleError:
+                assert name != "loihi1"
+
+
+def recorded_events(path, **changes):
+    """NIRData of two events, some of whose fields are others; those that are dicts, attributes."""
+    times = np.array([[0.0, 1e-3]])
+    events = nir.ValuedEventData(
+        idx=np.array([[0, 1]]), time=times, value=times, n_neurons=2, t_max=4e-3
+    )
+    nir.write_data(path, nir.NIRGraphData({"input": nir.NIRNodeData({"spikes": events})}))
+    with h5py.File(path, "r+") as file:
+        groups = []
+        file.visititems(lambda name, found: groups.append(name) if name.endswith("/idx") else None)
+        group = file[groups[0].rpartition("/")[0]]
+        for name, value in changes.items():
+            if name in group.attrs:
+                group.attrs[name] = value
+            else:
+                del group[name]
+                made = value if isinstance(value, dict) else {"data": value}
+                group.create_dataset(name, **made)
+    return path
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"idx": np.array([[b"a", b"b"]])},
+        {"idx": np.array([[0.5, np.nan]])},
+        {"time": np.array([[np.nan, 1e-3]])},
+        {"time": np.array([[0.0, np.inf]])},
+        {"time": np.array([[1e300, -1e300]])},
+        {"time": np.zeros((1, 2), [("a", "f8")])},
+        {"value": np.array([[1j, 1]])},
+        {"value": np.zeros((1, 3))},
+        {"value": {"shape": (1 << 15, 1 << 15), "dtype": "f8", "chunks": (64, 64)}},
+        {"t_max": 1e308},
+        {"t_max": 1e6},
+        {"n_neurons": 1 << 40},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_nir_data_of_strangers_are_refused_in_a_sentence(changes, tmp_path):
+    sound = read_nir_data(recorded_events(tmp_path / "a.h5"), {"input": (2,)}, 1e-3)
+    assert sound["input"].shape == (4, 2)
+    path = recorded_events(tmp_path / "b.h5", **changes)
+    with pytest.raises(ObservationError, match=r"b\.h5"):  # and no warning, which is an error here
+        read_nir_data(path, {"input": (2,)}, 1e-3)
+
+
+def test_a_time_constant_below_the_smallest_float_forgets_at_once(tmp_path):
+    cells = lif(2)
+    cells.tau = np.full(2, np.longdouble("1e-1600"))
+    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(np.eye(2)), cells=cells))
+    with pytest.raises(ConventionError, match="longer than tau"):
+        load(tmp_path / "a.nir", dt=1e-3)
+    # and no warning, which is an error here
+    load(tmp_path / "a.nir", dt=1e-3, integrator="exponential")

@@ -1,7 +1,10 @@
 """Copies of what is running go on exactly as the original does, and threads wait for their turn."""
 
 import copy
+import multiprocessing
 import pickle
+import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.util import find_spec
@@ -200,3 +203,25 @@ def test_a_copy_made_while_threads_run_holds_whole_inferences(copied, make):
             ledger = other.ledger
             np.testing.assert_array_equal(ledger.counts.sum(axis=0), ledger.inferences * one)
     assert machine.ledger.inferences == 1 + 40 * (1 + 2 + 5)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are spawned there")
+def test_machines_of_one_program_in_threads_and_after_a_fork_are_alike():
+    program = compile_program(popsan(), chip("loihi1"))
+    spikes = rasters(program, 1, 5, 0.3, seed=0)[0]
+
+    def output(_=None):
+        return Machine(program).infer(spikes)
+
+    expected = output()
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(output, range(40)):
+            np.testing.assert_array_equal(found, expected)
+    ours, theirs = multiprocessing.Pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Python's, that threads are running
+        process = multiprocessing.get_context("fork").Process(target=lambda: theirs.send(output()))
+        process.start()
+    assert ours.poll(60)
+    np.testing.assert_array_equal(ours.recv(), expected)
+    process.join()

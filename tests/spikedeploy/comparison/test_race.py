@@ -16,6 +16,7 @@ from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.metrics import measure
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
+from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.pages import report
@@ -123,7 +124,7 @@ def test_options_of_the_environment_reach_every_episode():
 
 
 def test_an_option_that_an_environment_does_not_have_is_one_clear_line():
-    with pytest.raises(ConfigError, match=r"race has no option 'wings'; the docstring of"):
+    with pytest.raises(EnvError, match=r"race has no option 'wings'; the docstring of"):
         make_env("race", {"wings": 2})
     with pytest.raises(ConfigError, match="--set takes option=value"):
         parse_options(["track"])

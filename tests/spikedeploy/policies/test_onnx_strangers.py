@@ -155,3 +155,19 @@ def test_bytes_that_are_no_protobuf_are_refused(content, tmp_path):
     (tmp_path / "a.onnx").write_bytes(content)
     with pytest.raises(ArtifactError, match="is not an ONNX file that can be run"):
         session(tmp_path / "a.onnx")
+
+
+def test_tensors_that_do_not_fit_are_refused_when_the_file_is_run(tmp_path):
+    two = value("y", ["B", None])
+    path = model(tmp_path / "a.onnx", weight=np.ones((3, 1), np.float32), outputs=[two])
+    with pytest.raises(ArtifactError):
+        OnnxController(path).act(np.zeros(2))
+
+
+def test_counts_of_other_matrices_are_refused(tmp_path):
+    hidden = [helper.make_node("MatMul", ["x", "w"], ["y"]), helper.make_node("Relu", ["x"], ["r"])]
+    ends = [value("y", ["B", 1]), value("r", ["B", 2])]
+    for counts in ("[[1, 1, 1]]", "[[1, 1], [1]]", "[]"):
+        path = model(tmp_path / "a.onnx", hidden, outputs=ends, said={"fan_out": counts})
+        with pytest.raises(ArtifactError, match="says fan_out of"):
+            OnnxController(path).effective_macs(np.zeros((3, 2)))

@@ -299,3 +299,14 @@ def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path):
         teacher(str(tmp_path / "none.zip"), CARTPOLE)
     with pytest.raises(ConfigError, match="leave teacher_units out"):
         teacher(str(MODELS / "sac.zip"), REACH, units="scaled")
+
+
+def test_names_in_an_archive_that_are_no_text_are_refused(tmp_path):
+    raw = (MODELS / "ppo.zip").read_bytes()
+    path = tmp_path / "a.zip"
+    path.write_bytes(raw.replace(b"data", b"\xff\xfe\xfd\xfc"))
+    with pytest.raises(ConfigError, match=r"no model of Stable-Baselines3|cannot be read"):
+        teacher(str(path), CARTPOLE)
+    inner = saved(state_of("ppo")).replace(b"data.pkl", b"\xff" * 8)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        teacher(rewritten("ppo", tmp_path / "b.zip", policy_pth=inner), CARTPOLE)

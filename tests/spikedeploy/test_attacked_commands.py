@@ -1,0 +1,230 @@
+"""Commands as they were attacked: each says one sentence, and nothing is lost."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from spikedeploy import envs, zoo
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.policies import run_record
+from spikedeploy.policies.adopted import read_codec
+from spikedeploy.policies.run import policy_of
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.trainers.policies import MlpPolicy
+from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.run_folder import RunFolder
+from tests.paths import ROOT
+
+NET, RASTER = ROOT / "examples" / "net.nir", ROOT / "examples" / "raster.npy"
+POLICY = zoo.FOLDER / "kart-steer" / "snn.nir"
+NORSE = ROOT / "tests/golden/exports/norse_lifcell.nir"
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run folder with a checkpoint."""
+    config = resolve(PpoConfig, "kart-grid-ann", overrides=["policy.hidden=[4]"], seed=0)
+    made = RunFolder.create(tmp_path / "runs", config)
+    state = {"env_steps": 10, "finished": False, "share": 0.5}
+    made.save("best", MlpPolicy(12, 5, [4], head="discrete"), state)
+    return made.path
+
+
+def refused(done, says):
+    code, out, err = done
+    assert code == 2, err
+    assert says in " ".join(err.split()), err
+    assert "Traceback" not in err + out
+
+
+def test_a_film_never_replaces_its_policy(tmp_path, command):
+    copy = tmp_path / "net.nir"
+    shutil.copy(POLICY, copy)
+    refused(command("run", copy, "--video", copy), "is the input")
+    assert copy.read_bytes() == POLICY.read_bytes()
+
+
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_an_export_never_replaces_the_configuration_of_its_run(force, run, command):
+    before = (run / "config.json").read_bytes()
+    words = ("export", run, "--to", "onnx", "-o", run / "config.json", *force)
+    refused(command(*words), "inside the run folder")
+    assert (run / "config.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("output", ["", "."])
+def test_no_name_of_an_output_is_a_sentence(output, tmp_path, command, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ("emulate", NET, "--chip", "float", "--input", RASTER, "-o", output)
+    refused(command(*words), "-o . is a folder. Name a file in it.")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="a device of POSIX")
+def test_a_device_as_input_does_not_hang(tmp_path, command):
+    words = ("emulate", NET, "--chip", "float", "--input", "/dev/zero", "-o", tmp_path / "o.npz")
+    refused(command(*words), "/dev/zero is no file")
+
+
+def test_packages_called_runtime_or_envs_of_somebody_else_are_not_imported(tmp_path):
+    for name in ("runtime", "envs", "trainers", "exporters"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('a stranger')")
+    words = [sys.executable, "-m", "spikedeploy", "check", str(NET)]
+    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=tmp_path, env=environ, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_names_of_any_script_no_home_and_a_folder_that_takes_nothing(tmp_path):
+    strange = tmp_path / "ünïcødé 日本 [bold]"
+    strange.mkdir()
+    shutil.copy(NET, strange / "é.nir")
+    environ = {name: value for name, value in os.environ.items() if name != "HOME"}
+    words = [sys.executable, "-m", "spikedeploy", "check", str(strange / "é.nir"), "--json"]
+    environ["PYTHONPATH"] = str(ROOT)
+    done = subprocess.run(words, cwd="/proc", env=environ, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "[bold]" in json.dumps(json.loads(done.stdout), ensure_ascii=False)
+
+
+def test_a_window_of_the_hexapod_without_a_display_is_an_error_of_ours(monkeypatch):
+    glfw = pytest.importorskip("glfw")
+    monkeypatch.setattr(glfw, "init", lambda: False)
+    env = envs.make("hexapod", render_mode="human")
+    with pytest.raises(EnvError, match="no display can be reached"):
+        env.reset()
+
+
+@pytest.mark.parametrize("option", ["colour=3", "track=[[[["])
+def test_an_option_that_the_environment_has_not_is_refused_by_training(option, tmp_path, command):
+    words = ("train", "smoke-kart", "--set", f"env.options.{option}", "--runs", tmp_path)
+    says = "has no option 'colour'" if "colour" in option else "unknown track '[[[['"
+    refused(command(*words), says)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [("export",), ("train", "--resume"), ("visualize",)])
+def test_a_cut_configuration_is_a_sentence(words, run, command):
+    (run / "config.json").write_text('{"recipe": ')
+    (run / "metrics.csv").unlink(missing_ok=True)
+    code, out, err = command(*words, run)
+    assert code == 2
+    assert "Traceback" not in err + out
+    assert "config.json" in err or "metrics.csv" in err
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "value"),
+    [
+        ("config.json", "env", 3),
+        ("config.json", "env", {"name": []}),
+        ("config.json", "seed", None),
+        ("config.json", "recipe", ...),
+        ("checkpoints/best.json", "env_steps", [1]),
+    ],
+)
+def test_strange_records_of_a_run_are_refused_by_name(file, name, value, run):
+    record = json.loads((run / file).read_text())
+    record.pop(name) if value is ... else record.update({name: value})
+    (run / file).write_text(json.dumps(record))
+    with pytest.raises(ConfigError, match=f"{file.rpartition('/')[2]} is damaged"):
+        run_record.origin(run)
+
+
+def test_a_share_that_is_no_number_is_refused_by_name(run):
+    (run / "checkpoints" / "last.json").write_text('{"finished": false, "share": []}')
+    with pytest.raises(ConfigError, match=r"last\.json is damaged"):
+        run_record.unfinished(run)
+
+
+@pytest.mark.parametrize("change", ["missing", "axes", "spec", "clip"])
+def test_a_checkpoint_without_its_policy_is_refused_in_a_sentence(change, run):
+    policy = MlpPolicy(12, 5, [4], head="discrete")
+    if change == "missing":
+        del policy.layers[0].weight
+    elif change == "axes":
+        policy.layers[0].weight = torch.nn.Parameter(torch.zeros(3, 3))
+    elif change == "spec":
+        policy.hidden = ([],)
+    else:
+        policy.normalizer.clip = {}
+    RunFolder(run).save("best", policy, {"env_steps": 10})
+    with pytest.raises(ConfigError, match=r"checkpoint best or last holds no whole policy \(\w+"):
+        policy_of(run)
+
+
+DISTILLED = {
+    "bad.onnx": "is not an ONNX file that can be run",
+    "bad.zip": "cannot be read as a model of Stable-Baselines3",
+    "mine:text": "gave no finite numbers for 1 observations",
+    "mine:number": "is no function of an observation, but 3",
+    "mine:absent": "has no 'absent'",
+    "nowhere_at_all:f": "there is no module nowhere_at_all",
+}
+
+
+@pytest.mark.parametrize("teacher", DISTILLED)
+def test_broken_teachers_are_refused_before_a_run_folder(teacher, tmp_path, command, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "bad.onnx").write_text("no onnx")
+    (tmp_path / "bad.zip").write_bytes(b"PK\3\4junk")
+    (tmp_path / "mine.py").write_text("number = 3\n\ndef text(seen):\n    return 'abc'\n")
+    words = ("distill", teacher, "--env", "CartPole-v1", "--runs", tmp_path / "runs")
+    sys.modules.pop("mine", None)
+    refused(command(*words), DISTILLED[teacher])
+    assert not list((tmp_path / "runs").glob("*"))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"timesteps": 16', "is no JSON that can be read"),
+        ("[" * 100_000, "is no JSON that can be read"),
+        ("[1]", "holds no codec, but a list"),
+        ('{"normaliser": {"mean": [0], "std": [1], "clip": %s}}' % ("9" * 400), "finite number"),
+        ('{"normaliser": {"mean": [0, [1]]}}', "holds lists that are no arrays"),
+        ('{"timesteps": 16, "squash": "argmax"}', "normaliser"),
+    ],
+)
+def test_a_strange_codec_is_refused_in_a_sentence(text, says, tmp_path, command):
+    (tmp_path / "codec.json").write_text(text)
+    with pytest.raises(ArtifactError, match=says):
+        read_codec(tmp_path / "codec.json")
+    shutil.copy(NORSE, tmp_path / "net.nir")
+    words = ("run", tmp_path / "net.nir", "--from", "norse", "--codec", tmp_path / "codec.json")
+    refused(command(*words, "--env", "CartPole-v1"), says)
+    assert not (tmp_path / "net.policy.nir").exists()
+
+
+@pytest.mark.parametrize("policy", ["bad.onnx", "nowhere"])
+def test_robustness_of_a_broken_policy_is_a_sentence(policy, tmp_path, command, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.onnx").write_text("no onnx")
+    words = ("experiment", "robustness", "CartPole-v1", "--policies", policy)
+    refused(command(*words), "bad.onnx" if policy == "bad.onnx" else "no policy at 'nowhere'")
+
+
+@pytest.mark.parametrize("text", ["{}", "[1]", "[" * 100_000, '{"evaluation": [3]}', ""])
+def test_reproduce_refuses_what_is_no_record(text, tmp_path, command):
+    (tmp_path / "card.json").write_text(text)
+    refused(command("reproduce", tmp_path / "card.json"), "card.json")
+
+
+def test_brackets_in_names_of_files_are_text_in_json(tmp_path, command):
+    named = tmp_path / "[bold]x.nir"
+    shutil.copy(NET, named)
+    words = ("emulate", named, "--chip", "loihi1", "--input", RASTER, "-o", tmp_path / "o.npz")
+    code, out, _ = command(*words, "--json")
+    assert code == 0
+    assert json.loads(out)
+    code, out, _ = command("check", named, "--json")
+    assert "[bold]x.nir" in json.dumps(json.loads(out))
+    assert np.load(tmp_path / "o.npz")["output"].size
