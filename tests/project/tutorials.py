@@ -58,7 +58,10 @@ def parts(page):
     """Prose and blocks, in order."""
     text, found, end = page.read_text("utf-8"), [], 0
     for block in _BLOCK.finditer(text):
-        found += [Part("prose", text[end : block.start()]), Part(block[1], block[3], block[2] or "")]
+        found += [
+            Part("prose", text[end : block.start()]),
+            Part(block[1], block[3], block[2] or ""),
+        ]
         end = block.end()
     return [*found, Part("prose", text[end:])]
 
