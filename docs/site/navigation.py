@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.pages import Page
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -13,6 +14,12 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     tabs = [{name: _pages(text)} for name, text in zip(sections[::2], sections[1::2], strict=True)]
     config.nav = [{"Home": "README.md"}, *tabs]
     return config
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> None:
+    """The front page has no neighbours to list beside it."""
+    if page.is_homepage:
+        page.meta["hide"] = ["navigation"]
 
 
 def _pages(text: str) -> list[dict[str, str]]:

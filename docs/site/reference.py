@@ -10,7 +10,7 @@ PACKAGES = ("runtime", "envs", "trainers", "exporters")
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """A tab of its own, behind the others."""
-    pages = [{name: _file(name)} for name, _ in _packages(config)]
+    pages = [{name.removeprefix("spikedeploy."): _file(name)} for name, _ in _packages(config)]
     config.nav.append({"API": pages})
     return config
 
@@ -18,8 +18,8 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """The pages, which exist in the site alone."""
     for name, modules in _packages(config):
-        text = "\n\n".join(f"::: {module}" for module in modules)
-        page = f"---\ntitle: {name}\n---\n\n{text}\n"
+        first, *others = [f"::: {module}\n" for module in modules]
+        page = "\n".join([first + "    options:\n      heading_level: 1\n", *others])
         files.append(File.generated(config, _file(name), content=page))
     return files
 
