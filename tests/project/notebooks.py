@@ -5,11 +5,13 @@ is the output of its cell; the outputs of a run are not kept.
 """
 
 import json
+import re
 
 from tests.paths import ROOT
 from tests.project.tutorials import FOLDER, NOTEBOOKS, commands, parts
 
 FILES = {name: ROOT / f"examples/notebooks/{name}.ipynb" for name in NOTEBOOKS}
+_ALSO = re.compile(r"Also as a notebook:\s+\[.+?\]\(.+?\)\.")
 _TOP = """# paths begin at the top of the checkout
 import os
 from pathlib import Path
@@ -30,9 +32,11 @@ def notebook(name):
         elif part.kind == "python":
             cells.append(_code(part.text))
         elif part.kind == "sh" and commands(part):
-            cells.append(_code("".join(f"!{line}\n" for line in part.text.splitlines())))
+            cells.append(_code(re.sub(r"^(?=\S)", "!", part.text, flags=re.M)))
         elif part.kind == "prose":
-            _prose(cells, _linked(part.text))
+            _prose(
+                cells, _linked(_ALSO.sub(rf"Made from the page [{name}.md]({name}.md).", part.text))
+            )
         else:
             over = f"*{part.title}*\n\n" if part.title else ""
             _prose(cells, f"{over}```{part.kind}\n{part.text}```")

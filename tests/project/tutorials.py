@@ -68,7 +68,8 @@ def parts(page):
 
 def commands(block):
     """Lines of a shell block with a command of this tool."""
-    return [line for line in block.text.splitlines() if line.startswith("spikedeploy ")]
+    lines = block.text.replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.startswith("spikedeploy ")]
 
 
 def fails(line):
