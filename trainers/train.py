@@ -75,6 +75,7 @@ def train(
     config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
     config = config if budget is None else with_budget(config, budget)
     _check_env(config)
+    config = _by_name(config)
     run = RunFolder.create(runs, config)
     with locked(run.path), _removed_if_refused(run):
         _learn(kind(config, run), config, run, quiet, stopped)
@@ -125,6 +126,12 @@ def _check_env(config: RunConfig) -> None:
             f"`spikedeploy train CartPole-v1 --recipe {config.recipe}`"
         )
     envs.spec(config.env.name)
+
+
+def _by_name(config: RunConfig) -> RunConfig:
+    """Return it with the folder of the run that is "last" now: later another one is."""
+    runs = [name for name in ("teacher", "start", "pool") if getattr(config, name, "") == "last"]
+    return config.model_copy(update={name: str(RunFolder.find("last").path) for name in runs})
 
 
 @contextmanager

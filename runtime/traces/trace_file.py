@@ -85,7 +85,7 @@ def trace_in(fields: Fields, stem: str) -> TraceFile:
 def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index: str) -> Integers:
     """(T, N) of the first name that is there; a list of numbers is that of a single neuron.
 
-    index: the field that says which way the tables stand, as in "[neuron][t]".
+    index: the field that says which way the tables stand, as in `[neuron][t]`.
     """
     found = spec.array(*names, axes=2, least=least, most=most)
     if found.ndim == 0:

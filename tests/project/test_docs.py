@@ -20,6 +20,7 @@ PAGES = [
     *sorted(ROOT.glob("docs/*.md")),
     ROOT / "results/README.md",
 ]
+TUTORIALS = sorted(ROOT.glob("docs/tutorials/*.md"))  # which test_tutorials.py follows
 ARCHITECTURE = ROOT / "docs/architecture.md"
 START, END = "<!-- dependencies -->\n", "<!-- end of dependencies -->\n"
 
@@ -125,13 +126,13 @@ PATH = rf"(?<![\w/.])((?:{FOLDERS})/[\w./-]*\w/?)(?![\w*<])"
 ENVIRONMENT = r"spikedeploy/\w+-v\d"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", [*PAGES, *TUTORIALS], ids=name)
 def test_the_paths_that_a_page_names_exist(page):
     named = set(re.findall(PATH, re.sub(ENVIRONMENT, "", page.read_text("utf-8"))))
     assert sorted(path for path in named if not (ROOT / path).exists()) == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", [*PAGES, *TUTORIALS], ids=name)
 def test_the_modules_that_a_page_names_exist(page):
     named = re.findall(r"spikedeploy(?:\.[a-z_0-9]+)+", page.read_text("utf-8"))
     assert [name for name in named if not known(name)] == []

@@ -10,7 +10,7 @@ README = ROOT / "README.md"
 PAGES = [
     README,
     ROOT / "CONTRIBUTING.md",
-    *sorted(ROOT.glob("docs/*.md")),
+    *sorted(ROOT.glob("docs/**/*.md")),
     ROOT / "results/README.md",
 ]
 
@@ -52,5 +52,6 @@ def test_links_to_headings_find_them(page):
 
 
 def test_the_index_names_every_page():
-    named = re.findall(r"\]\(([\w-]+\.md)\)", (ROOT / "docs/README.md").read_text("utf-8"))
-    assert set(named) == {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"}
+    named = re.findall(r"\]\(([\w/-]+\.md)\)", (ROOT / "docs/README.md").read_text("utf-8"))
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in ROOT.glob("docs/**/*.md")}
+    assert sorted(named) == sorted(pages - {"README.md"})

@@ -15,7 +15,7 @@ def checkout(tmp_path):
     (home / ".venv/bin").mkdir(parents=True)
     shutil.copy(ROOT / "spike", home)
     (home / "pyproject.toml").write_text("version 1")
-    for program in ("pip", "spikedeploy", "python"):
+    for program in ("pip", "spikedeploy", "python", "mkdocs"):
         file = home / ".venv/bin" / program
         file.write_text(f'#!/bin/sh\necho "{program} $PWD $*" >> "{home}/calls"\n')
         file.chmod(0o755)
@@ -34,7 +34,7 @@ def spike(home, *words, cwd=None):
 
 
 def test_it_is_a_short_posix_script():
-    assert len((ROOT / "spike").read_text().splitlines()) <= 40
+    assert len((ROOT / "spike").read_text().splitlines()) <= 42
     subprocess.run(["sh", "-n", ROOT / "spike"], check=True)
 
 
@@ -75,6 +75,12 @@ def test_without_words_it_prints_the_help(checkout):
 def test_the_suite_runs_in_the_checkout_on_two_cores(checkout, tmp_path):
     _, _, lines = spike(checkout, "test", "-x", cwd=tmp_path)
     assert lines[-1] == f"python {checkout} -m pytest -n 2 --dist worksteal -x"
+
+
+def test_docs_builds_the_site_of_the_checkout(checkout, tmp_path):
+    _, programs, lines = spike(checkout, "docs", cwd=tmp_path)
+    assert programs[0] == "pip"
+    assert lines[-1] == f"mkdocs {checkout} build --strict"
 
 
 def test_peers_are_compared_with_by_a_script_of_the_checkout(checkout, tmp_path):

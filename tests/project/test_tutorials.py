@@ -1,0 +1,60 @@
+"""A reader who follows a tutorial from top to bottom sees what it shows."""
+
+import sys
+
+import pytest
+
+from spikedeploy.runtime import CHIPS
+from tests.paths import ROOT
+from tests.project.test_docs import checkout  # noqa: F401  the folder of the reader
+from tests.project.tutorials import PAGES, commands, fails, missing, parts, short
+
+
+@pytest.fixture
+def reader(checkout, monkeypatch):  # noqa: F811
+    """The folder, whose files can be imported; chips and modules that a page adds go with it."""
+    chips, modules = dict(CHIPS), set(sys.modules)
+    monkeypatch.syspath_prepend(str(checkout))
+    monkeypatch.setenv("COLUMNS", "120")
+    yield checkout
+    CHIPS.clear()
+    CHIPS.update(chips)
+    for name in set(sys.modules) - modules:
+        if str(checkout) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_tutorial_does_what_it_says(page, reader, command, capsys):
+    names, printed = {}, ""
+    for part in parts(page):
+        if part.kind == "sh":
+            printed = "".join(ran(line, command) for line in commands(part))
+        elif part.kind == "python" and part.title:
+            (reader / part.title).write_text(part.text, encoding="utf-8")
+        elif part.kind == "python":
+            exec(compile(part.text, page.name, "exec"), names)
+            printed = capsys.readouterr().out
+        elif part.kind == "text" and not part.title:
+            assert missing(part.text, printed) is None, printed
+
+
+def ran(line, command):
+    """What a command prints on both streams; its exit code is the one of the page."""
+    import shlex
+
+    code, out, err = command(*shlex.split(short(line), comments=True)[1:])
+    assert code == fails(line), err
+    return out + err
+
+
+def test_lines_are_found_in_their_order_and_numbers_nearly():
+    assert missing("a 1,000\nb 2", "x a 1,020 y\n z b   2.0") is None
+    assert missing("a 1,000", "a 1,200 a 999") is None
+    assert missing("b 2\na 1", "a 1 b 2") == "a 1"
+    assert missing("a 100", "a 120") == "a 100"
+
+
+def test_every_tutorial_is_run():
+    assert len(PAGES) >= 7
+    assert all((ROOT / "docs/tutorials" / page.name).exists() for page in PAGES)
