@@ -1,0 +1,17 @@
+"""A compiled program as C99 without dependencies: the network in integers, and the codec.
+
+The templates are C with gaps, `@NAME@`; what depends on the program is written into them.
+
+to_c            a program and its codec as a folder of C
+refusals        what cannot become C, and what to do instead
+declarations    arrays of C with the narrowest types, and the memory that they take
+magnitudes      how large the numbers of a layer can get: which integers of C hold them
+registers       registers and decays of a chip as C that is defined for every number
+network         policy.h and policy.c: sources, synapses, layers, one timestep
+cuba            one timestep of CuBa-LIF neurons
+integrate       one timestep of integrate-and-fire neurons
+encoders        codec.c: observations to events
+decoder         codec.c: spikes and membranes to actions
+vectors         what the interpreter computes, for the self-test
+costs           memory, and operations in the worst case and as recorded
+"""

@@ -1,0 +1,77 @@
+/* @mark@
+ * @origin@
+ *
+ * Observations to input spikes, and what leaves the chip to actions.
+ */
+#include "@prefix@.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+#if (FLT_RADIX != 2) || (DBL_MANT_DIG != 53) || (FLT_EVAL_METHOD != 0)
+#error "double has to be IEEE 754 binary64, and to be computed as such (on x86: -mfpmath=sse)"
+#endif
+
+@declarations@
+
+#ifdef @PREFIX@_PROBE
+void @prefix@_probe(uint32_t timestep, const @prefix@_id_t *id, uint32_t count);
+#endif
+
+/* The upper half of a double as a number that grows with it. */
+static int32_t key_of(double x)
+{
+    uint64_t bits;
+    uint32_t upper;
+    int32_t size;
+    (void)memcpy(&bits, &x, sizeof bits);
+    upper = (uint32_t)(bits >> 32);
+    size = (int32_t)(upper & 0x7FFFFFFFu);
+    return ((upper >> 31) != 0u) ? -size : size;
+}
+
+/* Whether a double with this key is neither infinite nor no number. */
+static int finite_key(int32_t key)
+{
+    return (key < 0x7FF00000) && (key > -0x7FF00000);
+}
+
+@codec_functions@
+void @prefix@_reset(void)
+{
+    @prefix@_net_reset();
+@encoder_reset@
+@decoder_reset@
+}
+@seed_function@
+int @prefix@_step(const double observation[@PREFIX@_OBSERVATIONS],
+                @prefix@_action_t action[@PREFIX@_ACTIONS])
+{
+    uint32_t timestep;
+    uint32_t i;
+    for (i = 0u; i < @PREFIX@_OBSERVATIONS; i++) {
+        if (finite_key(key_of(observation[i])) == 0) {
+            return @PREFIX@_NOT_FINITE;
+        }
+    }
+@inference_reset@
+    encode_begin(observation);
+    decode_begin();
+    for (timestep = 0u; timestep < @PREFIX@_TIMESTEPS; timestep++) {
+        uint8_t *times;
+        @prefix@_id_t *id = @prefix@_net_begin(&times);
+        const uint32_t count = encode(timestep, id);
+        (void)times;
+        @prefix@_net_step(count);
+        decode_add();
+#ifdef @PREFIX@_PROBE
+        @prefix@_probe(timestep, id, count);
+#endif
+    }
+    decode_end(action);
+    return @PREFIX@_OK;
+}
