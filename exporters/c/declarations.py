@@ -92,7 +92,10 @@ class Declarations:
         """What stands for the value of a neuron in C: a number where all have the same."""
         if values.size and (values == values.flat[0]).all():
             return literal(int(values.flat[0]), kind)
-        return f"{self.constant(name, values)}[{index}]"
+        # unsigned tables would turn comparisons with signed numbers into others
+        low = int(values.min()) if kind.startswith("u") else min(int(values.min()), -1)
+        stored = narrowest(low, int(values.max()))
+        return f"{self.constant(name, values, stored)}[{index}]"
 
     def _bytes(self, kind: str) -> int:
         """Size of a number of a type, those of the header included."""
