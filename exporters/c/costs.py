@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.codec.delta import DeltaEncoder
-from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,19 @@ class CCosts:
     neuron_updates: int
 
 
-def costs(plan: Plan, timesteps: int, rom: int, ram: int, ledger: Ledger, events: float) -> CCosts:
-    """Costs of a plan; events: the recorded mean of input spikes in an inference."""
-    layers = plan.program.layers
+def costs(plan: Plan, raster: NDArray[np.uint8], rom: int, ram: int) -> CCosts:
+    """Costs of a plan; raster: (S, T, M) input spikes of an episode, for the typical operations."""
+    layers, timesteps = plan.program.layers, raster.shape[1]
     each = sum(_most(plan, synapses) for layer in layers for synapses in layer.synapses)
+    machine = Machine(plan.program, 1, "total")
+    for rows in raster:
+        machine.infer(rows[None])
     return CCosts(
         rom=rom,
         ram=ram,
-        sops=ledger.per_inference("sop"),
+        sops=machine.ledger.per_inference("sop"),
         sops_max=timesteps * each,
-        events=events,
+        events=float(raster.sum(axis=(1, 2), dtype=np.int64).mean()),
         events_max=timesteps * plan.events_max * plan.times_max[plan.program.input],
         neuron_updates=timesteps * sum(layer.size for layer in layers),
     )

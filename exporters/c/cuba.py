@@ -87,7 +87,11 @@ class CubaWriter:
         test = f"if ({membrane} > {threshold}) {{"
         if self._refractory(layer):
             waits = f"{name}_refractory[n]"
-            lines += [f"    if ({waits} > 0u) {{", f"        {waits}--;", f"        {membrane} = 0;"]
+            lines += [
+                f"    if ({waits} > 0u) {{",
+                f"        {waits}--;",
+                f"        {membrane} = 0;",
+            ]
             test = f"}} else {test}"
             spike.append(f"{waits} = {self.registers.refractory - 1}u;")
         tail = ["    } else {", "        /* it stays below its threshold */"]

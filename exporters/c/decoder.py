@@ -1,5 +1,7 @@
 """The decoder in C: spikes and membranes that leave the chip to actions."""
 
+from math import ldexp
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,9 @@ from spikedeploy.runtime.compiler.program import ReadoutTerm
 from spikedeploy.runtime.errors import ConfigError
 
 Floats = NDArray[np.float64]
+
+# of 1/16 each, up to where tanh is 1 within 1e-13
+_STEPS = 240
 
 
 class DecoderWriter:
@@ -43,9 +48,18 @@ class DecoderWriter:
             "add": _lines([line for k, term in terms for line in self._add(k, term)]),
             "weigh": _lines([line for k, term in terms for line in self._weigh(k, term)]),
             "act": _lines(self._act()),
-            "squash_function": "",
+            "score_start": self._start(),
+            "squash_function": self._squash(),
             "decoder_reset": _lines([line for k, term in terms for line in self._forget(k, term)]),
         }
+
+    def _squash(self) -> str:
+        """tanh in C, where it is needed, with its table."""
+        if self.codec.squash != "tanh":
+            return ""
+        table = [int(ldexp(value, 64)) for value in np.tanh(np.arange(_STEPS) / 16)]
+        self.out.constant("tanh_of", np.array(table, np.uint64))
+        return template("squash.c")
 
     def _first_scores(self) -> list[int]:
         """The first number of the output that each term adds to."""
@@ -130,7 +144,10 @@ class DecoderWriter:
             return self._diagonal(k, np.diag(weight), first)
         rows, columns = np.nonzero(weight)
         out, starts = self.out, np.searchsorted(rows, np.arange(size + 1))
-        start, target = out.constant(f"read{k}_first", starts), out.constant(f"read{k}_score", columns + first)
+        start, target = (
+            out.constant(f"read{k}_first", starts),
+            out.constant(f"read{k}_score", columns + first),
+        )
         value = out.constant(f"read{k}_weight", weight[rows, columns])
         return [
             f"for (n = 0u; n < {size}u; n++) {{",
@@ -154,13 +171,17 @@ class DecoderWriter:
         value = f"(double)total{k}[n]{times}"
         return [f"for (n = 0u; n < {len(weight)}u; n++) {{", f"    score[{place}] += {value};", "}"]
 
+    def _start(self) -> str:
+        """C for what a score begins with: its bias in every timestep."""
+        bias = self._bias() * self.codec.timesteps
+        if (bias == bias[0]).all():
+            return number(float(bias[0]))
+        return f"{self.out.constant('bias', bias)}[a]"
+
     def _act(self) -> list[str]:
         """C from scores to actions."""
-        bias, timesteps = self._bias(), self.codec.timesteps
-        value = "score[a]" if timesteps == 1 else f"(score[a] / {number(float(timesteps))})"
-        if bias.any():
-            each = f"{self.out.constant('bias', bias)}[a]" if (bias != bias[0]).any() else number(float(bias[0]))
-            value = f"({value} + {each})"
+        timesteps = self.codec.timesteps
+        value = "score[a]" if timesteps == 1 else f"score[a] / {number(float(timesteps))}"
         loop = f"for (a = 0u; a < {self.scores}u; a++) {{"
         if self.codec.chooses:
             return [
@@ -174,7 +195,7 @@ class DecoderWriter:
                 "    }",
                 "}",
             ]
-        squashed = f"tanh({value})" if self.codec.squash == "tanh" else value
+        squashed = f"squash({value})" if self.codec.squash == "tanh" else value
         return [loop, f"    action[a] = {squashed};", "}"]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.declarations import Declarations, narrowest, number
+from spikedeploy.exporters.c.fixed_parts import FixedParts
 from spikedeploy.exporters.c.templates import template
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
@@ -13,8 +14,6 @@ from spikedeploy.runtime.errors import ConfigError
 
 Floats = NDArray[np.float64]
 
-# what a bound may lose to rounding, of 1/256 step
-_LOST = 2.0**-50 * 256
 # far below the logarithm of the least double
 _NOTHING = -800.0
 
@@ -46,12 +45,12 @@ def _normalised(codec: Codec, chosen: NDArray[np.bool_], out: Declarations) -> d
     std = table("std", normaliser.std[chosen], out)
     centred = "observed" if mean == "0.0" else f"(observed - {mean})"
     clip = number(normaliser.clip)
-    clipped = f"if (x > {clip}) {{\n    x = {clip};\n}} else if (x < -{clip}) {{\n    x = -{clip};\n}}"
+    clipped = (
+        f"if (x > {clip}) {{\n    x = {clip};\n}} else if (x < -{clip}) {{\n    x = -{clip};\n}}"
+    )
     return {
         "normalised": centred if std == "1.0" else f"{centred} / {std}",
         "clip": "\n".join(f"    {line}" for line in clipped.splitlines()),
-        "mean": mean,
-        "std": std,
     }
 
 
@@ -59,36 +58,38 @@ def _delta(codec: Codec, encoder: DeltaEncoder, out: Declarations) -> dict[str, 
     live = np.isfinite(encoder.step)
     if not live.any():
         raise ConfigError("--to c: the delta code has no channel with a finite step.")
-    _check_bounds(codec, encoder, live)
     count, gaps = int(live.sum()), _normalised(codec, live, out)
     apart_max = 256 * encoder.most * (codec.timesteps + 1)
     apart = narrowest(-apart_max - 128, apart_max + 128)
     apart = apart if apart == "int64_t" else "int32_t"
     moved = narrowest(0, count - 1)
-    for name, kind in (("level", "int32_t"), ("low_key", "int32_t"), ("high_key", "int32_t"),
-                       ("apart", apart), ("moved", moved)):  # fmt: skip
+    parts = FixedParts.of(codec, encoder, live)
+    furthest = int(parts.x_max.max()) // 256 + 1 + encoder.most
+    level = narrowest(-furthest, furthest)
+    for name, kind in (("level", level), ("apart", apart), ("moved", moved)):
         out.variable(name, kind, count)
     out.variable("moving", "uint32_t")
-    step = table("step", encoder.step[live], out)
-    observed = "k" if live.all() else f"{out.constant('observed_at', np.flatnonzero(live))}[k]"
-    std = gaps["std"]
-    mean = gaps["mean"]
     gaps |= {
         "nearest": template("nearest.c"),
-        "unit": step if std == "1.0" else f"{std} * {step}",
-        "mean_plus": "" if mean == "0.0" else f"{mean} + ",
-        "reach": number(encoder.threshold / 256),
-        "step": step,
-        "observed": observed,
+        "step": table("step", encoder.step[live], out),
+        "observed": _indices(live, out),
         "channels": str(count),
         "threshold": str(encoder.threshold),
         "most": str(encoder.most),
+        "level_kind": level,
         "apart_kind": apart,
         "apart_max": str(apart_max),
         "moved_kind": moved,
+        "far_kind": "int32_t" if furthest < 2**21 and apart == "int32_t" else "int64_t",
         "emit": _EMIT[encoder.code],
+        **parts.gaps(out),
     }
     return {**gaps, "encoder": template("encode_delta.c"), "reset": _DELTA_RESET, "seed": ""}
+
+
+def _indices(live: NDArray[np.bool_], out: Declarations) -> str:
+    """C for which observation the k-th live channel encodes."""
+    return "k" if live.all() else f"{out.constant('observed_at', np.flatnonzero(live))}[k]"
 
 
 _EMIT = {
@@ -107,21 +108,9 @@ _DELTA_RESET = """\
         uint32_t k;
         for (k = 0u; k < @channels@u; k++) {
             level[k] = 0;
-            low_key[k] = INT32_MAX; /* no bounds yet */
-            high_key[k] = INT32_MIN;
         }
         moving = 0u;
     }"""
-
-
-def _check_bounds(codec: Codec, encoder: DeltaEncoder, live: NDArray[np.bool_]) -> None:
-    """Refuse a mean so large beside a step that the bounds of C would not be sure."""
-    mean, unit = codec.normaliser.mean[live], (codec.normaliser.std * encoder.step)[live]
-    if (np.abs(mean) * _LOST > unit / 16).any() or not np.isfinite(unit).all():
-        raise ConfigError(
-            "--to c: a channel's mean is so large beside the step of its delta code that doubles "
-            "cannot tell its events. Normalise the observation before the policy sees it."
-        )
 
 
 def _rate(codec: Codec, encoder: RateEncoder, out: Declarations) -> dict[str, str]:
@@ -181,7 +170,12 @@ def _population(codec: Codec, encoder: PopulationEncoder, out: Declarations) -> 
         "shown_kind": shown,
     }
     gaps["clip"] = gaps["clip"].replace("\n", "\n    ").replace("    ", "        ", 1)
-    return {**gaps, "encoder": template("encode_population.c"), "reset": "    active = 0u;", "seed": ""}
+    return {
+        **gaps,
+        "encoder": template("encode_population.c"),
+        "reset": "    active = 0u;",
+        "seed": "",
+    }
 
 
 def exponents(drives: Floats) -> Floats:

@@ -120,12 +120,16 @@ class NetworkWriter:
         by_event = isinstance(neurons, IntegrateWriter) and neurons.rules.adds == "event"
         if by_event:
             functions.append(self._take(layer, name, unit))
-        body = self._by_event(layer, name, bias // unit) if by_event else self._summed(
-            layer, name, bias // unit, unit
+        body = (
+            self._by_event(layer, name, bias // unit)
+            if by_event
+            else self._summed(layer, name, bias // unit, unit)
         )
         body = body.replace("@slot@", plan.slot(layer.name))
         counted = layer.spiking
-        head = "    uint32_t i;\n    uint32_t n;\n" + ("    uint32_t fired = 0u;\n" if counted else "")
+        head = "    uint32_t i;\n    uint32_t n;\n" + (
+            "    uint32_t fired = 0u;\n" if counted else ""
+        )
         end = f"    {name}_count[{plan.slot(layer.name)}] = ({plan.count_kind(layer.name)})fired;\n"
         functions.append(
             f"/* layer {_comment(layer.name)} */\nstatic void {name}_step(void)\n{{\n{head}"
@@ -150,7 +154,11 @@ class NetworkWriter:
     def _take(self, layer: Layer, name: str, unit: int) -> str:
         """A function for what one event does to the neurons of a layer."""
         neurons = self._neurons
-        body = neurons.take(layer, name, unit, self.out) if isinstance(neurons, IntegrateWriter) else ""
+        body = (
+            neurons.take(layer, name, unit, self.out)
+            if isinstance(neurons, IntegrateWriter)
+            else ""
+        )
         return (
             f"static void {name}_take(void)\n{{\n    uint32_t n;\n"
             + indented(body.splitlines())
@@ -195,12 +203,19 @@ class NetworkWriter:
         for k, layer in enumerate(self.plan.program.layers):
             name = self.plan.names[layer.name]
             current = f"{name}_current" if self._neurons.has_current else "0"
-            lines += [f"case {k}u:", f"    view->size = {layer.size}u;", f"    view->current = {current};"]
+            lines += [
+                f"case {k}u:",
+                f"    view->size = {layer.size}u;",
+                f"    view->current = {current};",
+            ]
             lines.append(f"    view->membrane = {name}_membrane;")
             if layer.spiking:
                 slots = self.plan.slots[layer.name]
                 slot = f"({name}_head + {slots}u - late) % {slots}u" if slots > 1 else "0"
-                lines += [f"    view->id = {name}_id[{slot}];", f"    view->count = {name}_count[{slot}];"]
+                lines += [
+                    f"    view->id = {name}_id[{slot}];",
+                    f"    view->count = {name}_count[{slot}];",
+                ]
                 if self._several(layer.name):
                     lines.append(f"    view->times = {name}_times[{slot}];")
             lines.append("    break;")

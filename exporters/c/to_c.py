@@ -58,8 +58,8 @@ def policy_in_c(
     """
     check_codec(codec)
     plan = _plan(program, codec, prefix)
-    seen = observed(plan, observation)
-    return _files(plan, seen, origin, prefix)
+    seen = observed(plan, observation[: few(plan, codec.timesteps)])
+    return _files(plan, seen, codec.encode_episode(observation), origin, prefix)
 
 
 def network_in_c(
@@ -67,7 +67,7 @@ def network_in_c(
 ) -> CFiles:
     """C of a program alone; raster: (S, T, M) input spikes of its self-test."""
     plan = _plan(program, None, prefix)
-    return _files(plan, driven(plan, raster), origin, prefix)
+    return _files(plan, driven(plan, raster), raster, origin, prefix)
 
 
 def write(files: CFiles, folder: Path) -> None:
@@ -83,7 +83,9 @@ def _plan(program: Program, codec: Codec | None, prefix: str) -> Plan:
     return Plan(program, codec)
 
 
-def _files(plan: Plan, seen: Recorded, origin: str, prefix: str) -> CFiles:
+def _files(
+    plan: Plan, seen: Recorded, raster: NDArray[np.uint8], origin: str, prefix: str
+) -> CFiles:
     network, coder = NetworkWriter(plan), Declarations(bytes_of(plan.kind), bytes_of(plan.id_kind))
     gaps = _gaps(plan, origin, prefix)
     parts = {
@@ -91,18 +93,14 @@ def _files(plan: Plan, seen: Recorded, origin: str, prefix: str) -> CFiles:
         f"{prefix}.c": filled(template("policy.c"), {**gaps, **network.gaps()}),
     }
     if plan.codec is not None:
-        parts["codec.c"] = filled(template("codec.c"), {**gaps, **_codec_gaps(plan, plan.codec, coder)})
+        parts["codec.c"] = filled(
+            template("codec.c"), {**gaps, **_codec_gaps(plan, plan.codec, coder)}
+        )
     parts["selftest.c"] = filled(template("selftest.c"), gaps)
-    parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, _first(plan, seen))}"
+    parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, seen)}"
     parts["Makefile"] = filled(template("Makefile"), gaps)
-    found = costs(
-        plan,
-        seen.raster.shape[1],
-        network.out.rom + coder.rom,
-        network.out.ram + coder.ram,
-        seen.ledger,
-        float(seen.raster.sum(axis=(1, 2), dtype=np.int64).mean()),
-    )
+    memory = network.out.rom + coder.rom, network.out.ram + coder.ram
+    found = costs(plan, raster, *memory)
     return CFiles(parts, found)
 
 
@@ -174,14 +172,3 @@ def _codec_gaps(plan: Plan, codec: Codec, out: Declarations) -> dict[str, str]:
         "seed_function": encoder["seed"],
         "inference_reset": "" if kept else reset,
     }
-
-
-def _first(plan: Plan, seen: Recorded) -> Recorded:
-    """The inferences that become the self-test."""
-    count = few(plan, seen.raster.shape[1])
-    layers = {
-        name: type(each)(each.current[:count], each.membrane[:count], each.spikes[:count])
-        for name, each in seen.layers.items()
-    }
-    cut = [None if each is None else each[:count] for each in (seen.observation, seen.action)]
-    return Recorded(cut[0], seen.raster[:count], layers, cut[1], seen.ledger)

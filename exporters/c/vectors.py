@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from spikedeploy.exporters.c.declarations import Declarations, narrowest_of
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.runtime.emulator.backend import Recording
-from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 
 # numbers of a self-test, about; at least two inferences are recorded
@@ -24,38 +23,36 @@ class Recorded:
     raster: (S, T, M) input spikes.
     layers: what each layer did, name -> (S, T, N).
     action: (S, act); None likewise.
-    ledger: of all of them.
     """
 
     observation: NDArray[np.float64] | None
     raster: NDArray[np.uint8]
     layers: dict[str, Recording]
     action: NDArray[np.float64] | None
-    ledger: Ledger
 
 
 def observed(plan: Plan, observation: NDArray[np.float64]) -> Recorded:
     """What the interpreter makes of observations (S, obs) of one episode, with the seed 0."""
     if plan.codec is None:
         raise TypeError("a network without a codec has no observations")
-    machine = Machine(plan.program, 1, "total", trace=True, backend="interpreter")
+    machine = Machine(plan.program, 1, "none", trace=True, backend="interpreter")
     raster = plan.codec.encode_episode(observation)
     found, actions = [], []
     for rows in raster:
         actions.append(plan.codec.decode(machine.infer(rows[None])).reshape(-1))
         found.append(machine.recordings)
     action = np.array(actions, np.float64)
-    return Recorded(observation, raster, _joined(found), action, machine.ledger)
+    return Recorded(observation, raster, _joined(found), action)
 
 
 def driven(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
     """What the interpreter makes of input spikes (S, T, M), from zero states."""
-    machine = Machine(plan.program, 1, "total", trace=True, backend="interpreter")
+    machine = Machine(plan.program, 1, "none", trace=True, backend="interpreter")
     found = []
     for rows in raster:
         machine.infer(rows[None])
         found.append(machine.recordings)
-    return Recorded(None, raster, _joined(found), None, machine.ledger)
+    return Recorded(None, raster, _joined(found), None)
 
 
 def few(plan: Plan, timesteps: int) -> int:

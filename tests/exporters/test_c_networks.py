@@ -32,11 +32,10 @@ FEW = settings(
 def test_cuba_networks_equal_the_interpreter(tmp_path_factory, program, reset, timesteps):
     program = replace(program, convention=replace(program.convention, reset=reset))
     try:
-        compared = check_network(program, tmp_path_factory.mktemp("c"), timesteps)
-    except ConfigError as refused:
-        assert "bounds its states" in str(refused)
+        network_in_c(program, np.ones((1, 1, program.width), np.uint8), "")
+    except ConfigError:  # nothing bounds its states; a test below has that
         assume(False)
-    assert compared > 0
+    assert check_network(program, tmp_path_factory.mktemp("c"), timesteps) > 0
 
 
 def delayed(seed, longest=4):
@@ -50,7 +49,9 @@ def delayed(seed, longest=4):
         for source in sources:
             weight = rng.integers(-255, 256, (sizes[source], sizes[name]))
             weight *= rng.random(weight.shape) < rng.choice([0.1, 1.0])
-            synapses.append(Synapses(source, weight.astype(np.int16), int(rng.integers(1, longest))))
+            synapses.append(
+                Synapses(source, weight.astype(np.int16), int(rng.integers(1, longest)))
+            )
         size = sizes[name]
         layers.append(
             Layer(
@@ -102,12 +103,17 @@ def integrate(name, options, convention, seed):
     low, high = rules.weight_range
     most = rules.threshold_max
     layers = []
-    for size, target, wires in ((11, "a", [("input", 8, 0), ("b", 30, 1)]), (30, "b", [("a", 11, 0)])):
+    for size, target, wires in (
+        (11, "a", [("input", 8, 0), ("b", 30, 1)]),
+        (30, "b", [("a", 11, 0)]),
+    ):
         leak = rng.integers(-1 if rules.leak == "shift" else 0, 6, size)
         bias = rng.integers(low, high + 1, size) * rng.integers(0, 2)
         synapses = []
         for source, fan_in, lag in wires:
-            weight = rng.integers(low, high + 1, (fan_in, size)) * (rng.random((fan_in, size)) < 0.6)
+            weight = rng.integers(low, high + 1, (fan_in, size)) * (
+                rng.random((fan_in, size)) < 0.6
+            )
             delay = lag + (datasheet.delay if lag == 0 else 0)
             synapses.append(Synapses(source, weight.astype(np.int16), max(delay, lag)))
         layers.append(
@@ -152,7 +158,9 @@ def test_states_that_nothing_bounds_are_refused():
     layers = [replace(a, current_decay=kept[: a.size]) for a in program.layers]
     free = chip("loihi1", current=Register(24, "none"))
     with pytest.raises(ConfigError, match="nothing bounds its states"):
-        network_in_c(replace(program, chip=free, layers=tuple(layers)), np.ones((1, 1, 9), np.uint8), "")
+        network_in_c(
+            replace(program, chip=free, layers=tuple(layers)), np.ones((1, 1, 9), np.uint8), ""
+        )
 
 
 @pytest.mark.parametrize("name", ["ideal", "xylo-a2", "spinnaker2"])

@@ -22,22 +22,12 @@
 void @prefix@_probe(uint32_t timestep, const @prefix@_id_t *id, uint32_t count);
 #endif
 
-/* The upper half of a double as a number that grows with it. */
-static int32_t key_of(double x)
+/* Whether a number is neither infinite nor no number. */
+static int is_finite(const double *x)
 {
     uint64_t bits;
-    uint32_t upper;
-    int32_t size;
-    (void)memcpy(&bits, &x, sizeof bits);
-    upper = (uint32_t)(bits >> 32);
-    size = (int32_t)(upper & 0x7FFFFFFFu);
-    return ((upper >> 31) != 0u) ? -size : size;
-}
-
-/* Whether a double with this key is neither infinite nor no number. */
-static int finite_key(int32_t key)
-{
-    return (key < 0x7FF00000) && (key > -0x7FF00000);
+    (void)memcpy(&bits, x, sizeof bits);
+    return ((uint32_t)(bits >> 32) & 0x7FF00000u) != 0x7FF00000u;
 }
 
 @codec_functions@
@@ -54,7 +44,7 @@ int @prefix@_step(const double observation[@PREFIX@_OBSERVATIONS],
     uint32_t timestep;
     uint32_t i;
     for (i = 0u; i < @PREFIX@_OBSERVATIONS; i++) {
-        if (finite_key(key_of(observation[i])) == 0) {
+        if (is_finite(&observation[i]) == 0) {
             return @PREFIX@_NOT_FINITE;
         }
     }

@@ -19,7 +19,7 @@ static void decode_end(@prefix@_action_t *action)
     uint32_t n;
     uint32_t a;
     for (a = 0u; a < @scores@u; a++) {
-        score[a] = 0.0;
+        score[a] = @score_start@;
     }
 @weigh@
 @act@

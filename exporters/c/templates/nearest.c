@@ -11,3 +11,4 @@ static int32_t nearest(double x)
     }
     return whole;
 }
+
