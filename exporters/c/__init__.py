@@ -9,6 +9,7 @@ magnitudes      how large the numbers of a layer can get: which integers of C ho
 registers       registers and decays of a chip as C that is defined for every number
 plan            what of a program its C has to know: names, types, spikes that are kept
 network         policy.h and policy.c: layers, one timestep after another
+layers          the functions of a layer
 synapses        the synapses of a projection: rows of weights
 cuba            one timestep of CuBa-LIF neurons
 integrate       one timestep of integrate-and-fire neurons

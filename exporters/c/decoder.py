@@ -54,7 +54,7 @@ class DecoderWriter:
         }
 
     def _squash(self) -> str:
-        """tanh in C, where it is needed, with its table."""
+        """The function tanh in C, where it is needed, with its table."""
         if self.codec.squash != "tanh":
             return ""
         table = [int(ldexp(value, 64)) for value in np.tanh(np.arange(_STEPS) / 16)]

@@ -1,8 +1,9 @@
-"""One timestep of integrate-and-fire neurons in C, as runtime.families.integrate_and_fire has it."""
+"""One timestep of integrate-and-fire neurons in C, as their family in the runtime has it."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.declarations import Declarations, literal
 from spikedeploy.exporters.c.registers import fit, held, shifted_down
@@ -104,7 +105,7 @@ class IntegrateWriter:
         leaks = out.per_neuron(f"{name}_leaks", (leak >= 0).astype(np.int64), "n", "uint32_t")
         return [f"if ({leaks} != 0u) {{", f"    {off}", "}"]
 
-    def _floor(self, layer: Layer) -> "np.ndarray | None":
+    def _floor(self, layer: Layer) -> NDArray[np.int64] | None:
         """Below what membranes (N,) cannot fall; None where there is no floor."""
         floors = [np.full(layer.size, self.rules.floor)] if self.rules.floor is not None else []
         if self.program.convention.floor == "zero":

@@ -1,4 +1,4 @@
-"""What of a program its C has to know: names, types, spikes that are kept, how late they are read."""
+"""What of a program its C has to know: names, types, which spikes are kept for how long."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,6 +41,10 @@ class Plan:
         chip = self.program.chip
         layers = dict.fromkeys((layer.name for layer in self.program.layers), chip.spikes_max)
         return {self.program.input: chip.input_spikes_max if not self.codec else 1, **layers}
+
+    def several(self, source: str) -> bool:
+        """Whether a neuron of a source can spike several times in a timestep."""
+        return self.times_max[source] > 1
 
     @property
     def events_max(self) -> int:

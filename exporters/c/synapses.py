@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.declarations import Declarations, bytes_of, literal, narrowest_of
+from spikedeploy.exporters.c.templates import filled, template
 from spikedeploy.runtime.chips.layer import Layer
 
 Integers = NDArray[np.int64]
 
 # a row with gaps is kept whole where that takes no more than so many times the bytes
 _WHOLE = 1.4
+# rows that are added at a time
+_TOGETHER = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,28 @@ class Rows:
             + "\n".join(f"    {line}" for line in body)
             + "\n}\n"
         )
+
+    def together(self, id_kind: str, out: Declarations) -> str:
+        """A function that adds the rows of a list of events, eight at a time.
+
+        For rows that are whole, of neurons that spike once in a timestep.
+        """
+        neurons, stored = self.weight.shape[1], narrowest_of(self.weight)
+        table = out.constant(f"{self.name}_weight", self.weight)
+        # eight numbers of 8 bits fit in 16
+        sum_kind = "int16_t" if stored in ("int8_t", "uint8_t") else "int32_t"
+        rows = [f"row[{k}][n]" for k in range(_TOGETHER)]
+        gaps = {
+            "name": self.name,
+            "id_kind": id_kind,
+            "stored": stored,
+            "table": table,
+            "neurons": str(neurons),
+            "together": str(_TOGETHER),
+            "sum_kind": sum_kind,
+            "rows": " + ".join(rows),
+        }
+        return filled(template("add_rows.c"), gaps)
 
     def _whole_row(self, kind: str, several: bool, out: Declarations) -> list[str]:
         neurons, table = self.weight.shape[1], out.constant(f"{self.name}_weight", self.weight)

@@ -128,7 +128,7 @@ def export(
     run: Annotated[
         str,
         typer.Argument(
-            metavar="RUN", help="Run folder, its name under runs/, or 'last'; for c also a .nir file."
+            metavar="RUN", help="Run folder, its name under runs/, or 'last'; for c also FILE.nir."
         ),
     ],
     to: Annotated[
