@@ -12,7 +12,7 @@ from spikedeploy.runtime.codec.population import PopulationEncoder, pattern_tabl
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ConfigError
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating]
 
 # far below the logarithm of the least double
 _NOTHING = -800.0
@@ -80,7 +80,7 @@ def _delta(codec: Codec, encoder: DeltaEncoder, out: Declarations) -> dict[str, 
         "apart_kind": apart,
         "apart_max": str(apart_max),
         "moved_kind": moved,
-        "far_kind": "int32_t" if furthest < 2**21 and apart == "int32_t" else "int64_t",
+        "far_kind": "int32_t" if parts.small and apart == "int32_t" else "int64_t",
         "emit": _EMIT[encoder.code],
         **parts.gaps(out),
     }

@@ -66,6 +66,11 @@ class FixedParts:
             float(lost.max()),
         )
 
+    @property
+    def small(self) -> bool:
+        """Whether X, also before it is clipped, and its levels differ by less than 2**31."""
+        return _PRODUCT - self.fraction < 29 and int(self.x_max.max()) < 2**29
+
     def gaps(self, out: Declarations) -> dict[str, str]:
         """What the template leaves open."""
         useful = self.error < _USELESS

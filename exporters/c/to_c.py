@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.costs import CCosts, costs
-from spikedeploy.exporters.c.decoder import DecoderWriter
 from spikedeploy.exporters.c.declarations import Declarations, bytes_of
+from spikedeploy.exporters.c.decoder import DecoderWriter
 from spikedeploy.exporters.c.encoders import encoder_gaps
 from spikedeploy.exporters.c.network import NetworkWriter
 from spikedeploy.exporters.c.plan import Plan

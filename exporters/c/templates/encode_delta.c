@@ -51,13 +51,13 @@ static void encode_begin(const double *observation)
         @far_kind@ far;
         if ((rest - @unsure@u) >= @sure@u) {
             x = exact(k, observed);
-        } else if (x > @x_max@) {
-            x = @x_max@;
-        } else if (x < -@x_max@) {
-            x = -@x_max@;
         }
         far = (@far_kind@)x - 256 * (@far_kind@)level[k];
         if ((far > @threshold@) || (far < -@threshold@)) {
+            /* clipped as the observation is; what is within the threshold stays there */
+            const int32_t clipped = (x > @x_max@) ? @x_max@ : x;
+            x = (clipped < -@x_max@) ? -@x_max@ : clipped;
+            far = (@far_kind@)x - 256 * (@far_kind@)level[k];
             far = (far > @apart_max@) ? @apart_max@ : far;
             far = (far < -@apart_max@) ? -@apart_max@ : far;
             moved[moving] = (@moved_kind@)k;
