@@ -1,4 +1,4 @@
-r"""Shipped policies as C: equal spikes over whole episodes, sizes, instructions on microcontrollers.
+r"""Shipped policies as C: equal spikes in whole episodes, sizes, instructions on two cores.
 
     python benchmarks/firmware.py [--episodes 20] [--only hexapod/sparse] [--write]
 

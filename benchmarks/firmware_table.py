@@ -9,6 +9,8 @@ _HEAD = (
     "host [µs]", "runtime / C", "spikes compared", "steps that differ",
 )  # fmt: skip
 
+_COUNTS = ("instructions", "instructions_max")
+
 
 def table(rows: list[dict]) -> str:
     """Rows as a table in Markdown; a dash where a tool was missing."""
@@ -31,12 +33,12 @@ def _cells(row: dict) -> list[str]:
         row["policy"],
         _thousands(arm, "rom"),
         _thousands(arm, "static"),
-        *(_count(target, key) for target in (arm, risc) for key in ("instructions", "instructions_max")),
+        *(_count(core, key) for core in (arm, risc) for key in _COUNTS),
         f"{row['host_ns'] / 1000:.2f}",
         f"{row['ratio']:.3g}",
         f"{row['spikes']:,}",
         f"{row['differing']:,} of {row['steps']:,}",
-    ]  # fmt: skip
+    ]
 
 
 def _thousands(found: dict, key: str) -> str:

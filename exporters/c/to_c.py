@@ -168,6 +168,7 @@ def _codec_gaps(plan: Plan, codec: Codec, out: Declarations) -> dict[str, str]:
         **decoder,
         "declarations": out.text,
         "codec_functions": encoder["encoder"] + decoder["decoder"],
+        "choices": decoder["scores"] if codec.chooses else "0",
         "encoder_reset": encoder["reset"],
         "seed_function": encoder["seed"],
         "inference_reset": "" if kept else reset,

@@ -30,6 +30,8 @@ static int is_finite(const double *x)
     return ((uint32_t)(bits >> 32) & 0x7FF00000u) != 0x7FF00000u;
 }
 
+const uint32_t @prefix@_interface[4] = {1u, @PREFIX@_OBSERVATIONS, @PREFIX@_ACTIONS, @choices@u};
+
 @codec_functions@
 void @prefix@_reset(void)
 {
