@@ -73,6 +73,10 @@ def run(
     thresholds: Thresholds = None,
     weight_shift: WeightShift = 0,
     from_: From = None,
+    native: Annotated[
+        bool,
+        typer.Option("--native", help="FILE is a .so that you built; its code runs as you."),
+    ] = False,
     codec: Annotated[
         Path | None,
         typer.Option(
@@ -105,6 +109,10 @@ def run(
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
 
+    if native:
+        from spikedeploy.policies.native import permit
+
+        permit(Path(policy))
     if video:
         check_output("--video", video, (policy,), force, lambda path: marked(path, mark("run")))
     if output:

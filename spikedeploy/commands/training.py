@@ -144,22 +144,32 @@ def run_training(
 
 def export(
     run: Annotated[
-        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
+        str,
+        typer.Argument(
+            metavar="RUN", help="Run folder, its name under runs/, or 'last'; for c also FILE.nir."
+        ),
     ],
     to: Annotated[
         str | None,
         typer.Option(
-            help="Format: nir for spiking policies, onnx for float ones.",
+            help="Format: nir or c for spiking policies, onnx for float ones.",
             show_default="as -o ends, else as the policy is",
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="File to write.", show_default="in the run folder"),
+        typer.Option(
+            "-o",
+            "--output",
+            help="File to write; for c the folder.",
+            show_default="in the run folder",
+        ),
     ] = None,
     observations: Annotated[
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
+    chip: Annotated[str, typer.Option(help="Chip whose integers are written; c only.")] = "loihi1",
+    prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
     state: Annotated[
         States | None,
         typer.Option(
@@ -170,7 +180,10 @@ def export(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a trained policy as .nir or .onnx, and check the file against it."""
+    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99."""
+    if to == "c":
+        _export_c(run, chip, output, observations, prefix, force, json)
+        return
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
     from spikedeploy.shipping.export_run import export_run
@@ -187,6 +200,27 @@ def export(
         if written.unfinished:
             say(f"its training is unfinished: stopped at {written.unfinished}")
     raise typer.Exit(0 if written.passed else 1)
+
+
+def _export_c(
+    policy: str,
+    chip: str,
+    folder: Path | None,
+    observations: int,
+    prefix: str,
+    force: bool,
+    json: bool,
+) -> None:
+    """Write a policy as C of a chip, and say what that takes."""
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.export_c import export_c
+
+    written = export_c(policy, chip, folder, observations, prefix, force)
+    if json:
+        print_json(written.record())
+        return
+    for line in written.lines():
+        typer.echo(line)
 
 
 def publish(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 FORMATS = {
     ".onnx": "spikedeploy.policies.onnx",
     ".nir": "spikedeploy.policies.nir",
+    ".so": "spikedeploy.policies.native",
     "run": "spikedeploy.policies.run",
     "gait": "spikedeploy.policies.gait",
     "random": "spikedeploy.policies.random",

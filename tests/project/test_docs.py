@@ -38,6 +38,7 @@ NOT_RUN = {
     r"reproduce results/": "needs results/, which no other command should be able to write",
     r".* --episodes 100\b": "minutes of episodes",
     r"sweep .* --address\b": "needs a cluster",
+    r"run walker/libpolicy": "needs a build; test_native.py runs one",
     r"run (policy|kept)\.nir": "needs a policy of the reader's own",
 }
 

@@ -37,7 +37,10 @@ def write(kind, folder):
     return str(makers[kind]())
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind != "gap"])  # test_gap.py
+ELSEWHERE = ("gap", ".so")  # test_gap.py, test_native.py
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind not in ELSEWHERE])
 def test_every_format_opens_acts_replays_and_is_priced(kind, world, tmp_path):
     candidate = find(write(kind, tmp_path))
     chip = "loihi1" if candidate.kind == "snn" else None

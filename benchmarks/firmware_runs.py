@@ -1,0 +1,178 @@
+"""One shipped policy as C: built, compared with the runtime, counted under qemu, timed."""
+
+import ctypes
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from spikedeploy import envs, zoo
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.shipping.export_c import export_c
+
+SOURCES = Path(__file__).parent / "firmware"
+_STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off")
+_FIRST_SEED = 10_000
+# compiler, its options, where memory lies, and the machine of qemu
+TARGETS = {
+    "cortex-m4": (
+        "arm-none-eabi",
+        ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
+        (0x0, 0x400000, 0x20000000, 0x400000),
+        ("qemu-system-arm", "-M", "mps2-an386", "-semihosting"),
+    ),
+    "rv32imac": (
+        "riscv64-unknown-elf",
+        ("-march=rv32imac", "-mabi=ilp32"),
+        (0x80000000, 0x800000, 0x80800000, 0x800000),
+        ("qemu-system-riscv32", "-M", "virt", "-bios", "none", "-semihosting"),
+    ),
+}
+
+
+def measured(name: str, folder: Path, episodes: int) -> dict:
+    """All numbers of a policy, by name."""
+    written = export_c(name, "loihi1", folder)
+    row = {"policy": name, "passed": _called(["make", "-s", "CC=gcc", "test"], folder)[0]}
+    row |= _compared(name, folder, episodes)
+    row |= _timed(name, folder)
+    row |= {"ram": written.costs.ram, "sops": written.costs.sops, "events": written.costs.events}
+    for target in TARGETS:
+        found = _on(target, folder) if _present(target) else {}
+        row["passed"] &= found.pop("passed", True)
+        row[target] = found
+    return row
+
+
+def _present(target: str) -> bool:
+    tools, _, _, machine = TARGETS[target]
+    return bool(shutil.which(f"{tools}-gcc") and shutil.which(machine[0]))
+
+
+def _called(words: list[str], folder: Path) -> tuple[bool, str]:
+    """Whether a command succeeds, and its output."""
+    ended = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    return ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def _must(words: list[str], folder: Path) -> str:
+    passed, output = _called(words, folder)
+    if not passed:
+        raise RuntimeError(f"{' '.join(words)}: {output[-2000:]}")
+    return output
+
+
+def _library(folder: Path, name: str, *more: str) -> ctypes.CDLL:
+    words = ["gcc", *_STRICT, "-O3", "-march=native", "-fPIC", "-shared", "-I.", "-o", name]
+    _must([*words, "policy.c", "codec.c", *more, "-lm"], folder)
+    return ctypes.CDLL(str(folder / name))
+
+
+def _compared(name: str, folder: Path, episodes: int) -> dict:
+    """Spikes and actions of whole episodes that are compared, and how many differ."""
+    loaded = _library(folder, "trace.so", str(SOURCES / "trace.c"), "-DPOLICY_PROBE")
+    artifact = load(zoo.path(name))
+    player = SpikingController(artifact, chip("loihi1"), "none", backend="auto")
+    env = envs.make(artifact.provenance.env)
+    found = {"episodes": episodes, "steps": 0, "spikes": 0, "differing": 0, "action_error": 0.0}
+    for seed in range(_FIRST_SEED, _FIRST_SEED + episodes):
+        seen = rollout(env, player, seed).observation[:-1]
+        _replayed(loaded, artifact, player.program, np.asarray(seen, np.float64), found)
+    env.close()
+    return found
+
+
+def _replayed(
+    loaded: ctypes.CDLL, artifact: Artifact, program: Program, seen: np.ndarray, found: dict
+) -> None:
+    """One episode once more, in C and on the machine."""
+    codec = artifact.codec
+    machine = Machine(program, 1, "none", trace=True, backend="auto")
+    loaded.policy_reset()
+    kind = ctypes.c_int32 if codec.chooses else ctypes.c_double
+    action = (kind * 64)()
+    count = ctypes.c_uint32.in_dll(loaded, "trace_count")
+    spikes = (ctypes.c_uint16 * (2 << 16)).in_dll(loaded, "trace_spikes")
+    for row, raster in zip(seen, codec.encode_episode(seen), strict=True):
+        loaded.policy_step(row.ctypes.data_as(ctypes.c_void_p), action)
+        wanted = np.atleast_1d(codec.decode(machine.infer(raster[None]))[0])
+        pairs = _pairs(program, machine.recordings)
+        here = np.frombuffer(spikes, np.uint16)[: 2 * count.value].reshape(-1, 2)
+        same = here.shape == pairs.shape and bool((here == pairs).all())
+        error = float(np.abs(np.array(action[: len(wanted)]) - wanted).max())
+        found["steps"] += 1
+        found["spikes"] += len(pairs)
+        found["differing"] += not same or error > 1e-12
+        found["action_error"] = max(found["action_error"], error)
+
+
+def _pairs(program: Program, recordings: dict) -> np.ndarray:
+    """(spikes, 2) layer and neuron, as trace.c keeps them."""
+    every = []
+    for k, layer in enumerate(program.layers):
+        _, t, n = np.nonzero(recordings[layer.name].spikes)
+        every.append(np.stack([t, np.full_like(t, k), n], axis=1))
+    rows = np.concatenate(every)
+    return rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))][:, 1:].astype(np.uint16)
+
+
+def _timed(name: str, folder: Path) -> dict:
+    """Nanoseconds from observation to action in C, and how many times that the runtime takes."""
+    loaded, artifact = _library(folder, "timed.so"), load(zoo.path(name))
+    player = SpikingController(artifact, chip("loihi1"), "none", backend="auto")
+    env = envs.make(artifact.provenance.env)
+    seen = np.asarray(rollout(env, player, _FIRST_SEED).observation[:200], np.float64)
+    env.close()
+    action = (ctypes.c_double * 64)()
+    rows = [row.ctypes.data_as(ctypes.c_void_p) for row in seen]
+    loaded.policy_reset()
+    own = _best(lambda: [loaded.policy_step(row, action) for row in rows])
+    empty = _best(lambda: [loaded.policy_net_layer(99, 0, action) for _ in rows])
+    runtime = _best(lambda: [player.act(row) for row in seen])
+    spent = max(own - empty, 0.0) / len(rows)
+    return {"host_ns": 1e9 * spent, "ratio": runtime / len(rows) / spent}
+
+
+def _best(task: Callable[[], object]) -> float:
+    spent = []
+    for _ in range(7):
+        begun = time.perf_counter()
+        task()
+        spent.append(time.perf_counter() - begun)
+    return min(spent)
+
+
+def _on(target: str, folder: Path) -> dict:
+    """Self-test, instructions and sizes on a microcontroller."""
+    tools, options, places, machine = TARGETS[target]
+    names = ("__flash", "__flash_size", "__ram", "__ram_size")
+    memory = [f"-Wl,--defsym={n}={v:#x}" for n, v in zip(names, places, strict=True)]
+    build = [f"{tools}-gcc", *options, "-std=c99", "-O2", "-ffp-contract=off", "-I."]
+    host = ["--specs=picolibc.specs", "--oslib=semihost", "--crt0=hosted", *memory]
+    run = [*machine, "-nographic", "-icount", "shift=0", "-kernel"]
+    both = ["policy.c", "codec.c"]
+    _must([*build, *host, "-DPOLICY_PROBE", *both, "selftest.c", "-lm", "-o", "self.elf"], folder)
+    passed, output = _called([*run, "self.elf"], folder)
+    _must([*build, *host, *both, str(SOURCES / "count.c"), "-lm", "-o", "count.elf"], folder)
+    mean, worst = map(int, _must([*run, "count.elf"], folder).split()[:2])
+    alone = ["--specs=picolibc.specs", "-nostartfiles", "-Wl,-e,main", "-Wl,--gc-sections"]
+    least = [*build, "-ffunction-sections", *alone, *memory, *both, str(SOURCES / "least.c")]
+    _must([*least, "-o", "least.elf"], folder)
+    text, data, bss = map(int, _must([f"{tools}-size", "least.elf"], folder).split()[6:9])
+    return {
+        "passed": passed and "0 differ" in output,
+        "instructions": mean,
+        "instructions_max": worst,
+        "rom": text + data,
+        "static": data + bss,
+    }

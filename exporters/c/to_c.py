@@ -1,0 +1,175 @@
+"""A compiled program and its codec as a folder of C99, with a self-test of recorded numbers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.exporters.c.costs import CCosts, costs
+from spikedeploy.exporters.c.declarations import Declarations, bytes_of
+from spikedeploy.exporters.c.decoder import DecoderWriter
+from spikedeploy.exporters.c.encoders import encoder_gaps
+from spikedeploy.exporters.c.network import NetworkWriter
+from spikedeploy.exporters.c.plan import Plan
+from spikedeploy.exporters.c.refusals import check_codec, check_prefix, check_program
+from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.exporters.c.vectors import Recorded, driven, few, observed, vectors
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.program import Program
+
+MARK = "exported by spikedeploy as C"
+NAMES = ("policy.h", "policy.c", "codec.c", "selftest.c", "vectors.h", "Makefile")
+
+
+@dataclass(frozen=True)
+class CFiles:
+    """C of a program.
+
+    text: of each file, by name.
+    costs: memory and operations.
+    """
+
+    text: Mapping[str, str]
+    costs: CCosts
+
+
+def file_names(prefix: str, codec: bool) -> tuple[str, ...]:
+    """The files that an export with this prefix writes."""
+    own = ("policy.h", "policy.c")
+    named = tuple(n.replace("policy", prefix) if n in own else n for n in NAMES)
+    return named if codec else tuple(name for name in named if name != "codec.c")
+
+
+def policy_in_c(
+    program: Program,
+    codec: Codec,
+    observation: NDArray[np.float64],
+    origin: str,
+    prefix: str = "policy",
+) -> CFiles:
+    """C of a program and its codec.
+
+    observation: (S, obs) of one episode from its beginning; all count for the typical operations,
+        the first few become the self-test.
+    origin: where the program comes from, for a comment.
+    prefix: what the names in C begin with.
+    """
+    check_codec(codec)
+    plan = _plan(program, codec, prefix)
+    seen = observed(plan, observation[: few(plan, codec.timesteps)])
+    return _files(plan, seen, codec.encode_episode(observation), origin, prefix)
+
+
+def network_in_c(
+    program: Program, raster: NDArray[np.uint8], origin: str, prefix: str = "policy"
+) -> CFiles:
+    """C of a program alone; raster: (S, T, M) input spikes of its self-test."""
+    plan = _plan(program, None, prefix)
+    return _files(plan, driven(plan, raster), raster, origin, prefix)
+
+
+def write(files: CFiles, folder: Path) -> None:
+    """Write all files into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.text.items():
+        (folder / name).write_text(text, encoding="ascii")
+
+
+def _plan(program: Program, codec: Codec | None, prefix: str) -> Plan:
+    check_prefix(prefix)
+    check_program(program)
+    return Plan(program, codec)
+
+
+def _files(
+    plan: Plan, seen: Recorded, raster: NDArray[np.uint8], origin: str, prefix: str
+) -> CFiles:
+    network, coder = NetworkWriter(plan), Declarations(bytes_of(plan.kind), bytes_of(plan.id_kind))
+    gaps = _gaps(plan, origin, prefix)
+    parts = {
+        f"{prefix}.h": filled(template("policy.h"), gaps),
+        f"{prefix}.c": filled(template("policy.c"), {**gaps, **network.gaps()}),
+    }
+    if plan.codec is not None:
+        parts["codec.c"] = filled(
+            template("codec.c"), {**gaps, **_codec_gaps(plan, plan.codec, coder)}
+        )
+    parts["selftest.c"] = filled(template("selftest.c"), gaps)
+    parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, seen)}"
+    parts["Makefile"] = filled(template("Makefile"), gaps)
+    memory = network.out.rom + coder.rom, network.out.ram + coder.ram
+    found = costs(plan, raster, *memory)
+    return CFiles(parts, found)
+
+
+def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
+    """What several templates leave open."""
+    codec, program = plan.codec, plan.program
+    printable = "".join(c if c.isalnum() or c in " ._:=,+-()" else "?" for c in origin)
+    sources = f"{prefix}.c codec.c" if codec else f"{prefix}.c"
+    actions = ", and every action to 1e-12" if codec and not codec.chooses else ""
+    return {
+        "mark": MARK,
+        "origin": printable.encode("ascii", "replace").decode(),
+        "prefix": prefix,
+        "PREFIX": prefix.upper(),
+        "inputs": str(program.width),
+        "events_max": str(plan.events_max),
+        "layers": str(len(program.layers)),
+        "int_kind": plan.kind,
+        "id_kind": plan.id_kind,
+        "input_count_kind": plan.count_kind(program.input),
+        "sources": sources,
+        "libs": "-lm" if codec else "",
+        "actions_too": actions,
+        "run": template("run_codec.c" if codec else "run_network.c"),
+        "codec_defines": "",
+        "codec_calls": "",
+        **(_codec_header(codec, plan) if codec else {}),
+    }
+
+
+def _codec_header(codec: Codec, plan: Plan) -> dict[str, str]:
+    """What the codec adds to the header and to the self-test."""
+    exact = 'compare("an action", inference, 0u, a, found, wanted);'
+    return {
+        "codec_defines": template("codec_defines.h"),
+        "codec_calls": template("codec_calls.h"),
+        "seed_call": _SEED if codec.encoder.random else "",
+        "observations": str(codec.encoder.observed),
+        "actions": "1" if codec.chooses else str(DecoderWriter(plan, codec, Declarations()).scores),
+        "timesteps": str(codec.timesteps),
+        "action_kind": "int32_t" if codec.chooses else "double",
+        "compare_action": exact if codec.chooses else _NEAR,
+    }
+
+
+_NEAR = """\
+const double size = (wanted < 0.0) ? -wanted : wanted;
+    const double apart = (found > wanted) ? (found - wanted) : (wanted - found);
+    compare("an action (1: within 1e-12)", inference, 0u, a,
+            apart <= (1e-12 * ((size > 1.0) ? size : 1.0)), 1);"""
+_SEED = """
+/* Start the random numbers anew, as an episode with this seed does; 0 after a reset. */
+void @prefix@_seed(uint64_t seed);
+"""
+
+
+def _codec_gaps(plan: Plan, codec: Codec, out: Declarations) -> dict[str, str]:
+    """What the template of codec.c leaves open."""
+    encoder = encoder_gaps(codec, out)
+    decoder = DecoderWriter(plan, codec, out).gaps()
+    kept = plan.program.convention.state == "kept"
+    reset = "    @prefix@_net_reset();\n" + ("" if kept else decoder["decoder_reset"])
+    return {
+        **encoder,
+        **decoder,
+        "declarations": out.text,
+        "codec_functions": encoder["encoder"] + decoder["decoder"],
+        "choices": decoder["scores"] if codec.chooses else "0",
+        "encoder_reset": encoder["reset"],
+        "seed_function": encoder["seed"],
+        "inference_reset": "" if kept else reset,
+    }

@@ -1,0 +1,137 @@
+"""A policy as C99 of a chip: the folder, and what it takes of a microcontroller."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import envs, zoo
+from spikedeploy.console import say
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters.c.costs import CCosts
+from spikedeploy.exporters.c.to_c import MARK, file_names, policy_in_c, write
+from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import VALIDATION
+
+
+@dataclass(frozen=True)
+class WrittenC:
+    """A folder of C.
+
+    folder: with the files.
+    names: of the files.
+    costs: memory and operations.
+    remarks: what of the program is not as in the file.
+    source: of the observations behind the typical operations.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    costs: CCosts
+    remarks: tuple[str, ...]
+    source: str
+
+    def record(self) -> dict[str, Any]:
+        """All of it as data."""
+        return {
+            "path": str(self.folder),
+            "files": list(self.names),
+            "costs": asdict(self.costs),
+            "recorded": self.source,
+            "remarks": list(self.remarks),
+        }
+
+    def lines(self) -> list[str]:
+        """All of it for a terminal."""
+        found = self.costs
+        return [
+            f"constants (ROM)        {found.rom:,} bytes, and the code",
+            f"variables (RAM)        {found.ram:,} bytes, and the stack",
+            f"input spikes           {found.events:,.1f}, at most {found.events_max:,}",
+            f"synaptic operations    {found.sops:,.1f}, at most {found.sops_max:,}",
+            f"neuron updates         {found.neuron_updates:,}",
+            f"of an inference, means of {self.source}",
+            *self.remarks,
+            f"wrote {self.folder}: {', '.join(self.names)}",
+            f"compare with the interpreter: make -C {self.folder} test",
+        ]
+
+
+def export_c(
+    policy: str,
+    chip_name: str,
+    folder: Path | None,
+    observations: int = 1000,
+    prefix: str = "policy",
+    force: bool = False,
+) -> WrittenC:
+    """Write a policy as C of a chip.
+
+    policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
+    folder: to write to.
+    observations: of an episode, from which the self-test and the typical operations come.
+    prefix: what names in C begin with.
+    force: whether files that no earlier export wrote are replaced.
+    """
+    if folder is None:
+        raise ConfigError("--to c writes a folder: name it, as in -o firmware")
+    file = _nir_file(policy)
+    artifact, on = load(file), chip(chip_name)
+    if artifact.codec is None:
+        raise ConfigError(
+            f"{policy} has no codec (observation to spikes), and C of it could not be asked for "
+            "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
+        )
+    names = file_names(prefix, codec=True)
+    check_output_folder("-o", folder, names, (file, policy), force, _written_before)
+    program = compile_program(artifact, on)
+    seen, source = _observations(artifact, on, observations)
+    origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
+    files = policy_in_c(program, artifact.codec, seen, origin, prefix)
+    write(files, folder)
+    return WrittenC(folder, tuple(files.text), files.costs, program.remarks, source)
+
+
+def _nir_file(policy: str) -> Path:
+    """The file of a policy; that of a run is exported first."""
+    file = zoo.resolve(policy)
+    if file is None or file.is_dir():
+        from spikedeploy.shipping.exported_run import runnable
+
+        file = Path(runnable(policy))
+    if file.suffix != ".nir" or not file.is_file():
+        raise ConfigError(
+            f"--to c: {policy} is no spiking policy; C is written of .nir files and of runs that "
+            "make one."
+        )
+    return file
+
+
+def _written_before(folder: Path) -> bool:
+    """Whether the folder has an earlier export."""
+    return marked(folder / "codec.c", MARK)
+
+
+def _observations(artifact: Artifact, on: Chip, count: int) -> tuple[NDArray[np.float64], str]:
+    """Observations (S, obs) of an episode, and where they come from in words."""
+    codec = artifact.codec
+    if codec is None:
+        raise TypeError("an artifact without a codec has no observations")
+    where = artifact.provenance.env if artifact.provenance else ""
+    env = envs.make(where) if where in {entry.id for entry in envs.ENVS.values()} else None
+    if env is not None and env.observation_space.shape == (codec.encoder.observed,):
+        played = rollout(env, SpikingController(artifact, on, "none"), VALIDATION[0])
+        env.close()
+        seen = np.asarray(played.observation[:-1], np.float64)[:count]
+        return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
+    say(f"{where or 'no environment'} cannot be played here: a random walk stands for it")
+    steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
+    walk = np.clip(np.cumsum(steps, axis=0), -3, 3)
+    return walk * codec.normaliser.std + codec.normaliser.mean, f"{count} steps of a random walk"

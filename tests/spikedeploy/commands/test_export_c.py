@@ -1,0 +1,75 @@
+"""`export --to c`: what it writes, prints and refuses."""
+
+import json
+
+import pytest
+
+from spikedeploy.exporters.c.to_c import NAMES
+from spikedeploy.runtime.artifact.artifact import save
+from tests.networks import event_driven, popsan
+
+CHIP = ("--to", "c", "--chip", "loihi1")
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    """A policy file that names no environment of ours."""
+    from dataclasses import replace
+
+    monkeypatch.chdir(tmp_path)
+    artifact = event_driven()
+    origin = replace(artifact.provenance, env="own_module:Env")
+    save(replace(artifact, provenance=origin), tmp_path / "policy.nir")
+    return "policy.nir"
+
+
+def test_it_writes_every_file_and_says_what_they_take(command, file, tmp_path):
+    code, out, err = command("export", file, *CHIP, "-o", "c", "--observations", "50", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert {path.name for path in (tmp_path / "c").iterdir()} == set(NAMES) == set(found["files"])
+    costs = found["costs"]
+    assert 0 < costs["sops"] <= costs["sops_max"]
+    assert 0 < costs["events"] <= costs["events_max"]
+    assert costs["rom"] > 0
+    assert costs["ram"] > 0
+    assert "a random walk stands for it" in err  # its environment is not imported
+
+
+def test_the_same_policy_is_written_again_and_other_files_are_not(command, file, tmp_path):
+    words = ("export", file, *CHIP, "-o", "c", "--observations", "5")
+    assert command(*words)[0] == 0
+    first = (tmp_path / "c/policy.c").read_bytes()
+    assert command(*words)[0] == 0
+    assert (tmp_path / "c/policy.c").read_bytes() == first
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/Makefile").write_text("all:\n")
+    code, _, err = command(*words[:-3], "other", *words[-2:])
+    assert (code, "--force" in err) == (2, True)
+    assert (tmp_path / "other/Makefile").read_text() == "all:\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("policy.nir", "--to", "c"), "name it, as in -o"),
+        (("hexapod/linear", "--to", "c", "-o", "c"), "is no spiking policy"),
+        (("policy.nir", "--to", "c", "-o", "c", "--chip", "ideal"), "computes with"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "A b"), "--prefix"),
+        (("policy.nir", "--to", "c", "-o", "c", "--chip", "odin"), "rule"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_in_a_sentence(command, file, tmp_path, words, said):
+    code, _, err = command("export", *words, "--observations", "5")
+    assert code > 0
+    assert said in err
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_network_without_a_codec_is_refused(command, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    monkeypatch.chdir(tmp_path)
+    save(replace(popsan(), codec=None), tmp_path / "net.nir")
+    code, _, err = command("export", "net.nir", *CHIP, "-o", "c")
+    assert (code, "has no codec" in err) == (2, True)
