@@ -217,4 +217,9 @@ function canvas(sheet) {
 }
 
 const found = $("episodes-data");
-if (found) new Instrument(JSON.parse(found.textContent)).open(0);
+if (found) {
+  // report.html#episode=1&step=420 opens there
+  const [number, step] = ["episode", "step"].map((name) => Number(new URLSearchParams(location.hash.slice(1)).get(name)) || 0);
+  const episodes = JSON.parse(found.textContent), instrument = new Instrument(episodes);
+  instrument.open(Math.min(number, episodes.length - 1)).then(() => instrument.seek(step));
+}

@@ -147,6 +147,16 @@ def test_one_cursor_moves_through_the_page(browser, page):
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
+def test_a_link_leads_to_a_step_of_an_episode(browser, page):
+    browser.get(f"{page.as_uri()}#episode=1&step=7")
+    ready(browser, "1")
+    assert now(browser) == "0.14 s, control step 7 of 20"
+    browser.get("about:blank")
+    browser.get(f"{page.as_uri()}#episode=99&step=x")
+    ready(browser, "1")
+    assert now(browser).endswith("control step 0 of 20")
+
+
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nothing_is_wider_than_the_screen_in_light_and_dark(browser, page, width, scheme):
