@@ -10,6 +10,7 @@ checks       check, verify, doctor
 evidence     reproduce
 training     train, visualize, export, publish
 distillation  distill
+tuning       tune
 experiments  experiment
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes
