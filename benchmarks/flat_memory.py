@@ -2,8 +2,11 @@
 
     python benchmarks/flat_memory.py [--steps 1000000] [--backend numpy] [--json]
 
-After a tenth of the steps, in which libraries fill their caches, the resident memory of the process
-is noted ten times. Exits with 1 where it grows from the first tenth to the last by more than 64 KiB.
+The resident memory of the process is noted after each tenth of the steps; in the first, libraries
+fill their caches. Exits with 1 where it grows from the first to the last by more than 64 KiB.
+
+A ledger that keeps a row for each step (`ledger="each"`, the default of Machine) grows by that row,
+8 bytes for each layer and kind of event; what streams for long takes "total" or "none".
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others

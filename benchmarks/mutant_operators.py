@@ -1,8 +1,8 @@
 """The small faults that mutation testing puts into a file, one at a time.
 
 An operator, a constant, a choice between two functions, a negation or a returned value becomes
-another. Left alone: texts and what is raised (messages), annotations, decorators, `strict=` of
-zip, and what only type checkers read.
+another. Left alone: what stands outside of functions (tables, defaults), texts and what is raised
+(messages), annotations, decorators, `strict=` of zip, and what only type checkers read.
 """
 
 import ast
@@ -57,7 +57,6 @@ class Mutant:
 
     path: of the file, from the root of the repository
     line: first and last line of the statement's part that changes
-    inside: whether that is in a function's body, whose lines tests reach when they call it
     index: among the faults of the file
     key: file, function, old and new text, which stay when lines move
     """
@@ -65,7 +64,6 @@ class Mutant:
     path: str
     line: int
     last: int
-    inside: bool
     index: int
     key: str
 
@@ -86,11 +84,13 @@ def mutants(path: str) -> list[Mutant]:
     found = []
     tree = ast.parse((ROOT / path).read_text("utf-8"))
     for index, (site, function) in enumerate(_sites(tree)):
-        key = f"{path} {function or 'module'}: `{site.old}` → `{site.new}`"
+        if not function:
+            continue
+        key = f"{path} {function}: `{site.old}` → `{site.new}`"
         seen[key] += 1
         key += f" ({seen[key]})" if seen[key] > 1 else ""
         node = site.node
-        found.append(Mutant(path, node.lineno, node.end_lineno or 0, bool(function), index, key))
+        found.append(Mutant(path, node.lineno, node.end_lineno or 0, index, key))
     return found
 
 

@@ -1,14 +1,10 @@
-"""Which tests reach which lines of the files under mutation, and how long each test takes.
-
-A plugin of pytest: it is loaded in a process of its own (`-p benchmarks.mutant_reach`), traces the
-lines of the files in $MUTANT_FILES and writes $MUTANT_REACH at the end.
-"""
+"""Which tests reach which lines of the files under mutation, and how long each test takes."""
 
 import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -18,16 +14,48 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 
-class Reach:
-    """Records, for each test that passes, its seconds and the lines that it reaches."""
+def record(items: Sequence[pytest.Item], run: Callable[[pytest.Item], bool], kept: Path,
+           files: Sequence[str]) -> None:  # fmt: skip
+    """Run tests with their fixtures, and write seconds and lines of each that passes.
 
-    def __init__(self, files: list[str]) -> None:
+    run: runs a test; whether it passed.
+    """
+    trace, tests = Trace(files), {}
+    for item in items:
+        start = time.process_time()
+        with trace:
+            passed = run(item)
+        seconds = round(time.process_time() - start, 3)
+        if passed:
+            tests[item.nodeid] = {"seconds": seconds, "reached": trace.lines()}
+    part = kept.with_suffix(".part")
+    part.write_text(json.dumps(tests), "utf-8")
+    part.replace(kept)
+
+
+class Trace:
+    """While entered, notes the lines of some files that run."""
+
+    def __init__(self, files: Sequence[str]) -> None:
         self._files = {str(ROOT / file): file for file in files}
         self._known: dict[str, str | None] = {}
         self._lines: set[tuple[str, int]] = set()
-        self.tests: dict[str, dict[str, Any]] = {}
 
-    def _trace(self, frame: FrameType, event: str, _: object) -> Any:
+    def __enter__(self) -> None:
+        self._lines.clear()
+        sys.settrace(self._called)
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(None)
+
+    def lines(self) -> dict[str, list[int]]:
+        """File -> its lines."""
+        found: dict[str, list[int]] = {}
+        for file, line in sorted(self._lines):
+            found.setdefault(file, []).append(line)
+        return found
+
+    def _called(self, frame: FrameType, event: str, _: object) -> Any:  # noqa: ANN401
         name = frame.f_code.co_filename
         if name not in self._known:
             self._known[name] = self._files.get(os.path.realpath(name))
@@ -35,37 +63,8 @@ class Reach:
             return None
         lines = self._lines
 
-        def local(frame: FrameType, event: str, _: object) -> Any:
+        def line(frame: FrameType, event: str, _: object) -> Any:  # noqa: ANN401
             lines.add((file, frame.f_lineno))
-            return local
+            return line
 
-        lines.add((file, frame.f_lineno))
-        return local
-
-    @pytest.hookimpl(hookwrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Trace a test with its fixtures."""
-        self._lines = set()
-        start = time.process_time()
-        sys.settrace(self._trace)
-        yield
-        sys.settrace(None)
-        reached: dict[str, list[int]] = {}
-        for file, line in sorted(self._lines):
-            reached.setdefault(file, []).append(line)
-        seconds = time.process_time() - start
-        self.tests[item.nodeid] = {"seconds": round(seconds, 3), "reached": reached}
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note what did not pass, which can kill nothing."""
-        if not report.passed:
-            self.tests.setdefault(report.nodeid, {})["unfit"] = report.outcome
-
-    def pytest_sessionfinish(self) -> None:
-        """Write what was found."""
-        Path(os.environ["MUTANT_REACH"]).write_text(json.dumps(self.tests), "utf-8")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Start recording."""
-    config.pluginmanager.register(Reach(json.loads(os.environ["MUTANT_FILES"])), "reach")
+        return line(frame, event, None)

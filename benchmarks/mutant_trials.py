@@ -1,20 +1,17 @@
 """Each fault in a process of its own, with the tests that reach its line until one fails.
 
-The process is a copy (fork) of one that has imported numpy, pytest and other large libraries, but
-nothing of ours; so the file is imported with its fault, and nothing is written to the disk.
+The process is a copy (fork) of one that has collected the tests and imported everything. In the
+copy the code of one function is replaced by that with the fault; nothing is written to the disk.
 """
 
-import contextlib
-import importlib
-import importlib.machinery
+import gc
 import os
 import resource
 import signal
 import sys
-import warnings
-from collections.abc import Mapping, Sequence
-from importlib.abc import MetaPathFinder
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Mapping
+from types import CodeType, FunctionType
+from typing import Literal
 
 import pytest
 
@@ -22,100 +19,84 @@ from benchmarks.mutant_operators import ROOT, Mutant, mutated
 
 Fate = Literal["killed", "too long", "survived", "unreached"]
 
-_LARGE = ("numpy", "h5py", "nir", "gymnasium", "hypothesis", "torch", "onnx", "onnxruntime")
 _MEMORY = 16 * 2**30  # [bytes] of address space, most of it libraries
-_SURVIVED, _KILLED = 0, 1
+_SURVIVED, _KILLED, _NOWHERE = 0, 1, 3
 
 
-def import_large() -> None:
-    """Import what takes long, once; the copies have it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for name in _LARGE:
-            with contextlib.suppress(ImportError):
-                importlib.import_module(name)
-    from hypothesis import Phase, settings
-
-    # the same examples for each fault; a smaller example of a failure is of no use here
-    settings.register_profile(
-        "mutants", derandomize=True, database=None, phases=(Phase.explicit, Phase.generate)
-    )
-    settings.load_profile("mutants")
-
-
-def try_mutant(mutant: Mutant, groups: Sequence[Mapping[str, float]]) -> Fate:
-    """What the tests find; groups: name -> seconds, in the order in which they run."""
-    if not groups:
-        return "unreached"
-    seconds = 30 + 10 * sum(sum(group.values()) for group in groups)
+def in_copy(work: Callable[[], int], seconds: int) -> int | None:
+    """Exit status of the work in a copy of this process; None where it took longer [CPU s]."""
+    sys.stdout.flush()
     if not (pid := os.fork()):
-        _child(mutant, [list(group) for group in groups], int(seconds))
-    _, status = os.waitpid(pid, 0)
-    if os.WIFSIGNALED(status):
-        in_time = os.WTERMSIG(status) not in (signal.SIGXCPU, signal.SIGALRM)
-        return "killed" if in_time else "too long"
-    return "killed" if os.WEXITSTATUS(status) else "survived"
+        status = _KILLED
+        try:
+            _limit(seconds)
+            status = work()
+        finally:
+            os._exit(status)
+    _, ended = os.waitpid(pid, 0)
+    if os.WIFSIGNALED(ended):
+        return None if os.WTERMSIG(ended) in (signal.SIGXCPU, signal.SIGALRM) else _KILLED
+    return os.WEXITSTATUS(ended)
 
 
-def _child(mutant: Mutant, groups: Sequence[Sequence[str]], seconds: int) -> None:
-    """Run the tests on the fault; exit."""
+def _limit(seconds: int) -> None:
+    """Bound time and memory of this process, and silence it."""
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    signal.alarm(8 * seconds)
+    signal.alarm(20 * seconds)  # one that sleeps
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
-    code = _KILLED
-    try:
-        sys.meta_path.insert(0, _Finder(mutant))
-        code = _SURVIVED if all(map(_pass, groups)) else _KILLED
-    finally:
-        os._exit(code)
 
 
-def _pass(tests: Sequence[str]) -> bool:
-    """Whether none of the tests fails."""
-    files = list(dict.fromkeys(test.split("::")[0] for test in tests))
-    found = pytest.main(["-x", "-q", "-p", "no:cacheprovider", *files], [_Chosen(tests)])
-    return found in (0, 5)  # 5: no test was there to run
+def try_mutant(
+    mutant: Mutant, tests: Mapping[pytest.Item, float], run: Callable[[pytest.Item], bool]
+) -> Fate:
+    """What the tests find; tests: with their seconds, in the order in which they run."""
+    if not tests:
+        return "unreached"
+
+    def work() -> int:
+        if not put_in(mutant):
+            return _NOWHERE
+        return _SURVIVED if all(run(item) for item in tests) else _KILLED
+
+    status = in_copy(work, int(20 + 10 * sum(tests.values())))
+    if status == _NOWHERE:
+        raise RuntimeError(f"no function was found for {mutant.key}")
+    return "too long" if status is None else "survived" if status == _SURVIVED else "killed"
 
 
-class _Chosen:
-    """A plugin that leaves the named tests, in their order."""
-
-    def __init__(self, tests: Sequence[str]) -> None:
-        self._order = {test: place for place, test in enumerate(tests)}
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        kept = [item for item in items if item.nodeid in self._order]
-        items[:] = sorted(kept, key=lambda item: self._order[item.nodeid])
-
-
-class _Finder(MetaPathFinder):
-    """Gives one module its fault."""
-
-    def __init__(self, mutant: Mutant) -> None:
-        self._mutant = mutant
-        self._name = "spikedeploy." + mutant.path.removesuffix(".py").replace("/", ".")
-        self._name = self._name.removesuffix(".__init__")
-
-    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
-        if fullname != self._name:
-            return None
-        spec = importlib.machinery.PathFinder.find_spec(fullname, path)
-        if spec and spec.origin:
-            if os.path.realpath(spec.origin) != str(ROOT / self._mutant.path):
-                raise ImportError(f"{fullname} is {spec.origin}, not {self._mutant.path}")
-            spec.loader = _Loader(fullname, spec.origin, self._mutant)
-        return spec
+def put_in(mutant: Mutant) -> bool:
+    """Replace the code of the function that has the fault; whether there is one."""
+    source = (ROOT / mutant.path).read_text("utf-8")
+    before = _functions(compile(source, mutant.path, "exec"))
+    after = _functions(compile(mutated(mutant), mutant.path, "exec"))
+    # in the outermost functions; what is defined within them is part of their code
+    changed = {place: after[place] for place in before if before[place] != after[place]}
+    found = False
+    gc.unfreeze()  # what is frozen is not listed
+    for function in gc.get_objects():
+        if not isinstance(function, FunctionType):
+            continue
+        code = function.__code__
+        new = changed.get((code.co_name, code.co_firstlineno))
+        if new and os.path.realpath(code.co_filename) == str(ROOT / mutant.path):
+            function.__code__ = new.replace(co_filename=code.co_filename)
+            found = True
+    return found
 
 
-class _Loader(importlib.machinery.SourceFileLoader):
-    """Compiles the file with its fault."""
+def _functions(code: CodeType) -> dict[tuple[str, int], CodeType]:
+    """Name and first line -> code of the functions of a module and its classes."""
+    return {(each.co_name, each.co_firstlineno): each for each in _outermost(code)}
 
-    def __init__(self, name: str, path: str, mutant: Mutant) -> None:
-        super().__init__(name, path)
-        self._mutant = mutant
 
-    def get_code(self, fullname: str) -> Any:
-        return compile(mutated(self._mutant), self.get_filename(fullname), "exec")
+def _outermost(code: CodeType) -> Iterator[CodeType]:
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            # bodies of classes have no optimised locals
+            if constant.co_flags & 1:
+                yield constant
+            else:
+                yield from _outermost(constant)

@@ -1,37 +1,41 @@
-"""Mutation testing: does a test fail for every small fault in arithmetic, quantisers, compiler?
+"""Mutation testing of arithmetic, quantisers and compiler: which small faults no test finds.
 
     python benchmarks/mutants.py [--sample 600] [--seed 0] [--only runtime/compiler]
         [--page docs/mutation-testing.md] [--folder build/mutants]
 
-What is mutated and which tests run stands in benchmarks/mutants.toml. First every test is run once
-and its lines recorded; then each fault is put into its file, in a process's memory, and the tests
-that reach its line run until one fails. Results are kept in the folder: a second run tries only
-what is new, what survived and what has changed. Without --sample all faults are tried.
+What is mutated and which tests run stands in benchmarks/mutants.toml. First every test runs once
+and its lines are recorded; then each fault is put into its function, in a process's memory, and the
+tests that reach its line run until one fails. Results are kept in the folder: a second run tries
+only what is new, what survived and what has changed. Without --sample all faults are tried.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
+import gc
 import json
 import os
 import random
-import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from benchmarks.mutant_operators import ROOT, Mutant, mutants
 from benchmarks.mutant_page import summary, write_page
-from benchmarks.mutant_trials import Fate, import_large, try_mutant
+from benchmarks.mutant_reach import record
+from benchmarks.mutant_trials import Fate, in_copy, try_mutant
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-Tests = dict[str, dict[str, Any]]
+_LONGEST = 1800  # [CPU s] of the tests of a file, traced
 
 
 def main() -> None:
@@ -44,14 +48,18 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=ROOT / "build/mutants")
     options = parser.parse_args()
     config = tomllib.loads((ROOT / "benchmarks/mutants.toml").read_text("utf-8"))
-    options.folder.mkdir(parents=True, exist_ok=True)
     everything = [m for file in files(config) for m in mutants(file)]
     drawn = draw(everything, options.sample, options.seed)
     drawn = [m for m in drawn if m.path.startswith(options.only)]
-    fates = try_all(drawn, reach(config, options.folder), config, options.folder)
-    print(summary(fates, len(everything), config["equivalent"]))
+    os.chdir(ROOT)
+    trials = Trials(drawn, config, options.folder)
+    deselected = [f"--deselect={test}" for test in config["not_tests"]]
+    words = ["-q", "-p", "no:cacheprovider", *deselected, *config["tests"]]
+    if code := pytest.main(words, [trials]):
+        sys.exit(code)
+    print(summary(trials.fates, len(everything), config["equivalent"]))
     if options.page:
-        write_page(options.page, fates, everything, config["equivalent"], options.seed)
+        write_page(options.page, trials.fates, everything, config["equivalent"], options.seed)
 
 
 def files(config: dict[str, Any]) -> list[str]:
@@ -74,93 +82,104 @@ def digest(paths: list[Path]) -> str:
     return sha256(b"".join(path.read_bytes() for path in sorted(paths))).hexdigest()[:16]
 
 
-def reach(config: dict[str, Any], folder: Path) -> Tests:
-    """The tests with their seconds and lines; recorded again for test files that have changed."""
-    code = digest([ROOT / file for file in files(config)])
-    tests: Tests = {}
-    for file in sorted(p for place in config["tests"] for p in (ROOT / place).rglob("test_*.py")):
-        name = file.relative_to(ROOT).as_posix()
-        kept = folder / "reach" / f"{name.replace('/', '.')}-{code}-{digest([file])}.json"
-        if not kept.exists():
-            print(f"recording {name}", file=sys.stderr, flush=True)
-            record(name, kept, config)
-        tests |= json.loads(kept.read_text("utf-8"))
-    return {
-        name: test
-        for name, test in tests.items()
-        if "unfit" not in test and test["seconds"] <= config["longest"]
-    }
+class Trials:
+    """A plugin of pytest that, instead of running the tests, tries the faults with them."""
+
+    def __init__(self, drawn: list[Mutant], config: dict[str, Any], folder: Path) -> None:
+        self._drawn, self._config, self._folder = drawn, config, folder
+        self._failed = False
+        self.fates: dict[Mutant, Fate] = {}
+
+    def pytest_configure(self) -> None:
+        """The same examples for each fault; a smaller example of a failure is of no use here."""
+        from hypothesis import Phase, settings  # not before pytest
+
+        phases = (Phase.explicit, Phase.generate)
+        settings.register_profile("mutants", derandomize=True, database=None, phases=phases)
+        settings.load_profile("mutants")
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Record what is not known yet, then try every fault."""
+        gc.collect()
+        gc.freeze()  # the copies share this memory
+        tests = self._reach(session.items)
+        self._try_all({item: tests[item.nodeid] for item in session.items if item.nodeid in tests})
+        return True
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note a test that fails."""
+        self._failed |= report.failed
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:  # noqa: ANN401
+        """Say nothing of tests."""
+        terminalreporter.stats.clear()
+
+    def _run(self, item: pytest.Item) -> bool:
+        """Run a test with fixtures of its own; whether it passed or was skipped."""
+        self._failed = False
+        item.config.hook.pytest_runtest_protocol(item=item, nextitem=None)
+        return not self._failed
+
+    def _reach(self, items: Sequence[pytest.Item]) -> dict[str, dict[str, Any]]:
+        """Test -> its seconds and lines; recorded again for test files that have changed."""
+        watched = files(self._config)
+        code = digest([ROOT / file for file in watched])
+        by_file: dict[Path, list[pytest.Item]] = {}
+        for item in items:
+            by_file.setdefault(item.path, []).append(item)
+        tests: dict[str, dict[str, Any]] = {}
+        (self._folder / "reach").mkdir(parents=True, exist_ok=True)
+        for file, own in by_file.items():
+            kept = self._folder / "reach" / f"{file.stem}-{code}-{digest([file])}.json"
+            if not kept.exists():
+                print(f"recording {file.relative_to(ROOT)}", flush=True)
+                in_copy(lambda own=own, kept=kept: _zero(record(own, self._run, kept, watched)),  # type: ignore[misc]
+                        _LONGEST)  # fmt: skip
+            tests |= json.loads(kept.read_text("utf-8"))
+        longest = self._config["longest"]
+        return {name: test for name, test in tests.items() if test["seconds"] <= longest}
+
+    def _try_all(self, tests: dict[pytest.Item, dict[str, Any]]) -> None:
+        """The fate of every one, from the folder where it is known."""
+        book = self._folder / "fates.jsonl"
+        lines = book.read_text("utf-8").splitlines() if book.exists() else []
+        known: dict[str, list[str]] = {line[0]: line for line in map(json.loads, lines)}
+        code = {file: digest([ROOT / file]) for file in {m.path for m in self._drawn}}
+        against = digest([item.path for item in tests])
+        with book.open("a", encoding="utf-8") as out:
+            for number, mutant in enumerate(self._drawn, 1):
+                _, fate, of, by = known.get(mutant.key, ("", "", "", ""))
+                lives = fate in ("survived", "unreached") and by != against
+                if of != code[mutant.path] or lives:
+                    start = time.monotonic()
+                    fate = try_mutant(mutant, self._chosen(mutant, tests), self._run)
+                    print(json.dumps([mutant.key, fate, code[mutant.path], against]), file=out)
+                    out.flush()
+                    took = f"{time.monotonic() - start:.1f} s"
+                    line = f"{number}/{len(self._drawn)} {took} {fate} {mutant.line} {mutant.key}"
+                    print(line, flush=True)
+                self.fates[mutant] = fate  # type: ignore[assignment]
+
+    def _chosen(
+        self, mutant: Mutant, tests: dict[pytest.Item, dict[str, Any]]
+    ) -> dict[pytest.Item, float]:
+        """The tests that reach it, those first that take least, within the time for one."""
+        near = [item for item, test in tests.items() if _reaches(test, mutant)]
+        chosen, left = {}, self._config["seconds"]
+        for item in sorted(near, key=lambda item: float(tests[item]["seconds"])):
+            if (left := left - tests[item]["seconds"]) < 0:
+                break
+            chosen[item] = tests[item]["seconds"]
+        return chosen
 
 
-def record(file: str, kept: Path, config: dict[str, Any]) -> None:
-    """Run a file's tests and write the lines that they reach."""
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    known = {"MUTANT_FILES": json.dumps(files(config)), "MUTANT_REACH": str(kept)}
-    deselected = [f"--deselect={test}" for test in config["not_tests"]]
-    plugins = ["-p", "no:cacheprovider", "-p", "benchmarks.mutant_reach"]
-    words = [sys.executable, "-m", "pytest", "-q", *plugins, *deselected, file]
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, **known, "PYTHONPATH": path}
-    subprocess.run(words, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, check=False)
+def _zero(_: None) -> int:
+    return 0
 
 
-def try_all(
-    drawn: list[Mutant], tests: Tests, config: dict[str, Any], folder: Path
-) -> dict[Mutant, Fate]:
-    """The fate of every one, from the folder where it is known."""
-    book = folder / "fates.jsonl"
-    lines = book.read_text("utf-8").splitlines() if book.exists() else []
-    known: dict[str, list[str]] = {line[0]: line for line in map(json.loads, lines)}
-    code = {file: digest([ROOT / file]) for file in {m.path for m in drawn}}
-    against = sha256(json.dumps(sorted(tests)).encode()).hexdigest()[:16]
-    import_large()
-    os.chdir(ROOT)
-    fates: dict[Mutant, Fate] = {}
-    with book.open("a", encoding="utf-8") as out:
-        for number, mutant in enumerate(drawn, 1):
-            key, fate, of, by = (*known.get(mutant.key, ()), "", "", "", "")[:4]
-            if of != code[mutant.path] or (fate in ("survived", "unreached") and by != against):
-                start = time.monotonic()
-                fate = try_mutant(mutant, chosen(mutant, tests, config["seconds"]))
-                print(json.dumps([mutant.key, fate, code[mutant.path], against]), file=out)
-                out.flush()
-                took = f"{time.monotonic() - start:.1f} s"
-                print(f"{number}/{len(drawn)} {took} {fate} {mutant.line} {mutant.key}", flush=True)
-            fates[mutant] = fate
-    return fates
-
-
-def chosen(mutant: Mutant, tests: Tests, budget: float) -> list[dict[str, float]]:
-    """The tests that reach it, a few files at a time, those first that cost least.
-
-    A line outside of functions is reached by importing: tests that enter the file come first, then
-    all others.
-    """
-    near = {n: t for n, t in tests.items() if _reaches(t["reached"].get(mutant.path, ()), mutant)}
-    groups = _groups(near, budget)
-    if mutant.inside:
-        return groups
-    spent = sum(sum(group.values()) for group in groups)
-    others = {name: test for name, test in tests.items() if name not in near}
-    return groups + _groups(others, budget - spent)
-
-
-def _reaches(lines: list[int], mutant: Mutant) -> bool:
-    if not mutant.inside:
-        return bool(lines)
+def _reaches(test: dict[str, Any], mutant: Mutant) -> bool:
+    lines = test["reached"].get(mutant.path, ())
     return any(mutant.line <= line <= mutant.last for line in lines)
-
-
-def _groups(tests: Tests, budget: float, files_each: int = 5) -> list[dict[str, float]]:
-    """Within the budget, cheap tests first; then by file, those of a file together."""
-    by_file: dict[str, dict[str, float]] = {}
-    for name in sorted(tests, key=lambda name: tests[name]["seconds"]):
-        if (budget := budget - tests[name]["seconds"]) < 0:
-            break
-        by_file.setdefault(name.split("::")[0], {})[name] = tests[name]["seconds"]
-    order = sorted(by_file.values(), key=lambda group: sum(group.values()) / len(group))
-    parts = [order[at : at + files_each] for at in range(0, len(order), files_each)]
-    return [{n: s for group in part for n, s in group.items()} for part in parts]
 
 
 if __name__ == "__main__":

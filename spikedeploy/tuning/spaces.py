@@ -1,4 +1,4 @@
-"""What is searched: by algorithm and policy unless it is said, and held to the recipe's settings."""
+"""What is searched in a recipe unless it is said, and which keys there are."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence

@@ -25,13 +25,13 @@ def opened(plan: TuningPlan, storage: str, number: int = 0) -> "optuna.Study":
     storage  path of a journal file, or URL of a database
     number   of the process, so that no two draw the same first settings
     """
-    optuna = _imported()
-    study: optuna.Study = optuna.create_study(
+    library = _imported()
+    study: optuna.Study = library.create_study(
         storage=_storage(storage),
         study_name=plan.name,
         load_if_exists=True,
         sampler=_sampler(plan, number),
-        pruner=optuna.pruners.MedianPruner(n_startup_trials=_UNPRUNED),
+        pruner=library.pruners.MedianPruner(n_startup_trials=_UNPRUNED),
         directions=["maximize", "minimize"] if plan.two else ["maximize"],
     )
     asked = plan.as_json()
