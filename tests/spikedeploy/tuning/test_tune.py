@@ -205,9 +205,7 @@ def test_within_a_budget_of_sops_the_best_is_within_it(trainings, tmp_path):
     assert study.best_value == max(within)  # the sampler knows the budget too
 
 
-def test_of_two_objectives_the_pareto_front_is_found_and_drawn(
-    trainings, tmp_path, monkeypatch
-):
+def test_of_two_objectives_the_pareto_front_is_found_and_drawn(trainings, tmp_path, monkeypatch):
     plan = TuningPlan("smoke-popsan", objective="return,sops", search=("gamma=0.0..1.0",))
     # the last digits decide how much is earned for the operations
     monkeypatch.setattr(trial, "evaluated", lambda run, plan: (
