@@ -24,6 +24,7 @@ COMMANDS = {
     },
     "Make": {
         "train": "training",
+        "tune": "tuning",
         "distill": "distillation",
         "export": "training",
         "publish": "training",

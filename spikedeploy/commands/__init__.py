@@ -11,6 +11,7 @@ evidence     reproduce
 training     train, visualize, export, publish
 training_seeds  train --seeds
 distillation  distill
+tuning       tune
 experiments  experiment
 sweeps       sweep
 windows      play, replay, draw

@@ -167,7 +167,7 @@ def doctor(json: Json = False) -> None:
 
 def findings() -> list[DoctorFinding]:
     """Everything that is examined, in order."""
-    return [*_versions(), _threads(), _tried("rendering", _draw), *_policies()]
+    return [*_versions(), _tested(), _threads(), _tried("rendering", _draw), *_policies()]
 
 
 def _versions() -> Iterator[DoctorFinding]:
@@ -180,6 +180,17 @@ def _versions() -> Iterator[DoctorFinding]:
     for package in TRAIN:
         missing = 'not installed: pip install ".[train]" to train and export'
         yield DoctorFinding(package, None, installed(package) or missing)
+
+
+def _tested() -> DoctorFinding:
+    """Which versions differ from the tested set."""
+    from spikedeploy.tested_set import differences, tested
+
+    of, differ = len(tested()), differences()
+    if not differ:
+        return DoctorFinding("tested set", None, f"no version differs, of {of} packages")
+    remedy = "if something fails: pip install -c constraints.txt, from a checkout"
+    return DoctorFinding("tested set", None, f"{len(differ)} differ: {', '.join(differ)}; {remedy}")
 
 
 def _threads() -> DoctorFinding:

@@ -28,7 +28,7 @@ START, END = "<!-- dependencies -->\n", "<!-- end of dependencies -->\n"
 NOT_RUN = {
     r"test\b": "this suite itself",
     r"demo\b": "a minute of episodes and films",
-    r"(train|distill|experiment)\b": "trains for minutes or hours",
+    r"(train|tune|distill|experiment)\b": "trains for minutes or hours",
     r"export last\b": "needs a training",
     r"(play|draw)\b": "opens a window",
     r"replay\b": "opens a window, or films what a training left",

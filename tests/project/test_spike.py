@@ -15,6 +15,7 @@ def checkout(tmp_path):
     (home / ".venv/bin").mkdir(parents=True)
     shutil.copy(ROOT / "spike", home)
     (home / "pyproject.toml").write_text("version 1")
+    (home / "constraints.txt").write_text("numpy==2")
     for program in ("pip", "spikedeploy", "python", "mkdocs"):
         file = home / ".venv/bin" / program
         file.write_text(f'#!/bin/sh\necho "{program} $PWD $*" >> "{home}/calls"\n')
@@ -40,12 +41,19 @@ def test_it_is_a_short_posix_script():
 
 @pytest.mark.parametrize(
     ("verb", "extra"),
-    [("demo", ""), ("compare", ""), ("train", "[train]"), ("export", "[train]"), ("test", "[dev]")],
+    [
+        ("demo", ""),
+        ("compare", ""),
+        ("train", "[train]"),
+        ("export", "[train]"),
+        ("tune", "[tune]"),
+        ("test", "[dev]"),
+    ],
 )
 def test_the_first_call_installs_what_the_verb_needs(verb, extra, checkout):
     _, programs, lines = spike(checkout, verb)
     assert programs[0] == "pip"
-    assert lines[0].endswith(f"-e {checkout}{extra}")
+    assert lines[0].endswith(f"-c {checkout}/constraints.txt -e {checkout}{extra}")
     assert programs[-1] == ("python" if verb == "test" else "spikedeploy")
 
 
@@ -61,6 +69,25 @@ def test_a_changed_project_is_installed_again(checkout):
     spike(checkout, "demo")
     (checkout / "pyproject.toml").write_text("version 2")
     assert spike(checkout, "demo")[1] == ["pip", "spikedeploy"]
+
+
+def test_other_tested_versions_are_installed(checkout):
+    spike(checkout, "demo")
+    (checkout / "constraints.txt").write_text("numpy==2.1")
+    assert spike(checkout, "demo")[1] == ["pip", "spikedeploy"]
+
+
+def test_where_a_tested_version_is_missing_others_are_installed_and_that_is_said(checkout):
+    pip = checkout / ".venv/bin/pip"
+    fails = """case $* in *" -c "*) echo "no matching distribution"; exit 1 ;; esac\n"""
+    pip.write_text(pip.read_text() + fails)
+    done, programs, lines = spike(checkout, "train")
+    assert done.returncode == 0
+    assert programs == ["pip", "pip", "spikedeploy"]
+    assert lines[1].endswith(f"install --disable-pip-version-check -e {checkout}[train]")
+    assert "not all tested versions" in done.stderr
+    assert "doctor" in done.stderr
+    assert "no matching distribution" in (checkout / ".venv/install.log").read_text()
 
 
 def test_words_reach_the_command_line_unchanged_from_any_folder(checkout, tmp_path):

@@ -71,6 +71,14 @@ def test_each_neuron_of_its_own_scale_has_its_own_headroom():
     assert program.layers[0].synapses[0].weight.max(axis=0).tolist() == [54, 255]
 
 
+def test_a_neuron_beside_one_that_overflows_keeps_all_its_bits_wherever_it_stands():
+    artifact = crowd(size=3)
+    for quiet in (0, 2):
+        artifact.graph.nodes["n1"].weight[quiet, 1:] = 0.0
+    program = compile_program(artifact, chip("loihi1"), replace(PROVEN, granularity="channel"))
+    assert program.layers[0].synapses[0].weight.max(axis=0).tolist() == [255, 54, 255]
+
+
 def test_where_nothing_can_overflow_headroom_changes_nothing():
     plain = compile_program(popsan(), chip("loihi1"))
     proven = compile_program(popsan(), chip("loihi1"), PROVEN)

@@ -320,7 +320,8 @@ def test_copies_of_a_batch_do_not_meet():
     [
         ("odin", {"weight_bits": 0}, "weight_bits is 0; choose 1 to 16"),
         ("speck2f", {"weight_bits": 1}, "weight_bits is 1; choose 2 to 16"),
-        ("speck2f", {"spikes_max": 300}, "spikes_max is 300; choose 1 to 255"),
+        ("speck2f", {"spikes_max": 256}, "spikes_max is 256; choose 1 to 255"),
+        ("speck2f", {"spikes_max": 0}, "spikes_max is 0; choose 1 to 255"),
         ("speck2f", {"floor": 4}, "floor is 4; membranes start from 0"),
         ("speck2f", {"leak": "slow"}, "leak 'slow' is unknown"),
         ("odin", {"adds": "step"}, "checks is 'event' and adds 'step'"),
@@ -329,3 +330,12 @@ def test_copies_of_a_batch_do_not_meet():
 def test_an_impossible_arithmetic_is_refused(name, options, message):
     with pytest.raises(ChipError, match=message):
         chip(name, **options)
+
+
+@pytest.mark.parametrize("most", [1, 255])
+def test_the_ends_of_what_can_be_chosen_belong_to_it(most):
+    assert chip("speck2f", spikes_max=most).spikes_max == most
+
+
+def test_without_kinds_of_rounding_there_are_no_ablation_steps():
+    assert chip("speck2f").arithmetic.ablation_steps == ()

@@ -1,5 +1,7 @@
 """Layers without a synaptic current become integers by the rule of each chip's own tools."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -183,6 +185,14 @@ def test_truenorth_has_four_types_of_axons():
 def test_what_the_bits_cannot_hold_is_refused(layer, message):
     with pytest.raises(RuleError, match=message):
         quantised(layer, "odin")
+
+
+def test_weights_that_become_0_are_refused_beside_a_source_whose_weights_are_0():
+    layer = floats([[1e-3]], threshold=1e6)
+    nothing = replace(layer.synapses[0], source="other", weight=0 * layer.synapses[0].weight)
+    for synapses in ((nothing, *layer.synapses), (*layer.synapses, nothing)):
+        with pytest.raises(RuleError, match="every weight becomes 0"):
+            quantised(replace(layer, synapses=synapses), "odin")
 
 
 def test_without_limits_a_threshold_that_is_lost_is_the_smallest():

@@ -1,0 +1,91 @@
+"""The tested set, constraints.txt: whole, within what pyproject.toml allows, known to `doctor`."""
+
+import re
+import sys
+
+import pytest
+
+from benchmarks import constraints
+from spikedeploy import tested_set
+from spikedeploy.commands import checks
+from tests.paths import ROOT
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+LINES = (ROOT / "constraints.txt").read_text("utf-8").splitlines()
+PINS = dict(line.split(";")[0].strip().split("==") for line in LINES if re.match(r"[a-z]", line))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+NEEDED = [
+    each
+    for each in [
+        *PROJECT["dependencies"],
+        *(r for e in ("train", "fast", "tune") for r in PROJECT["optional-dependencies"][e]),
+    ]
+    if not each.startswith("spikedeploy") and "python_version" not in each
+]
+
+
+def number(version):
+    return tuple(int(part) for part in version.split("."))
+
+
+@pytest.mark.parametrize("requirement", NEEDED)
+def test_every_requirement_has_an_upper_bound_and_its_tested_version_is_within(requirement):
+    name, _ = constraints.parsed(requirement)
+    low = re.search(r">=([\d.]+)", requirement)[1]
+    high = re.search(r"<([\d.]+)", requirement)[1]
+    assert number(low) <= number(PINS[name]) < number(high)
+
+
+def test_the_file_says_by_which_command_it_is_made_and_what_to_do_without_a_version():
+    head = "\n".join(line for line in LINES if line.startswith("#"))
+    assert "python benchmarks/constraints.py > spikedeploy/constraints.txt" in head
+    assert "pip install -c constraints.txt" in head
+    assert "leave out `-c constraints.txt`" in head
+
+
+def test_pins_name_no_local_build_so_that_plain_pip_finds_them():
+    assert all(re.fullmatch(r"[\d.]+(\.post\d+)?", version) for version in PINS.values())
+
+
+def test_a_version_that_is_not_for_the_oldest_python_says_so(monkeypatch):
+    class Found:
+        version, metadata = "2.4.6+cpu", {"Requires-Python": ">=3.11, <4"}
+
+    monkeypatch.setattr(constraints, "distribution", lambda name: Found)
+    assert constraints.line("numpy") == 'numpy==2.4.6; python_version >= "3.11"'
+    Found.metadata = {"Requires-Python": ">=3.9"}
+    assert constraints.line("numpy") == "numpy==2.4.6"
+
+
+@pytest.fixture
+def versions(monkeypatch):
+    """What is installed: everything as tested, unless it is said."""
+    found = dict(tested_set.tested())
+    monkeypatch.setattr(tested_set, "installed", found.get)
+    return found
+
+
+def test_doctor_says_which_versions_differ_from_the_tested_set(versions):
+    assert "no version differs" in checks._tested().detail
+    versions["numpy"], versions["h5py"] = "1.99.0", None  # what is missing differs from nothing
+    found = checks._tested()
+    assert found.ok is None
+    assert found.detail.startswith("1 differ: numpy 1.99.0 (tested: ")
+    assert "pip install -c constraints.txt" in found.detail
+
+
+def test_a_build_of_the_same_version_from_another_index_does_not_differ(versions):
+    versions["torch"] += "+cu130"
+    assert tested_set.differences() == []
+
+
+def test_pins_for_newer_pythons_are_nothing_to_older_ones(monkeypatch):
+    monkeypatch.setattr(tested_set.sys, "version_info", (3, 10, 13))
+    tested_set.tested.cache_clear()
+    assert "numpy" not in tested_set.tested()
+    assert tested_set.tested()["torch"] == PINS["torch"]
+    tested_set.tested.cache_clear()

@@ -1,0 +1,94 @@
+"""What is searched: texts of --search, defaults of recipes, and what is refused."""
+
+import pytest
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.tuning.plan import TuningPlan
+from spikedeploy.tuning.search import Choices, Interval, parsed
+
+
+def test_ranges_and_choices_are_read_as_they_are_written():
+    assert parsed("learning_rate=1e-4..1e-2:log") == ("learning_rate", Interval(1e-4, 1e-2, True))
+    assert parsed("epochs=3..12") == ("epochs", Interval(3, 12))
+    assert parsed("gamma=0.9..1") == ("gamma", Interval(0.9, 1.0))
+    assert parsed("policy.hidden=[8]|[16,16]") == ("policy.hidden", Choices(("[8]", "[16,16]")))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("gamma", "--search takes KEY="),
+        ("gamma=0.9", "--set takes a single value"),
+        ("gamma=0.9|", "nothing to choose"),
+        ("gamma=0.9..x", "must be numbers"),
+        ("gamma=0.9..nan", "must be numbers"),
+        ("gamma=0.9..0.9", "must be below"),
+        ("gamma=0.9..0.1", "must be below"),
+        ("gamma=0..0.9:log", "begins above 0"),
+    ],
+)
+def test_a_text_that_says_nothing_is_refused_with_the_remedy(text, why):
+    with pytest.raises(ConfigError, match="--search") as error:
+        parsed(text)
+    assert why in str(error.value)
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_every_recipe_has_a_default_space_whose_ends_it_takes(recipe):
+    env = "CartPole-v1" if RECIPES[recipe].any_env else ""
+    first = TuningPlan(recipe, env)
+    asked = tuple(f"{key}={_text(search)}" for key, search in first.space.items())
+    assert asked
+    assert TuningPlan(recipe, env, search=asked).space == first.space  # both ends are settings
+
+
+def _text(search):
+    if isinstance(search, Choices):
+        return "|".join(search.texts)
+    return "..".join(search.ends) + ":log" * search.log
+
+
+def test_an_unknown_key_is_refused_with_the_nearest_and_all_known_ones():
+    with pytest.raises(ConfigError, match="did you mean gamma") as error:
+        TuningPlan("smoke", search=("gama=0.9..0.99",)).space  # noqa: B018
+    assert "critic_hidden" in str(error.value)
+
+
+def test_a_value_that_the_recipe_refuses_is_refused_before_any_training():
+    with pytest.raises(ConfigError, match="gamma"):
+        TuningPlan("smoke", search=("gamma=0.9..1.5",)).space  # noqa: B018
+
+
+def test_what_is_fixed_is_not_searched():
+    space = TuningPlan("smoke", fixed=("gamma=0.9",)).space
+    assert "gamma" not in space
+    assert "tau" in space
+    with pytest.raises(ConfigError, match="both searched and fixed"):
+        TuningPlan("smoke", fixed=("gamma=0.9",), search=("gamma=0.9..0.99",)).space  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"recipe": "smok"}, "did you mean smoke"),
+        ({"recipe": "smoke", "env": "CartPole-v1"}, "leave --env out"),
+        ({"recipe": "ppo-snn"}, "--env"),
+        ({"recipe": "smoke-popsan", "objective": "return-at-sops"}, "--sops N"),
+        ({"recipe": "smoke-popsan", "sops": 5.0}, "--sops N"),
+        ({"recipe": "smoke", "objective": "return,sops"}, "float policy"),
+        ({"recipe": "smoke", "objective": "speed"}, "known: return, return-at-sops"),
+    ],
+)
+def test_a_plan_that_makes_no_sense_is_refused(fields, why):
+    with pytest.raises(ConfigError) as error:
+        TuningPlan(**fields)
+    assert why in str(error.value)
+
+
+def test_the_command_of_a_trial_trains_with_its_settings():
+    plan = TuningPlan("ppo-snn", "CartPole-v1", fixed=("steps=99",), seed=3)
+    assert plan.command({"policy.hidden": "[8,8]", "gamma": 0.9}) == (
+        "spikedeploy train CartPole-v1 --recipe ppo-snn --set steps=99 "
+        "--set 'policy.hidden=[8,8]' --set gamma=0.9 --seed 3"
+    )
