@@ -25,12 +25,13 @@ RASTER = ROOT / "examples" / "raster.npy"
 SHIPPING = inspect.getsource(export_run) + inspect.getsource(publish_run)
 # options and arguments that name a file or folder to write, by command
 OUTPUTS = {
-    ("run", "video"), ("compare", "output"), ("emulate", "output"), ("export", "output"),
+    ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"), ("emulate", "output"), ("export", "output"),
     ("publish", "output"), ("visualize", "output"), ("experiment", "output"),
     ("play", "record"), ("replay", "video"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
-OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder"}
+OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
+          "spec"}  # fmt: skip
 
 
 def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():
