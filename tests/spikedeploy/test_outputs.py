@@ -25,9 +25,9 @@ RASTER = ROOT / "examples" / "raster.npy"
 SHIPPING = inspect.getsource(export_run) + inspect.getsource(publish_run)
 # options and arguments that name a file or folder to write, by command
 OUTPUTS = {
-    ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"), ("emulate", "output"), ("export", "output"),
-    ("publish", "output"), ("visualize", "output"), ("experiment", "output"),
-    ("play", "record"), ("replay", "video"),
+    ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
+    ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
+    ("experiment", "output"), ("play", "record"), ("replay", "video"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
