@@ -77,7 +77,7 @@ def sentences(rows: Sequence[Record]) -> list[str]:
                 found.append(_kept_of(policy, of, word))
         beside = _beside(own, [row for row in middle if row["policy"] == ann])
         if ann and beside is not None:
-            found.append(_worse(policy, ann, beside))
+            found.append(_worse(policy, ann, beside, _controls(middle)))
     return [f"* {each}" for each in found]
 
 
@@ -103,8 +103,24 @@ def _beside(own: Sequence[Record], ann: Sequence[Record]) -> list[tuple[Record, 
     ]
 
 
-def _worse(policy: str, ann: str, pairs: Sequence[tuple[Record, Record]]) -> str:
+def _controls(rows: Sequence[Record]) -> dict[str, list[str]]:
+    """Condition -> what each float control keeps."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        if row["kind"] == "control":
+            found.setdefault(row["name"], []).append(f"{row['policy']} {row['kept']:.0%}")
+    return found
+
+
+def _worse(
+    policy: str, ann: str, pairs: Sequence[tuple[Record, Record]], controls: dict[str, list[str]]
+) -> str:
     if not pairs:
         return f"Wherever {ann} keeps {ENOUGH:.0%} at level {MIDDLE}, {policy} does."
-    said = ", ".join(f"{own['name']} ({kept(own)} against {kept(of)})" for own, of in pairs)
+    said = ", ".join(
+        f"{own['name']} ({kept(own)} against {kept(of)}"
+        + "".join(f"; {control}" for control in controls.get(own["name"], ()))
+        + ")"
+        for own, of in pairs
+    )
     return f"Where {ann} keeps {ENOUGH:.0%} at level {MIDDLE} and {policy} does not: {said}."

@@ -179,6 +179,15 @@ def test_the_page_says_where_the_ann_keeps_enough_and_the_spiking_policy_does_no
     assert found[2].endswith("noise (50% [40, 60] against 95% [85, 105]).")
 
 
+def test_float_controls_stand_beside_what_a_spiking_policy_loses():
+    rows = [
+        row_of("ann", "ann", "noise", 0.95), row_of("snn", "snn", "noise", 0.5),
+        row_of("mlp-32", "control", "noise", 0.47),
+    ]  # fmt: skip
+    found = tables.sentences(rows)
+    assert found[-1].endswith("noise (50% [40, 60] against 95% [85, 105]; mlp-32 47%).")
+
+
 def test_the_page_says_so_where_there_is_no_such_case():
     found = tables.sentences(
         [row_of("ann", "ann", "noise", 0.8), row_of("snn", "snn", "noise", 0.5)]
