@@ -10,9 +10,14 @@
     zoo          the policies that are shipped
     comparison   policies on the same seeds, with intervals
     emulation    networks in open loop: rasters, drift, design rules, traces
-    reports      tables, plots and pages
+    recordings   episodes with all that a page replays of them
+    reports      tables and plots
+    pages        the page of a comparison: one HTML file
     shipping     export, publishing into the zoo, the demo
     experiments  many trainings and their evaluations by one command
+    jobs         pure functions in this process, in several, or on a cluster of Ray
+    sweeps       grids of evaluations, kept job by job
+    tuning       searches for settings of trainings
     play         windows: drive, replay, draw a track
 
     api          three lines of Python: load, compare, train, make
