@@ -62,7 +62,9 @@ def _digits(row: Row) -> int:
 
 
 def finished(row: Row) -> str:
-    """The success rate with its interval: `97% [92, 99]`."""
+    """The success rate with its interval: `97% [92, 99]`; a dash where success is not known."""
+    if row.get("success_ci95") is None:
+        return ABSENT
     low, high = row["success_ci95"]
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 

@@ -66,7 +66,7 @@ def verdict(document: Mapping[str, Any]) -> str:
     done = "finished" if drives(row) else "succeeded"
     said = [
         f"return {interval(row)} in {of}",
-        f"{sum(row['successes'])} {done}",
+        *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
         *(f"{each} a control step" for each in [operations(row)] if each != ABSENT),
     ]
     table = quoted_table([row])

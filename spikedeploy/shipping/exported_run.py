@@ -7,8 +7,8 @@ from spikedeploy.console import say
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.export_run import SPIKING, export_run
-from spikedeploy.trainers.run_folder import RunFolder
+
+# What reads run folders needs torch, and is imported where one is named: files are run without.
 
 
 def runnable(reference: str) -> str:
@@ -18,6 +18,9 @@ def runnable(reference: str) -> str:
     """
     if reference in BUILT_IN or not _is_run(reference):
         return reference
+    from spikedeploy.shipping.export_run import SPIKING
+    from spikedeploy.trainers.run_folder import RunFolder
+
     run = RunFolder.find(reference).path
     kind = run_record.settings(run)["policy"]["kind"]
     to = "nir" if kind in SPIKING else "onnx"
@@ -34,6 +37,8 @@ def trained_in(reference: str) -> str | None:
     """Name of the environment that a run folder was trained in; None for any other reference."""
     if reference in BUILT_IN or not _is_run(reference):
         return None
+    from spikedeploy.trainers.run_folder import RunFolder
+
     return str(run_record.settings(RunFolder.find(reference).path)["env"]["name"])
 
 
@@ -46,6 +51,8 @@ def _is_run(reference: str) -> bool:
 
 def _export(run: Path, to: str, file: Path) -> None:
     """Export the run; a file that does not do what the policy does is removed and refused."""
+    from spikedeploy.shipping.export_run import export_run
+
     written = export_run(str(run), to, file, force=True)
     failed = [check for check in written.checks if not check.passed]
     if failed:
