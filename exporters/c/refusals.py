@@ -13,6 +13,7 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import Integrate
 
 _PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
 _KEYWORDS = {"auto", "double", "int", "struct", "break", "else", "long", "switch", "case", "enum"}
+_FILES = {"codec", "selftest", "vectors"}  # written beside PREFIX.c
 _DECAY_BITS = 24
 
 
@@ -74,7 +75,7 @@ def check_codec(codec: Codec) -> None:
 
 def check_prefix(prefix: str) -> None:
     """Refuse what cannot begin the names of C."""
-    if not _PREFIX.fullmatch(prefix) or prefix in _KEYWORDS:
+    if not _PREFIX.fullmatch(prefix) or prefix in _KEYWORDS | _FILES:
         raise ConfigError(
             f"--prefix {prefix[:40]!r}: names of C begin with it; choose a small letter, then "
             "letters, digits and '_', 31 at most."

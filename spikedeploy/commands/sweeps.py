@@ -61,7 +61,7 @@ def sweep(
 
     grid = read_grid(spec)
     folder = output or Path("runs/sweeps") / grid.name
-    check_output_folder("-o", folder, (PAGE, NUMBERS), (spec,), force, is_sweep)
+    check_output_folder("-o", folder, (PAGE, NUMBERS, "journal.csv"), (spec,), force, is_sweep)
     chosen = backend_called(backend, workers, address)
     outcome = run_sweep(grid, folder, chosen, retry) if run else look_at_sweep(grid, folder)
     state = outcome.state

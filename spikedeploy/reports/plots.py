@@ -155,7 +155,9 @@ def _figure(lines: int) -> "tuple[Figure, Axes]":
 
 def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
     """Label the lines from top to bottom."""
-    axes.set_yticks(range(len(rows)), [label(row) for row in rows])
+    # a dollar sign would begin a formula
+    names = [label(row).replace("$", r"\$") for row in rows]
+    axes.set_yticks(range(len(rows)), names)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.tick_params(length=0)
 

@@ -65,6 +65,9 @@ class SweepGrid:
                 raise ConfigError(f"{axis}: {_said(twice[0])} is given twice. Give each once.")
         if not self.env:
             raise ConfigError("env is missing: name an environment, as in env = 'hexapod'")
+        for axis in ("chip", "bits", "disturb", "fault", "specimen", "seed"):
+            if not getattr(self, axis):
+                raise ConfigError(f"{axis} is empty, so there is nothing to do. Leave it out.")
         first = min(self.seed)
         if first < EVALUATION:
             raise ConfigError(

@@ -17,6 +17,7 @@ from typing import Any
 
 from spikedeploy.files import as_text, check_folder, write_text
 from spikedeploy.jobs.answer import JobAnswer
+from spikedeploy.outputs import mark, marked
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.sweeps.specification import JobSpecification
 from spikedeploy.user_errors import one_line
@@ -103,8 +104,12 @@ class SweepFolder:
 
 
 def is_sweep(folder: Path) -> bool:
-    """Whether a sweep has results in the folder."""
-    return (folder / "journal.csv").is_file() and (folder / "jobs").is_dir()
+    """Whether a sweep has results in the folder, or a page without any yet."""
+    journal = folder / "journal.csv"
+    if journal.is_file():
+        with journal.open("rb") as file:
+            return file.read(len(_HEAD)) == _HEAD.encode()
+    return not journal.exists() and marked(folder / "sweep.md", f"<!-- {mark('sweep')} -->")
 
 
 def _checked(text: str, job: JobSpecification) -> StoredJob | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.files import write_text
+from spikedeploy.outputs import marked
 from spikedeploy.tuning.evaluation import FIRST_SEED
 from spikedeploy.tuning.outcomes import TrialOutcome, best, outcomes
 from spikedeploy.tuning.plan import TuningPlan
@@ -17,6 +18,15 @@ if TYPE_CHECKING:
 PAGE = "tune.md"
 _ENOUGH = 4  # trials, below which nothing can be said of importance
 _DASH = "–"
+
+
+def is_study(folder: Path) -> bool:
+    """Whether a search has a journal of Optuna in the folder, or a page of one in a database."""
+    journal = folder / "journal.log"
+    if journal.is_file():
+        with journal.open("rb") as file:
+            return file.read(12) == b'{"op_code": '
+    return not journal.exists() and marked(folder / PAGE, "spikedeploy tune ")
 
 
 def write_page(plan: TuningPlan, study: "optuna.Study", folder: Path) -> list[Path]:

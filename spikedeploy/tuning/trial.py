@@ -1,7 +1,6 @@
 """One trial of a study: settings are drawn, a policy is trained and evaluated, in one process."""
 
 import platform
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +64,7 @@ class _Attempt:
         self._values = {key: each.suggested(trial, key) for key, each in plan.space.items()}
         before = trial.user_attrs.get(RUN)
         self._folder = Path(before) if before else folder / f"trial-{trial.number}"
+        self._known = before is not None
         trial.set_user_attr(RUN, str(self._folder))
         self._stop = Validations(trial, self._folder, prunes=not plan.two)
 
@@ -86,10 +86,12 @@ class _Attempt:
 
     def _trained(self) -> Path:
         """The run, resumed where the trial was interrupted before."""
+        if not self._known and self._folder.exists() and any(self._folder.iterdir()):
+            raise ConfigError(
+                f"{self._folder} exists, and this search does not know it: it is of another one. "
+                "Name another --folder, or move it away."
+            )
         found = next((file.parent for file in self._folder.glob("*/config.json")), None)
-        if found is not None and not (found / "checkpoints" / "last.json").is_file():
-            shutil.rmtree(found)  # stopped before its first checkpoint
-            found = None
         return train(
             self._plan.recipe,
             env=self._plan.env or None,

@@ -26,10 +26,10 @@ from spikedeploy.trainers.versions import installed, own
 _PACKAGES = ("numpy", "mujoco", "pymunk")
 _INTRODUCTION = f"""\
 What is left of the return of a policy where the world or the chip is not as in training. Policies
-of the five worlds are the shipped ones; none was trained for this page. Walkers other than `sac` and
-`smooth` imitate these on walks without disturbances, so what float controls lose as well is lost by
-imitation, not by spikes. Definitions, numbers of the
-levels and where they come from: [docs/robustness.md](../docs/robustness.md).
+of the five worlds are the shipped ones; none was trained for this page. Walkers other than `sac`
+and `smooth` imitate these on walks without disturbances, so what float controls lose as well is
+lost by imitation, not by spikes. Definitions, numbers of the levels and where they come from:
+[docs/robustness.md](../docs/robustness.md).
 
 Each cell is the return as a share of what the same policy earns undisturbed on the same seeds, with
 the 95 % interval of a bootstrap in percent: over episodes, pair by pair; under faults over faulty
