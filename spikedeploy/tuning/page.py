@@ -26,7 +26,7 @@ def is_study(folder: Path) -> bool:
     if journal.is_file():
         with journal.open("rb") as file:
             return file.read(12) == b'{"op_code": '
-    return not journal.exists() and marked(folder / PAGE, "spikedeploy tune ")
+    return not journal.exists() and marked(folder / PAGE, "These seeds chose the settings")
 
 
 def write_page(plan: TuningPlan, study: "optuna.Study", folder: Path) -> list[Path]:
