@@ -125,14 +125,9 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (18,), np.float64)
 
     @property
-    def model(self) -> Any:  # noqa: ANN401 - MuJoCo has no types
-        """MuJoCo's model, under the name that gymnasium's environments give it."""
-        return self._robot.model
-
-    @property
-    def data(self) -> Any:  # noqa: ANN401
-        """MuJoCo's state."""
-        return self._robot.data
+    def robot(self) -> Robot:
+        """The robot, with MuJoCo's model and state."""
+        return self._robot
 
     @property
     def support_force(self) -> float:

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 from spikedeploy.jobs.answer import ATTEMPTS, Function, JobAnswer, answered, lost
@@ -37,12 +37,7 @@ class ProcessBackend:
     def __enter__(self) -> "ProcessBackend":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         for worker in self._workers:
             worker.leave(at_once=error is not None)  # jobs are pure, so nothing is lost
         for worker in self._workers:

@@ -10,7 +10,6 @@ import secrets
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from types import TracebackType
 from typing import Any
 
 from spikedeploy.jobs.answer import Function, JobAnswer, answered, lost
@@ -48,12 +47,7 @@ class RayBackend:
             self._ray = _started(ray, self._address, options)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._ray.shutdown()  # of a cluster only this driver's tasks
 
     def run(self, function: Function, jobs: Sequence[Any]) -> Iterator[JobAnswer]:

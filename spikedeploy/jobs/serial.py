@@ -1,7 +1,6 @@
 """One job after the other, in this process."""
 
 from collections.abc import Iterator, Sequence
-from types import TracebackType
 from typing import Any
 
 from spikedeploy.jobs.answer import Function, JobAnswer, answered
@@ -13,12 +12,7 @@ class SerialBackend:
     def __enter__(self) -> "SerialBackend":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         pass
 
     def run(self, function: Function, jobs: Sequence[Any]) -> Iterator[JobAnswer]:

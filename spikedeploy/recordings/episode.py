@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.policies.interface import FLOAT, Candidate, Player
+from spikedeploy.policies.interface import FLOAT, Candidate, Player, check_fit
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import open_policy
 from spikedeploy.recordings.scenes import Floats, scene_of
@@ -99,7 +99,7 @@ def _traced(
 ) -> "tuple[Player, _Tracer | None]":
     if candidate.format != ".nir":
         return open_policy(candidate, chip, env), None
-    open_policy(candidate, chip, env)  # refuses what does not fit
+    check_fit(candidate, env)
     player = NirController(
         candidate.path,
         chip or FLOAT,

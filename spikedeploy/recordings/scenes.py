@@ -8,6 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.envs.kart.track import RADIUS
+from spikedeploy.recordings.packed import packed
+
 Floats = NDArray[np.float64]
 
 # mujoco.mjtGeom that the page draws
@@ -33,8 +36,9 @@ def scene_of(env: Any) -> DrawnScene | None:  # noqa: ANN401
     inner = env.unwrapped
     # of environments that wrap other people's
     inner = getattr(inner, "inner", inner).unwrapped
-    if hasattr(inner, "model") and hasattr(inner, "data") and hasattr(inner.data, "xquat"):
-        return _Bodies(inner.model, inner.data)
+    body = getattr(inner, "robot", inner)  # of our hexapods; gymnasium's hold both themselves
+    if hasattr(body, "model") and hasattr(getattr(body, "data", None), "xquat"):
+        return _Bodies(body.model, body.data)
     if hasattr(inner, "track") and hasattr(inner, "pose"):
         return _Kart(inner)
     return None
@@ -96,8 +100,6 @@ class _Bodies:
         start = int(model.hfield_adr[field])
         heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
         every = max(1, round(_COARSE * (columns - 1) / (2 * x)))
-        from spikedeploy.recordings.packed import packed
-
         kept = height + top * heights[::every, ::every]
         return {"height": height, "half": [x, y], "heights": packed(kept)}
 
@@ -115,15 +117,12 @@ class _Kart:
             "kind": "track",
             "walls": _rounded(track.walls, 1),
             "gates": _rounded(track.gates, 1),
-            "radius": _RADIUS,
+            "radius": RADIUS,
         }
 
     def pose(self) -> Floats:
         """(1, 3) x [px], y [px] and heading [rad]."""
         return np.array([self._env.pose])
-
-
-_RADIUS = 19.2  # [px] of a kart, envs.kart.track.RADIUS
 
 
 def _rounded(values: Any, digits: int = 4) -> Any:  # noqa: ANN401
