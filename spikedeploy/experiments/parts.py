@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from spikedeploy.console import console
 from spikedeploy.experiments import workers
@@ -29,6 +30,32 @@ class Report:
     write: Callable[[], list[Path]]
     often: bool = True
     progress: Callable[[Job], str] | None = None
+
+
+class ExperimentPart(Protocol):
+    """A part that is a job of its own."""
+
+    @property
+    def job(self) -> Job:
+        """What does it."""
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is missing."""
+
+
+def run_parts(
+    parts: Sequence[ExperimentPart],
+    to_do: Sequence[ExperimentPart],
+    count: int | None,
+    write: Callable[[], list[Path]],
+    progress: Callable[[Job], str],
+) -> Outcome:
+    """Run those parts that are to do, one job each; write and progress as in Report."""
+    report = Report(
+        len(to_do), len(parts), lambda: [part.done for part in parts], write, progress=progress
+    )
+    return run_missing([part.job for part in to_do], count or 1, report)
 
 
 def run_missing(jobs: Sequence[Job], count: int, report: Report) -> Outcome:

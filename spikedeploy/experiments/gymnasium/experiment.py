@@ -9,7 +9,7 @@ from spikedeploy.experiments.gymnasium.design import GymnasiumDesign
 from spikedeploy.experiments.gymnasium.evaluation import missing
 from spikedeploy.experiments.gymnasium.training import TaskTraining
 from spikedeploy.experiments.pareto.training import check
-from spikedeploy.experiments.parts import Report, run_missing
+from spikedeploy.experiments.parts import run_parts
 from spikedeploy.experiments.workers import Job, Outcome, chosen
 from spikedeploy.files import check_folder
 
@@ -59,14 +59,13 @@ def experiment(
     to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
     _check_what_comes_before(to_do)
     trainings = {part.job.name: part.training for part in parts if not part.evaluates}
-    report = Report(
-        len(to_do),
-        len(parts),
-        lambda: [part.done for part in parts],
+    return run_parts(
+        parts,
+        to_do,
+        count,
         lambda: page.write(design, results),
-        progress=lambda job: _progress(job, trainings.get(job.name)),
+        lambda job: _progress(job, trainings.get(job.name)),
     )
-    return run_missing([part.job for part in to_do], count or 1, report)
 
 
 def _progress(job: Job, training: TaskTraining | None) -> str:

@@ -9,7 +9,7 @@ from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.experiments.parts import Report, run_missing
+from spikedeploy.experiments.parts import run_parts
 from spikedeploy.experiments.workers import Job, Outcome, chosen
 from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
@@ -67,14 +67,13 @@ def experiment(
     to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
     _check_what_comes_before(to_do)
     trainings = {training.name: training for training in design.everything()}
-    report = Report(
-        len(to_do),
-        len(parts),
-        lambda: [part.done for part in parts],
+    return run_parts(
+        parts,
+        to_do,
+        count,
         lambda: page.write(design, results),
-        progress=lambda job: _progress(job, trainings.get(job.name)),
+        lambda job: _progress(job, trainings.get(job.name)),
     )
-    return run_missing([part.job for part in to_do], count or 1, report)
 
 
 def _progress(job: Job, training: Training | RewardTraining | None) -> str:
