@@ -89,8 +89,9 @@ def imported(
     except ModuleNotFoundError as error:
         if not f"{module}.".startswith(f"{error.name}."):
             raise EnvError(f"{name}: importing {module} needs {error.name}: install it") from error
+        hint = f"; leave .py out: {name.replace('.py:', ':')}" if ".py:" in name else ""
         raise EnvError(
-            f"{name}: there is no module {module}, neither installed nor in {here}; {form}"
+            f"{name}: there is no module {module}, neither installed nor in {here}{hint}; {form}"
         ) from error
 
 

@@ -80,14 +80,17 @@ def _flat(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return result
 
 
-def known(name: str, names: Iterable[str], kind: str) -> str:
-    """Return `name` if it is one of the names, else raise ConfigError with the closest ones."""
+def known(name: str, names: Iterable[str], kind: str, remedy: str = "") -> str:
+    """Return `name` if it is one of the names, else raise ConfigError with the closest ones.
+
+    remedy: what else may have been meant
+    """
     choices = sorted(names)
     if name in choices:
         return name
     near = difflib.get_close_matches(name, choices, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(choices)}"
-    raise ConfigError(f"unknown {kind} '{name}': {hint}")
+    raise ConfigError(f"unknown {kind} '{name}': {hint}{remedy}")
 
 
 def _read_toml(file: str | Path) -> dict[str, Any]:
@@ -127,7 +130,9 @@ def _overlaid(
     for key, value in change.items():
         name = path + key
         if path not in ("env.options.", "shaping."):  # checked by the environment itself
-            known(key, settings, f"setting ({source}) {path}".rstrip())
+            kind = f"setting ({source}) {path}".rstrip()
+            own = "" if path else f"; an option of the environment is env.options.{key}"
+            known(key, settings, kind, own)
         old = settings.get(key)
         if isinstance(old, Mapping) and isinstance(value, Mapping):
             value = _overlaid(old, value, source, f"{name}.")

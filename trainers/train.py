@@ -4,6 +4,7 @@ An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 """
 
 import json
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -64,7 +65,9 @@ def train(
         recipe = str(RunFolder.find(resume, runs).settings()["recipe"])
     if recipe is None:
         raise ConfigError("name a recipe to train, or a run to resume")
-    kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe")].algorithm)
+    world = f". To train in it: `spikedeploy train {recipe} --recipe ppo-snn`"
+    remedy = world if ":" in recipe or re.search(r"-v\d+$", recipe) else ""
+    kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe", remedy)].algorithm)
     overrides = [*_named(recipe, env), *overrides]
     if resume is not None:
         run = RunFolder.find(resume, runs, recipe)

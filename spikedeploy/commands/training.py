@@ -1,5 +1,6 @@
 """`train`, `visualize`, `export` and `publish`: from a recipe to a shipped policy."""
 
+import shlex
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -139,7 +140,8 @@ def run_training(
         raise typer.Exit(interrupt.exit_code)
     if not json:
         env = trained_in(str(run))
-        typer.echo(f"trained: {run}\n{remark(run)}next: spikedeploy compare {env} {run}")
+        again = shlex.join(["spikedeploy", "compare", str(env), str(run)])
+        typer.echo(f"trained: {run}\n{remark(run)}next: {again}")
 
 
 def export(

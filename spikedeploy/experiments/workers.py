@@ -46,6 +46,8 @@ class Job:
 class JobEnd:
     """How a job ended.
 
+    begins   where in the log this attempt begins [bytes]
+
     seconds  of run time
     status   0 done, worker.INTERRUPTED, else failed
     """
@@ -53,6 +55,7 @@ class JobEnd:
     job: Job
     seconds: float
     status: int
+    begins: int = 0
 
     @property
     def failed(self) -> bool:
@@ -61,9 +64,10 @@ class JobEnd:
 
     @property
     def last_line(self) -> str:
-        """The last line of the log, which holds the error message."""
-        lines = self.job.log.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "no output")
+        """The last line of what it wrote into the log, which holds the error message."""
+        written = self.job.log.read_bytes()[self.begins :].decode("utf-8", errors="replace")
+        silent = "no output" + (f", killed by signal {-self.status}" if self.status < 0 else "")
+        return next((line for line in reversed(written.split("\n")) if line.strip()), silent)
 
     @property
     def line(self) -> str:
@@ -164,6 +168,7 @@ class _Process:
         self.job, self._start = job, time.monotonic()
         job.log.parent.mkdir(parents=True, exist_ok=True)
         with job.log.open("ab") as log:
+            self._begins = log.tell()
             self._popen = subprocess.Popen(
                 [sys.executable, "-m", "spikedeploy.experiments.worker"],
                 stdin=subprocess.PIPE,
@@ -200,4 +205,4 @@ class _Process:
         """Wait for its end."""
         status = self._popen.wait()
         self.ask_to_stop()
-        return JobEnd(self.job, time.monotonic() - self._start, status)
+        return JobEnd(self.job, time.monotonic() - self._start, status, self._begins)

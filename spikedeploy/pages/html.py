@@ -9,9 +9,9 @@ from string import Template
 from typing import Any
 
 from spikedeploy.pages.svg import energy_svg, returns_svg
-from spikedeploy.reports.columns import COST, Column, Row, tables
+from spikedeploy.reports.columns import COST, Column, Row, label, tables
 from spikedeploy.reports.headline import headline, verdict
-from spikedeploy.reports.short_table import energy_hint, short_columns
+from spikedeploy.reports.short_table import energy_hint, short_columns, short_label
 
 _SCRIPTS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
 _LEGEND = (
@@ -40,13 +40,13 @@ def html(
         else escape(f"{document['env']}: {rows[0]['policy']}"),
         style=part("report.css"),
         verdict=escape(" ".join(filter(None, (first, _disturbed(facts))))),
-        figures=figures(rows),
+        figures=figures(rows, document["env_id"]),
         instrument=Template(part("instrument.html")).substitute(legend=_LEGEND) if episodes else "",
         video=_video(video) if video else "",
         table=_main_table(document),
         said=_said(more, document.get("env_remark", "")),
         folded="".join(_folded(document, facts, stepped)),
-        data=_data(episodes) if episodes else "",
+        data=_data(_renamed(episodes, document)) if episodes else "",
     )
 
 
@@ -59,12 +59,12 @@ def part(name: str) -> str:
     return files("spikedeploy.pages").joinpath(name).read_text(encoding="utf-8")
 
 
-def figures(rows: Sequence[Row]) -> str:
+def figures(rows: Sequence[Row], env: str) -> str:
     """The numbers that a page leads with."""
     cells = (
         f'<div><dt>{escape(each.title)}</dt><dd class="big">{escape(each.number)}</dd>'
         f'<dd class="beside">{escape(each.beside)}</dd></div>'
-        for each in headline(rows)
+        for each in headline(rows, env)
     )
     return f'<dl class="figures">{"".join(cells)}</dl>'
 
@@ -129,6 +129,25 @@ def _video(path: Path) -> str:
 
     source = f"data:video/mp4;base64,{b64encode(path.read_bytes()).decode()}"
     return f'<video controls muted loop src="{source}"></video>'
+
+
+def _renamed(
+    episodes: Sequence[Mapping[str, Any]], document: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """The episodes with the names of policies that the tables have."""
+    rows = document["rows"]
+    short = short_label(rows, document["env_id"])
+    names = {label(row): short(row) for row in rows}
+    return [
+        {
+            **episode,
+            "players": [
+                {**player, "label": names.get(player["label"], player["label"])}
+                for player in episode["players"]
+            ],
+        }
+        for episode in episodes
+    ]
 
 
 def _data(episodes: Sequence[Mapping[str, Any]]) -> str:

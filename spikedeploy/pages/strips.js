@@ -136,7 +136,7 @@ class MapStrip {
 
 function short(value) {
   const size = Math.abs(value);
-  if (Math.abs(value - Math.round(value)) < 1e-4) return String(Math.round(value));
+  if (size >= 1000 || Math.abs(value - Math.round(value)) < 1e-4) return Math.round(value).toLocaleString("en");
   return value.toFixed(size >= 100 || value === 0 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : 3);
 }
 

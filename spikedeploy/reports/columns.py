@@ -12,6 +12,7 @@ __all__ = [
     "COST",
     "Column",
     "Row",
+    "asked_for",
     "bounded",
     "difference",
     "divergence",
@@ -227,7 +228,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
     title, columns = _task(rows)
     found = {
-        title: [*_filled(columns, rows), *_measured(rows)],
+        title: [*_filled(columns, rows), *asked_for(rows)],
         "Does it act like its reference?": _filled(_AGREEMENT, rows),
         "How large is the network?": _filled(_SIZE, rows),
         "What does an inference take?": _filled(_OPERATIONS, rows),
@@ -246,7 +247,7 @@ def _task(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
     return "Does the robot still walk?", _WALK
 
 
-def _measured(rows: Sequence[Row]) -> list[Column]:
+def asked_for(rows: Sequence[Row]) -> list[Column]:
     """A column for each metric that was asked for."""
     names = dict.fromkeys(name for row in rows for name in row.get("measured", ()))
     return [_metric(name) for name in names]

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 from spikedeploy.comparison.summary import macs, smallest_rival
 from spikedeploy.reports.cells import Row, price
 from spikedeploy.reports.columns import difference, interval, label
-from spikedeploy.reports.short_table import quoted_table
+from spikedeploy.reports.short_table import quoted_table, short_label
 
 _SENTENCE = re.compile(r"(?<=\.) (?=\w)")  # between two sentences
 _AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that operations decide
 
 
-class Figure(NamedTuple):
+class HeadlineNumber(NamedTuple):
     """A number of the headline: what it is, the number, what it is beside."""
 
     title: str
@@ -42,7 +42,7 @@ def ann_row(rows: Sequence[Row]) -> Row | None:
     return next((row for row in rows if row["kind"] == "ann"), None)
 
 
-def headline(rows: Sequence[Row]) -> list[Figure]:
+def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
     """Return kept on the chip, operations and energy of a control step, where they are known.
 
     Operations and energy stand beside the smallest float policy that is not shown to be worse, and
@@ -51,7 +51,14 @@ def headline(rows: Sequence[Row]) -> list[Figure]:
     row, ann = main_row(rows), ann_row(rows)
     found = [smallest_rival(row, rows), ann] if row["kind"] == "snn" and "returns" in row else [ann]
     rivals = {each["policy"]: each for each in found if each and each is not row}
-    numbers = (_kept(row), _counted(row, rivals.values()), _priced(row, rivals.values()))
+    short = short_label(rows, env)
+    names = {label(each): short(each) for each in rows}
+    name = names[label(row)]
+    numbers = (
+        _kept(row, name, names.get(row["reference"], row["reference"])),
+        _counted(row, rivals.values(), name),
+        _priced(row, rivals.values()),
+    )
     return [each for each in numbers if each]
 
 
@@ -69,19 +76,21 @@ def disturbed(document: Mapping[str, Any]) -> str:
     return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
 
 
-def _kept(row: Row) -> Figure:
+def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
     episodes = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
     earned = f"{interval(row)} in {episodes}"
     if row.get("ratio_to_reference") is None:
-        return Figure(f"return of {label(row)}", interval(row).partition(" ")[0], earned)
+        return HeadlineNumber(f"return of {name}", interval(row).partition(" ")[0], earned)
     of_ann = row.get("ratio_to_float_ann")
-    said = [earned, f"{difference(row)} to {row['reference']}"]
+    said = [earned, f"{difference(row)} to {twin}"]
     said += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
     kept = f"{row['ratio_to_reference']:.1%}"
-    return Figure(f"return kept on {row['chip']}, of its float twin's", kept, "; ".join(said))
+    return HeadlineNumber(
+        f"return kept on {row['chip']}, of its float twin's", kept, "; ".join(said)
+    )
 
 
-def _counted(row: Row, rivals: Iterable[Row]) -> Figure | None:
+def _counted(row: Row, rivals: Iterable[Row], name: str) -> HeadlineNumber | None:
     count = _operations(row)
     if count <= 0:
         return None
@@ -91,11 +100,11 @@ def _counted(row: Row, rivals: Iterable[Row]) -> Figure | None:
         for each in rivals
         if math.isfinite(macs(each))
     ]
-    title = f"operations of a control step, {label(row)}"
-    return Figure(title, f"{count:,.0f} {unit}", "; ".join(said))
+    title = f"operations of a control step, {name}"
+    return HeadlineNumber(title, f"{count:,.0f} {unit}", "; ".join(said))
 
 
-def _priced(row: Row, rivals: Iterable[Row]) -> Figure | None:
+def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
     table = quoted_table([row])
     joules = row["energy_per_inference_j"].get(table)
     if not joules:
@@ -107,7 +116,9 @@ def _priced(row: Row, rivals: Iterable[Row]) -> Figure | None:
         for each, other in known
         if other
     ]
-    return Figure("energy of a control step", energy(row), "; ".join([f"by {table}", *said]))
+    return HeadlineNumber(
+        "energy of a control step", energy(row), "; ".join([f"by {table}", *said])
+    )
 
 
 def _times(ratio: float) -> str:

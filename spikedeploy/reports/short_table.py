@@ -32,10 +32,10 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         Column("energy", f"a control step, by table {table}", energy_cell(table)),
     ]
     filled = [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
-    return [Column("policy", "policy · chip", _short_label(rows, env)), *filled]
+    return [Column("policy", "policy · chip", short_label(rows, env)), *filled]
 
 
-def _short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
+def short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
     """Labels whose run names have neither date nor environment, where they still differ."""
     names = {str(row["policy"]) for row in rows}
     part = re.sub(r"[^A-Za-z0-9.-]+", "-", f"-{env}-")  # as the run folder has it

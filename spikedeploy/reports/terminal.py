@@ -56,7 +56,7 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
 def print_headline(document: Mapping[str, Any]) -> None:
     """Print the first sentence of a comparison and the numbers that its page leads with."""
     print_text(f"{document['env']}: {verdict_of(document)[0]}")
-    for each in headline(document["rows"]):
+    for each in headline(document["rows"], document["env_id"]):
         print_text(f"  {each.number}  {each.title}  ({each.beside})")
     print_text("")
 

@@ -79,5 +79,5 @@ def _card(document: Mapping[str, Any]) -> str:
     first = escape(verdict(document)[0])
     return (
         f'<h2><a href="{env}/report.html">{env}</a></h2>'
-        f'<p class="more">{first}</p>{figures(document["rows"])}'
+        f'<p class="more">{first}</p>{figures(document["rows"], document["env_id"])}'
     )

@@ -12,6 +12,7 @@ from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.c.costs import CCosts
 from spikedeploy.exporters.c.to_c import MARK, file_names, policy_in_c, write
+from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
@@ -92,7 +93,7 @@ def export_c(
     names = file_names(prefix, codec=True)
     check_output_folder("-o", folder, names, (file, policy), force, _written_before)
     program = compile_program(artifact, on)
-    seen, source = _observations(artifact, on, observations)
+    seen, source = _observations(artifact, on, observations, _world(policy, artifact))
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
     files = policy_in_c(program, artifact.codec, seen, origin, prefix)
     write(files, folder)
@@ -119,19 +120,33 @@ def _written_before(folder: Path) -> bool:
     return marked(folder / "codec.c", MARK)
 
 
-def _observations(artifact: Artifact, on: Chip, count: int) -> tuple[NDArray[np.float64], str]:
-    """Observations (S, obs) of an episode, and where they come from in words."""
+def _world(policy: str, artifact: Artifact) -> str:
+    """The environment that a run was trained in, else one of ours that the file names.
+
+    A run folder is the user's, and its environment is imported; what a file names is not.
+    """
+    from spikedeploy.shipping.exported_run import trained_in
+
+    named = artifact.provenance.env if artifact.provenance else ""
+    ours = named if named in {entry.id for entry in envs.ENVS.values()} else ""
+    return trained_in(policy) or ours or ""
+
+
+def _observations(
+    artifact: Artifact, on: Chip, count: int, where: str
+) -> tuple[NDArray[np.float64], str]:
+    """Observations (S, obs) of an episode in an environment, and where they come from in words."""
     codec = artifact.codec
     if codec is None:
         raise TypeError("an artifact without a codec has no observations")
-    where = artifact.provenance.env if artifact.provenance else ""
-    env = envs.make(where) if where in {entry.id for entry in envs.ENVS.values()} else None
+    env = make_env(where, {}) if where else None
     if env is not None and env.observation_space.shape == (codec.encoder.observed,):
         played = rollout(env, SpikingController(artifact, on, "none"), VALIDATION[0])
         env.close()
         seen = np.asarray(played.observation[:-1], np.float64)[:count]
         return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
-    say(f"{where or 'no environment'} cannot be played here: a random walk stands for it")
+    named = (artifact.provenance.env if artifact.provenance else "") or "no environment"
+    say(f"{named} cannot be played here: a random walk stands for it; name the run to play it")
     steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
     walk = np.clip(np.cumsum(steps, axis=0), -3, 3)
     return walk * codec.normaliser.std + codec.normaliser.mean, f"{count} steps of a random walk"

@@ -13,7 +13,6 @@ from spikedeploy.sweeps.specification import JobSpecification
 Record = dict[str, Any]
 # means over inferences, of whole rows and of each energy table
 _PER_INFERENCE = ("spikes_per_inference", "sops_per_inference", "macs_dense")
-_PRICES = ("energy_per_inference_j",)
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,7 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         "success_rate": rate.mean if rate else None,
         "success_ci95": rate.ci95 if rate else None,
         "foreign": first.get("foreign", False),
+        "measured": _asked(jobs),
         **({"gates": first["gates"]} if drives(first) else {}),  # so that tables speak of karts
     }
     return pooled | _costs(jobs)
@@ -67,11 +67,26 @@ def _costs(jobs: Sequence[JobRow]) -> Record:
     steps = [sum(each.row["steps"]) for each in jobs]
     rows = [each.row for each in jobs]
     found: Record = {name: _mean([row.get(name) for row in rows], steps) for name in _PER_INFERENCE}
-    for field in _PRICES:
+    for field in ("energy_per_inference_j", "energy_interval_j"):
         found[field] = {
-            table: _mean([row[field][table] for row in rows], steps) for table in rows[0][field]
+            table: _price([row[field][table] for row in rows], steps) for table in rows[0][field]
         }
     return found
+
+
+def _price(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
+    """A mean, or the means of lower and of upper bounds, of which none bounds."""
+    if isinstance(values[0], Sequence):
+        return [_mean(bounds, weights) for bounds in zip(*values, strict=True)]
+    return _mean(values, weights)
+
+
+def _asked(jobs: Sequence[JobRow]) -> dict[str, float]:
+    """Means over episodes of the metrics that were asked for."""
+    weights = [each.of.episodes for each in jobs]
+    rows = [each.row.get("measured", {}) for each in jobs]
+    found = {name: _mean([row.get(name) for row in rows], weights) for name in rows[0]}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _mean(values: Sequence[float | None], weights: Sequence[int]) -> float | None:

@@ -11,7 +11,7 @@ from spikedeploy.experiments.csv_rows import write_rows
 from spikedeploy.files import write_text
 from spikedeploy.outputs import mark
 from spikedeploy.reports.cells import ABSENT, Column, number
-from spikedeploy.reports.columns import difference, finished, interval
+from spikedeploy.reports.columns import asked_for, difference, finished, interval
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.reports.short_table import energy_cell, operations, quoted_table
 from spikedeploy.sweeps.cells import JobRow, cells
@@ -24,7 +24,7 @@ _COLUMNS = (
     "key", "env", "policy", "kind", "chip", "bits", "disturb", "fault", "specimen", "seed",
     "episodes", "status", "return_mean", "success_rate", "spikes_per_inference",
     "sops_per_inference", "macs_dense", "energy_table", "energy_per_inference_j", "returns",
-    "successes", "steps", "reason",
+    "successes", "steps", "measured", "reason",
 )  # fmt: skip
 
 _ON_PAGES = ("episodes", "energy")  # for which a terminal is too narrow
@@ -144,6 +144,7 @@ def _measured(rows: Sequence[Record]) -> list[Column]:
         success,
         Column("operations", "a control step, of synapses", operations),
         Column("energy", f"a control step, of operations, by table {table}", energy_cell(table)),
+        *asked_for(rows),
     ]
     return [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
 
@@ -175,5 +176,6 @@ def _line(state: SweepState, job: JobSpecification, table: str) -> Record:
         "successes": [int(each) for each in row["successes"]] if row else None,
         "energy_table": table if table in prices else None,
         "energy_per_inference_j": prices.get(table),
+        "measured": row.get("measured"),
         "reason": state.failed.get(job.key),
     }

@@ -59,7 +59,13 @@ def _storage(storage: str) -> Any:  # noqa: ANN401 - a class of Optuna's
 
     if "://" not in storage:
         Path(storage).parent.mkdir(parents=True, exist_ok=True)
-        return JournalStorage(JournalFileBackend(storage))
+        try:
+            return JournalStorage(JournalFileBackend(storage))
+        except ValueError as error:  # a line that is no JSON
+            raise ConfigError(
+                f"{storage} is damaged, or no journal of a search ({error}): cut off the line that "
+                "is torn, or name another --folder"
+            ) from error
     from sqlalchemy.exc import SQLAlchemyError
 
     try:

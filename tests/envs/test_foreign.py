@@ -66,6 +66,7 @@ def test_an_unknown_name_is_refused_with_the_nearest(name, said):
     ("name", "options", "said"),
     [
         ("nosuch_module:Env", {}, "there is no module nosuch_module"),
+        ("nosuch.py:Env", {}, "leave .py out: nosuch:Env"),
         ("tests.own_env:Reech", {}, "has no 'Reech'; did you mean 'Reach'"),
         ("tests.own_env:np", {}, "np is no gymnasium.Env"),
         ("tests.own_env:OwnLevels-v9", {}, "registers no OwnLevels-v9"),

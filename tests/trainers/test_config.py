@@ -61,6 +61,7 @@ def test_part_of_a_ramp_can_be_set():
 @pytest.mark.parametrize(
     ("override", "message"),
     [
+        ("wind=0.1", r"unknown setting .*'wind'.* is env\.options\.wind"),
         ("policy.hiden=[64]", "unknown setting .*policy.* 'hiden': did you mean hidden"),
         ("bach=3", "'bach': did you mean batch"),
         ("batch=0", "batch: .*greater than 0.* got 0"),

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from spikedeploy.exporters.c.to_c import NAMES
-from spikedeploy.runtime.artifact.artifact import save
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.shipping import export_c, exported_run
 from tests.networks import event_driven, popsan
 
 CHIP = ("--to", "c", "--chip", "loihi1")
@@ -34,6 +35,13 @@ def test_it_writes_every_file_and_says_what_they_take(command, file, tmp_path):
     assert costs["rom"] > 0
     assert costs["ram"] > 0
     assert "a random walk stands for it" in err  # its environment is not imported
+
+
+def test_a_run_is_played_in_its_own_environment(file, monkeypatch):
+    artifact = load(file)
+    assert export_c._world(file, artifact) == ""  # what a file names is not imported
+    monkeypatch.setattr(exported_run, "trained_in", lambda policy: "own_module:Env")
+    assert export_c._world("last", artifact) == "own_module:Env"
 
 
 def test_the_same_policy_is_written_again_and_other_files_are_not(command, file, tmp_path):

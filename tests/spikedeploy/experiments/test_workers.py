@@ -63,6 +63,15 @@ def test_a_job_waits_for_those_that_it_needs_and_lets_others_go_first(tmp_path):
     assert [end.job.name for end in ends] == ["b", "a", "c"]
 
 
+def test_a_killed_job_does_not_quote_an_earlier_attempt(tmp_path):
+    bad, ends = job("bad", "die", tmp_path), []
+    bad.log.parent.mkdir(parents=True, exist_ok=True)
+    bad.log.write_text("error: an old reason\n")
+    assert run([bad], 1, ends.append)
+    assert ends[0].last_line == "no output, killed by signal 9"
+    assert bad.log.read_text() == "error: an old reason\n"  # the log keeps all attempts
+
+
 @pytest.mark.parametrize(
     ("errand", "words"),
     [("fail", "error: the shop was closed"), ("crash", "KeyError"), ("die", "no output")],

@@ -63,6 +63,15 @@ def test_three_numbers_lead_with_what_they_are_beside():
     )
 
 
+def test_runs_have_the_names_of_the_table():
+    run = "ppo-snn-CartPole-v1-s0-20261122-131751"
+    twin = row(run, "snn", "float", 490, sops=90)
+    chip = row(run, "snn", "loihi1", 485, sops=90, **{**CHIP, "reference": f"{run} · float"})
+    kept, operations = headline([twin, chip], "CartPole-v1")
+    assert "to ppo-snn-s0 · float" in kept.beside
+    assert operations.title == "operations of a control step, ppo-snn-s0 · loihi1"
+
+
 def test_a_float_policy_alone_has_a_return_and_what_is_known_of_its_cost():
     assert [each.number for each in headline([ANN])] == ["3,000", "300,000 MACs", "0.48 µJ"]
     assert [each.number for each in headline([row("gait", "gait")])] == ["3,000"]

@@ -218,6 +218,28 @@ def test_cells_pool_the_seeds_and_differ_from_the_undisturbed_seed_by_seed(grid,
     assert cells(rows[:-1])[-1]["difference_mean"] is None  # not all of its seeds are there yet
 
 
+def test_cells_keep_the_bounds_of_energies(grid, serial):
+    kept = SweepFolder(serial)
+    found = [JobRow(job, kept.read(job).row) for job in expand(grid).jobs]
+    (cell,) = [
+        each for each in cells(found)
+        if each["chip"] == "loihi1" and not each["disturb"] and not each["fault"]
+    ]  # fmt: skip
+    for table, joules in cell["energy_per_inference_j"].items():
+        low, high = cell["energy_interval_j"][table]
+        assert low <= joules
+        assert high is None or joules <= high
+
+
+def test_metrics_that_were_asked_for_stand_on_the_page(tmp_path):
+    spec = tmp_path / "small.toml"
+    spec.write_text(f'env = "{ENV}"\npolicy = "random"\nmetrics = ["error:mean"]\nepisodes = 2\n')
+    page, numbers = run_sweep(read_grid(spec), tmp_path / "out", SerialBackend()).files
+    assert "| error mean |" in page.read_text(encoding="utf-8")
+    (line,) = csv.DictReader(numbers.read_text(encoding="utf-8").splitlines())
+    assert "error:mean" in line["measured"]
+
+
 def test_every_job_stands_in_the_csv(grid, serial):
     run_sweep(grid, serial, SerialBackend())
     lines = list(csv.DictReader((serial / "sweep.csv").read_text().splitlines()))
