@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -18,6 +20,9 @@ from spikedeploy.envs.errors import EnvError
 FloatArray = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 _VERSION = 1  # of the file layout
+_SCALARS = (bool, int, float, np.integer, np.floating, np.bool_)
+_LARGEST = sys.float_info.max
+_LARGEST_REWARD = 1e100  # squares of sums of such rewards are finite
 
 
 class _Controller(Protocol):
@@ -177,7 +182,7 @@ class EpisodeRecorder:
         )
         self._observations.append(self.observation)
         self._actions.append(action)
-        self._rewards.append(float(reward))
+        self._rewards.append(_reward(reward, step + 1))
         self._infos.append(_numbers(self.info))
         self._terminated, self._truncated = bool(terminated), bool(truncated)
 
@@ -242,6 +247,19 @@ def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[An
     return action.astype(np.int64)
 
 
+def _reward(value: object, step: int) -> float:
+    """A reward; EnvError if it is no number, or so large that squares of returns overflow."""
+    try:
+        reward = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        reward = math.nan
+    if not abs(reward) <= _LARGEST_REWARD:
+        raise EnvError(
+            f"reward of step {step}: {str(value)[:40]} is no number of at most {_LARGEST_REWARD:g}"
+        )
+    return reward
+
+
 def _finite(what: str, value: object, space: gymnasium.Space[Any], step: int) -> FloatArray:
     """Copy of a vector in float64; EnvError if its shape is wrong or a value is not finite."""
     vector = np.array(value, dtype=np.float64)
@@ -254,10 +272,13 @@ def _finite(what: str, value: object, space: gymnasium.Space[Any], step: int) ->
 
 
 def _numbers(info: Mapping[str, Any]) -> dict[str, float]:
-    """Numeric scalars of a step info, reward terms as reward/<name>."""
-    scalars = {name: value for name, value in info.items() if isinstance(value, (bool, int, float))}
-    terms = {f"reward/{name}": value for name, value in info.get("reward_terms", {}).items()}
-    return {name: float(value) for name, value in (scalars | terms).items()}
+    """Numeric scalars of a step info that float64 holds, reward terms as reward/<name>."""
+    terms = info.get("reward_terms")  # somebody else's may be anything
+    named = {f"reward/{name}": of for name, of in terms.items()} if isinstance(terms, dict) else {}
+    scalars = {k: v for k, v in {**info, **named}.items() if isinstance(v, _SCALARS)}
+    # a whole number may be larger than any float64
+    held = {k: v for k, v in scalars.items() if not (isinstance(v, int) and abs(v) > _LARGEST)}
+    return {name: float(value) for name, value in held.items()}
 
 
 def _show(env: gymnasium.Env[Any, Any], on_frame: Callable[[Frame], None] | None) -> None:

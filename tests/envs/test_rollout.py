@@ -127,6 +127,31 @@ def test_an_observation_that_is_not_finite_is_refused(env):
         rollout(Broken(env), Constant(np.zeros(18)), 0)
 
 
+class Paying(gymnasium.Wrapper):
+    """Pays something odd, and reports odd infos."""
+
+    def __init__(self, env, reward, **info):
+        super().__init__(env)
+        self.reward, self.info = reward, info
+
+    def step(self, action):
+        observation, _, terminated, truncated, _ = super().step(action)
+        return observation, self.reward, terminated, truncated, self.info
+
+
+@pytest.mark.parametrize("reward", [np.nan, np.inf, -1e101, 10**400, "high", None])
+def test_a_reward_that_is_no_number_names_the_step(env, reward):
+    with pytest.raises(EnvError, match=r"reward of step 1: .* is no number of at most 1e\+100"):
+        rollout(Paying(env, reward), Constant(np.zeros(18)), 0)
+
+
+def test_infos_that_no_float64_holds_are_left_out(env):
+    odd = Paying(env, 1, huge=10**400, text="a", small=np.float32(0.5), reward_terms=[1, 2])
+    found = EpisodeRecorder(odd, 0)
+    found.step(np.zeros(18))
+    assert {name: list(of) for name, of in found.rollout().info.items()} == {"small": [0.5]}
+
+
 def test_frames_need_a_camera(env):
     with pytest.raises(EnvError, match="render_mode"):
         rollout(env, Constant(np.zeros(18)), 0, on_frame=lambda frame: None)
