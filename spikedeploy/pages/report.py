@@ -19,6 +19,7 @@ from spikedeploy.recordings.recorded import of_comparison
 from spikedeploy.reports.columns import COST, Row, markdown, tables
 from spikedeploy.reports.energy_columns import COMMON_TABLE
 from spikedeploy.reports.headline import disturbed, main_row
+from spikedeploy.reports.markdown import markdown_name
 from spikedeploy.reports.plots import draw_energy, draw_returns
 from spikedeploy.reports.short_table import quoted_table
 from spikedeploy.runtime.artifact.artifact import load
@@ -141,7 +142,7 @@ def write(
 
 def _page_of_text(document: Document) -> str:
     """The tables in Markdown, under the command that made them."""
-    steps = [f"* {name}: {said}" for name, said in _stepped(document)]
+    steps = [f"* {markdown_name(name)}: {said}" for name, said in _stepped(document)]
     lines = [f"    {document['command']}", "", document["meaning"], "", *markdown(document["rows"])]
     if remark := document.get("env_remark"):
         lines[4:4] = [remark, ""]

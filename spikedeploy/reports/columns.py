@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
 from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, bounded, number, price, scaled
 from spikedeploy.reports.energy_columns import prices, spent
-from spikedeploy.reports.markdown import markdown_table
+from spikedeploy.reports.markdown import markdown_name, markdown_table
 
 __all__ = [
     "ABSENT",
@@ -278,5 +278,6 @@ def markdown(rows: Sequence[Row]) -> list[str]:
 
 
 def _markdown(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
-    heads = [column.title for column in columns]
-    return markdown_table([heads, *([column.cell(row) for column in columns] for row in rows)])
+    heads = [markdown_name(column.title) for column in columns]
+    cells = [[column.cell(row) for column in columns] for row in rows]
+    return markdown_table([heads, *([markdown_name(name), *rest] for name, *rest in cells)])

@@ -1,6 +1,12 @@
 """Tables in Markdown."""
 
+import re
 from collections.abc import Sequence
+
+
+def markdown_name(name: str) -> str:
+    """A name that somebody else chose, shown as it is: no markup, no end of a cell or line."""
+    return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(name.split()))
 
 
 def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:

@@ -1,6 +1,7 @@
 """SPEC.toml of a sweep: the axes of its grid, and what all of its jobs have in common."""
 
 import difflib
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -21,6 +22,8 @@ else:
 
 OWN, NONE = "own", "none"  # the chip's own bits; no disturbance or fault
 Texts = tuple[str, ...]
+_MOST = 100_000  # jobs: planning takes a second or two for each 10,000
+_LONGEST = 100  # letters of a name, of which folders are made
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,9 @@ class SweepGrid:
             counts = Counter(getattr(self, axis)).items()
             if twice := [each for each, count in counts if count > 1]:
                 raise ConfigError(f"{axis}: {_said(twice[0])} is given twice. Give each once.")
+        axes = (self.chip, self.bits, self.disturb, self.fault, self.specimen, self.seed)
+        if (jobs := math.prod(map(len, (self.env, self.policy or (None,), *axes)))) > _MOST:
+            raise ConfigError(f"{jobs:,} jobs; at most {_MOST:,} in a sweep. Split the grid.")
         if not self.env:
             raise ConfigError("env is missing: name an environment, as in env = 'hexapod'")
         for axis in ("chip", "bits", "disturb", "fault", "specimen", "seed"):
@@ -112,6 +118,8 @@ def _name(key: str, value: object) -> str:
     text = _text(key, value)
     if not text or text.startswith(".") or any(letter in text for letter in "/\\\0"):
         raise ConfigError(f"{key} is {value!r}; it must be the name of a folder, without slashes")
+    if len(text) > _LONGEST:
+        raise ConfigError(f"{key} has {len(text)} letters; at most {_LONGEST}")
     return text
 
 

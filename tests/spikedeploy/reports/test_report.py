@@ -81,6 +81,12 @@ def test_the_page_holds_every_cell_of_every_table(document, tmp_path):
                 assert f">{column.cell(each)}<" in page
 
 
+def test_the_markdown_shows_what_files_are_called_as_it_is(document, tmp_path):
+    document["rows"][0]["policy"] = "a|b\n# c <img> [d](e) f_g"
+    plain = report.write(document, tmp_path)[2].read_text(encoding="utf-8")
+    assert r"| a\|b \# c \<img\> \[d\](e) f\_g" in plain
+
+
 def test_the_page_escapes_what_files_are_called(document, tmp_path):
     document["rows"][0]["policy"] = "<script>alert(1)</script>"
     page = report.write(document, tmp_path)[0].read_text(encoding="utf-8")

@@ -58,6 +58,11 @@ def test_axes_take_one_value_or_many(tmp_path):
     [
         ("chips = 'loihi1'", "unknown key 'chips': did you mean chip"),
         ("color = 1", "known: name, env, policy"),
+        (f"env = 'kart-grid'\nname = '{'n' * 300}'", "name has 300 letters; at most 100"),
+        (
+            "env = 'kart-grid'\nepisodes = 1\nseed = '10000-70000'\nspecimen = [0, 1]",
+            "120,002 jobs; at most 100,000 in a sweep",
+        ),
         ("policy = 'gap'", "env is missing"),
         ("env = 3", "env is 3; it must be a text"),
         ("env = []", "env is missing"),
