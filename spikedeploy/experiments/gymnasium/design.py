@@ -101,11 +101,8 @@ class GymnasiumDesign:
         for seed in range(self.seeds):
             settings = (budget, *task.student)
             sparse = self._training(task, SPARSE, "distill-sparse", seed, settings, taught)
-            start = {"start": sparse}
-            found += [
-                sparse,
-                self._training(task, TUNED, "distill-sparse-tuned", seed, (), start),
-            ]
+            start, recipe = {"start": sparse}, "distill-sparse-tuned"
+            found += [sparse, self._training(task, TUNED, recipe, seed, task.reward, start)]
             if task.continuous and seed == 0:
                 found.append(self._training(task, DENSE, "distill-popsan", 0, task.dense, taught))
             rival, walks = (budget, *task.rival), {**taught, "pool": sparse}
