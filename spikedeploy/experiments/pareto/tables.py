@@ -146,7 +146,7 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
 
 
 def _mark(pair: Pairing, span: Span) -> str:
-    """✓ where the spiking point costs less wherever in its interval each score is, ✗ never; or ≈."""
+    """✓ where the spiking point costs less wherever scores are in their intervals, ✗ never, else ≈."""
     least, largest = span
     if largest is not None and largest <= 1:
         return "✓"
@@ -154,7 +154,7 @@ def _mark(pair: Pairing, span: Span) -> str:
 
 
 def _beside(pair: Pairing | None, span: Span) -> str:
-    """What a spiking point costs beside its rival, and how far the intervals of scores leave that."""
+    """What a spiking point costs beside its rival, as the means and as the intervals have it."""
     if pair is None:
         return "no spiking policy is good enough"
     mine = f"{_named(pair.point)} costs {pico(pair.point.energy(pair.of, lean=pair.lean))} pJ"
