@@ -14,7 +14,7 @@ from spikedeploy.experiments.gymnasium import records, tables
 from spikedeploy.experiments.gymnasium.design import DENSE, RIVAL, SPARSE, TUNED, GymnasiumDesign
 from spikedeploy.experiments.gymnasium.evaluation import all_rows, missing
 from spikedeploy.experiments.gymnasium.plot import draw
-from spikedeploy.experiments.gymnasium.points import points
+from spikedeploy.experiments.gymnasium.points import points, rate_of_trained
 from spikedeploy.experiments.gymnasium.published import published
 from spikedeploy.experiments.gymnasium.tasks import RATE, TASKS, TIMESTEPS
 from spikedeploy.experiments.gymnasium.training import TaskTraining
@@ -43,6 +43,11 @@ choice of a checkpoint saw; intervals of 95 % are bootstrapped over training see
 episodes. There is one teacher seed, whose chance no interval covers. "% of teacher" is the share of
 its return; where that is negative, of the way from random actions to the teacher. `ideal` is
 float64 without a chip."""
+
+
+_VERDICTS = """\
+✓: the whole interval of the return is good enough; ✗: none of it is, or the operations are too
+many; ≈: the interval is on both sides."""
 
 
 def write(design: GymnasiumDesign, results: Path) -> list[Path]:
@@ -74,13 +79,15 @@ def _by_task(rows: Sequence[Record]) -> dict[str, list[Record]]:
 def text(by_task: dict[str, list[Record]], made: Record) -> str:
     """The page, of the rows of each task and of what made them."""
     chip = made["chip"]
+    rate = rate_of_trained({env: points(rows) for env, rows in by_task.items()}, chip)
     parts = [
         "# Gymnasium's tasks",
         f"    {made['command']}",
         made["missing"],
         _INTRODUCTION,
         "## Verdicts",
-        "\n".join(tables.verdict(env, rows, chip) for env, rows in by_task.items()),
+        _VERDICTS,
+        "\n".join(tables.verdict(env, rows, chip, rate) for env, rows in by_task.items()),
         "![% of the teacher's return against operations](gymnasium.png)",
         "Dashed: 1 % of the dense PopSAN's SOPs. Dotted: 95 % of the teacher.",
     ]

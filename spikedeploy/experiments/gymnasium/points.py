@@ -1,6 +1,6 @@
 """Points of a task: the trainings of a policy at one place, beside teacher and dense network."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -75,6 +75,15 @@ def reference(env: str, found: Sequence[TaskPoint], chip: str) -> Reference:
         if (point.role, point.place) == (DENSE, chip):
             return Reference(point.mean("operations") or 0.0, measured=True)
     return Reference(TASKS[env].dense_operations(), measured=False)
+
+
+def rate_of_trained(tasks: Mapping[str, Sequence[TaskPoint]], chip: str) -> float | None:
+    """Mean spike rate on the chip of the dense networks that were trained; None without one."""
+    dense = {env: reference(env, found, chip) for env, found in tasks.items()}
+    rates = [
+        d.operations / TASKS[env].dense_operations(1) for env, d in dense.items() if d.measured
+    ]
+    return float(np.mean(rates)) if rates else None
 
 
 def judged(found: Sequence[TaskPoint], chip: str) -> TaskPoint | None:

@@ -62,22 +62,29 @@ def _estimate(value: Estimate) -> str:
     return f"{value.mean:,.0f} [{low:,.0f}, {high:,.0f}]"
 
 
-def verdict(env: str, rows: Sequence[Record], chip: str) -> str:
-    """Whether a task is done on the chip at few operations; what is missing where nobody knows."""
+def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None = None) -> str:
+    """Whether a task is done on the chip at few operations; what is missing where nobody knows.
+
+    ✓ where the whole interval of the return is good, ✗ where none of it is, ≈ between.
+
+    trained  mean spike rate of the dense networks that were trained, on whatever task
+    """
     found = points(rows)
     point, dense = judged(found, chip), reference(env, found, chip)
     if point is None:
         return f"* – **{env}**: no spiking policy is evaluated on {chip} yet."
     operations, wanted = point.mean("operations") or 0.0, TASKS[env].wanted
-    good = point.of_teacher.mean >= ENOUGH if wanted is None else point.earned.mean >= wanted
+    earned, bound = (point.of_teacher, ENOUGH) if wanted is None else (point.earned, wanted)
     few = operations <= FEW * dense.operations
+    low, high = earned.ci95
+    mark = "✗" if high < bound or not few else "✓" if low >= bound else "≈"
     goal = f"{ENOUGH:.0%} of the teacher" if wanted is None else f"a return of {wanted:g}"
     return (
-        f"* {'✓' if good and few else '✗'} **{env}**: {_estimate(point.earned)}, "
+        f"* {mark} **{env}**: {_estimate(point.earned)}, "
         f"{share(point.of_teacher)} of the teacher, with {operations:,.0f} SOPs a control step on "
         f"{chip}, {operations / dense.operations:.2%} of the PopSAN's {dense.operations:,.0f} "
-        f"({_how(dense)}), {LABELS[point.role]}, {_seeds(point)}. "
-        f"Asked for: {goal} at {FEW:.0%}{_lack(good, few)}."
+        f"({_how(env, dense, operations, trained)}), {LABELS[point.role]}, {_seeds(point)}. "
+        f"Asked for: {goal} at {FEW:.0%}{_lack(earned, bound, few)}."
     )
 
 
@@ -85,13 +92,22 @@ def _seeds(point: TaskPoint) -> str:
     return f"{len(point.rows)} training seed{'s' if len(point.rows) > 1 else ''}"
 
 
-def _how(dense: Reference) -> str:
-    return "measured" if dense.measured else f"computed for a rate of {RATE:g}"
+def _how(env: str, dense: Reference, operations: float, trained: float | None) -> str:
+    if dense.measured:
+        return "measured"
+    assumed = f"computed for a rate of {RATE:g}"
+    if trained is None:
+        return assumed
+    part = operations / TASKS[env].dense_operations(trained)
+    return f"{assumed}; {part:.2%} at the {trained:.3f} of those that were trained"
 
 
-def _lack(good: bool, few: bool) -> str:
-    missed = [word for word, met in (("the return", good), ("the operations", few)) if not met]
-    return f"; missed by {' and '.join(missed)}" if missed else ""
+def _lack(earned: Estimate, bound: float, few: bool) -> str:
+    low, high = earned.ci95
+    said = ["missed by the return"] if high < bound else []
+    said += ["missed by the operations"] if not few else []
+    said += ["the interval of the return is on both sides"] if low < bound <= high else []
+    return f"; {' and '.join(said)}" if said else ""
 
 
 def size_table() -> str:

@@ -49,8 +49,10 @@ def _near(found: Estimate | None, where: str, what: str) -> list[str]:
         return []
     text = f"{where}: the SNN reaches {percent(found)} of the ANN {what} (asked for {_NEAR:.0%})"
     low, high = found.ci95
-    within = low <= 1.0 <= high  # False where there is no interval
-    return [_verdict(found.mean >= _NEAR, text + ("; 100% is in the interval" if within else ""))]
+    if math.isnan(low):
+        return [_verdict(found.mean >= _NEAR, f"{text}; one training, no interval")]
+    mark = "✓" if low >= _NEAR else "✗" if high < _NEAR else "≈"
+    return [f"- {mark} {text}" + ("; the interval is on both sides" if mark == "≈" else "")]
 
 
 def chip_verdicts(driven: Sequence[Record]) -> list[str]:

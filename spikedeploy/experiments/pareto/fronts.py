@@ -179,3 +179,24 @@ def pairing_at(found: Sequence[Point], share: float, of: str, lean: bool = False
     rivals = [p for p in good if p.student in FLOAT]
     mine = min(spiking, key=lambda p: p.energy(of, lean=lean))
     return Pairing(mine, min(rivals, key=lambda p: p.energy(of), default=None), of, lean)
+
+
+def span_at(
+    found: Sequence[Point], share: float, of: str, lean: bool = False
+) -> tuple[float | None, float | None]:
+    """The least and the largest ratio of `pairing_at`, as the intervals of the scores allow.
+
+    Least: the cheapest spiking point whose interval reaches the share, over the cheapest float one
+    that is above it with the whole interval; largest: the other way round. None where either lacks.
+    """
+    reaching = [p for p in found if p.of_teacher.ci95[1] >= share]
+    above = [p for p in found if p.of_teacher.ci95[0] >= share]
+
+    def cheapest(points: Sequence[Point], kinds: Sequence[str], lean: bool) -> float | None:
+        return min((p.energy(of, lean=lean) for p in points if p.student in kinds), default=None)
+
+    def ratio(spiking: Sequence[Point], rivals: Sequence[Point]) -> float | None:
+        mine, theirs = cheapest(spiking, SPIKING, lean), cheapest(rivals, FLOAT, False)
+        return mine / theirs if mine and theirs else None
+
+    return ratio(reaching, above), ratio(above, reaching)

@@ -72,7 +72,12 @@ alike."""
 _RIVALS = f"""\
 Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
 student whose mean score is not below its own: pJ against pJ. Few levels were trained, so a tenth of
-a percent can decide which rival that is; the sentences at the top take the same bounds for both."""
+a percent can decide which rival that is. The sentences at the top take the same bounds for both,
+and in brackets the least and the largest ratio as the intervals of the scores allow: policies whose
+interval reaches the bound beside those whose whole interval is above it. ✓ and ✗ are ratios that
+are on one side of 1 throughout; ≈ is undecided. No cheaper float policy was trained than those in
+the tables, none of them longer, and MLPs went on with reward from few of their levels: a rival that
+is missing makes a ratio look better than it is."""
 
 
 def write(design: ParetoDesign, results: Path) -> list[Path]:

@@ -14,12 +14,14 @@ from spikedeploy.experiments.pareto.fronts import (
     pairing_at,
     points,
     refusals,
+    span_at,
 )
 from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.markdown import markdown_text
 
 # shares of the teacher's score: points below the second are of no use, and not compared
 NEARLY, NEAR = 0.98, 0.95
+Span = tuple[float | None, float | None]
 _PICO = 1e12
 _WORDS = {
     "operations": "Operations alone",
@@ -132,21 +134,36 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
     known = [pair for pair in pairs.values() if pair is not None and pair.ratio is not None]
     if not known:
         return f"- {words}: {_lack(found)}, so there is nothing to compare."
-    wins = all((pair.ratio or 0.0) <= 1 for pair in known)
-    parts = [f"for {share:.0%} of the teacher's score {_beside(p)}" for share, p in pairs.items()]
-    text = f"- {'✓' if wins else '✗'} {words}: {'; '.join(parts)}."
+    spans = {share: span_at(found, share, of, lean) for share in pairs}
+    parts = [
+        f"for {share:.0%} of the teacher's score {_beside(pair, spans[share])}"
+        for share, pair in pairs.items()
+    ]
+    marks = {_mark(pair, spans[share]) for share, pair in pairs.items() if pair in known}
+    mark = marks.pop() if len(marks) == 1 else "✗" if "✗" in marks else "≈"
+    text = f"- {mark} {words}: {'; '.join(parts)}."
     return text if of == "operations" else f"{text} {_decides(known[0])}."
 
 
-def _beside(pair: Pairing | None) -> str:
-    """What a spiking point costs beside its rival."""
+def _mark(pair: Pairing, span: Span) -> str:
+    """✓ where the spiking point costs less wherever scores are in their intervals, ✗ never, else ≈."""
+    least, largest = span
+    if largest is not None and largest <= 1:
+        return "✓"
+    return "✗" if ((pair.ratio if least is None else least) or 0.0) > 1 else "≈"
+
+
+def _beside(pair: Pairing | None, span: Span) -> str:
+    """What a spiking point costs beside its rival, as the means and as the intervals have it."""
     if pair is None:
         return "no spiking policy is good enough"
     mine = f"{_named(pair.point)} costs {pico(pair.point.energy(pair.of, lean=pair.lean))} pJ"
     if pair.rival is None:
         return f"{mine}, no float student is good enough"
     theirs = f"{_named(pair.rival)} {pico(pair.rival.energy(pair.of))} pJ"
-    return f"{mine}, {theirs}: {pair.ratio:.2f} times"
+    ends = ["?" if ratio is None else f"{ratio:.2f}" for ratio in span]
+    between = "" if set(ends) == {f"{pair.ratio:.2f}"} else f" ({ends[0]} to {ends[1]})"
+    return f"{mine}, {theirs}: {pair.ratio:.2f} times{between}"
 
 
 def _decides(pair: Pairing) -> str:

@@ -212,7 +212,11 @@ def verdict_of(student, operations):
 
 def test_a_verdict_needs_the_return_and_the_operations():
     assert verdict_of([96.0, 194.0], 499.0).startswith("* ✓ **Hopper-v5**")
-    assert "missed by the return." in verdict_of([90.0, 180.0], 499.0)
+    missed = verdict_of([90.0, 180.0], 499.0)
+    assert missed.startswith("* ✗")
+    assert missed.endswith("missed by the return.")
+    assert verdict_of([94.0, 200.0], 499.0).startswith("* ≈ **Hopper-v5**")
+    assert verdict_of([94.0, 200.0], 501.0).startswith("* ✗ **Hopper-v5**")
     assert "missed by the operations." in verdict_of([96.0, 194.0], 501.0)
     assert "50,000 (measured)" in verdict_of([96.0, 194.0], 499.0)
 
