@@ -30,8 +30,8 @@ def check_program(program: Program) -> None:
         raise ConfigError(f"--to c: decay_bits is {arithmetic.decay_bits}; at most {_DECAY_BITS}.")
     if arithmetic.together:
         raise ConfigError(
-            f"--to c: the queue of {chip!r} is on, and is not written in C. Choose queue=off, where "
-            "the program relays the spikes."
+            f"--to c: the queue of {chip!r} is on, and is not written in C. Choose queue=off, "
+            "where the program relays the spikes."
         )
     if program.graded:
         raise ConfigError(

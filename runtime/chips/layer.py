@@ -203,7 +203,9 @@ def _starts(
         late = delays[layer.name] if delays else [0] * len(layer.synapses)
         # sources that come later, or the layer itself, are feedback
         ahead = [(s, d) for s, d in zip(layer.synapses, late, strict=True) if s.source in starts]
-        starts[layer.name] = max((starts[s.source] + max(0, d - s.delay) for s, d in ahead), default=0)
+        starts[layer.name] = max(
+            (starts[s.source] + max(0, d - s.delay) for s, d in ahead), default=0
+        )
     return starts
 
 

@@ -36,7 +36,9 @@ RELAYED = (
     "spikes from neuron to neuron are relayed by the host (queue 'off'), those of a timestep by "
     "index; the chip's own queue is emulated with queue=on"
 )
-_QUEUED = "spikes from neuron to neuron go through the chip's queue, and arrive in the same timestep"
+_QUEUED = (
+    "spikes from neuron to neuron go through the chip's queue, and arrive in the same timestep"
+)
 _SOONER = "; those of recurrent neurons one timestep sooner than in the file"
 
 

@@ -16,7 +16,10 @@ from dataclasses import replace
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.integrate_and_fire.arithmetic import WITHOUT_QUEUE, IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
+    WITHOUT_QUEUE,
+    IntegrateAndFire,
+)
 
 _CASSIDY = "Cassidy et al. 2013, IJCNN"
 _CORE = "the order of a tick as published: synapses, leak, threshold, reset"

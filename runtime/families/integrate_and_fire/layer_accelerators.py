@@ -15,7 +15,10 @@ delay of 2 between neurons, none from the input, and a reset in place of the nex
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Convolutions, LayerCore, Limits
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.integrate_and_fire.arithmetic import WITHOUT_QUEUE, IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
+    WITHOUT_QUEUE,
+    IntegrateAndFire,
+)
 
 _SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
 IAF = "sinabs, IAF layer (source read)"

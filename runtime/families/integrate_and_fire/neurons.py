@@ -78,7 +78,7 @@ def begin(
     _leak(rules, layer, state)
     if rules.reset_at == "leak":
         after = _after_spike(convention, layer, v)
-        state.membrane = np.where(_fires(rules, layer, v), after, state.membrane)
+        state.membrane = np.where(fires(rules, layer, v), after, state.membrane)
     if rules.checks == "event":
         # the leak is an event, too
         _fire(rules, convention, layer, state)
@@ -161,17 +161,18 @@ def _fire(
     subtract = convention.reset == "subtract"
     for _ in range(rules.spikes_max if subtract and rules.checks == "step" else 1):
         v = state.membrane
-        fires = _fires(rules, layer, v) & arrives
-        if not fires.any():
+        firing = fires(rules, layer, v) & arrives
+        if not firing.any():
             break
         if rules.reset_at == "spike":
-            state.membrane = np.where(fires, _after_spike(convention, layer, v), v)
-        spikes = state.spikes + fires
+            state.membrane = np.where(firing, _after_spike(convention, layer, v), v)
+        spikes = state.spikes + firing
         state.spikes = np.minimum(spikes, rules.spikes_max)
         state.lost = state.lost + (spikes - state.spikes)
 
 
-def _fires(rules: IntegrateAndFireRules, layer: Layer, v: Integers) -> NDArray[np.bool_]:
+def fires(rules: IntegrateAndFireRules, layer: Layer, v: Integers) -> NDArray[np.bool_]:
+    """Which membranes (B, N) reach, or pass, the threshold."""
     # fires where V >= threshold, or V > threshold
     return np.asarray(v >= layer.threshold if rules.fires == "reached" else v > layer.threshold)
 

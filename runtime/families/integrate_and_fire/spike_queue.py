@@ -147,7 +147,9 @@ def update_together(
     wired, ways = _wired(rules, network)
     before = np.concatenate([states[layer.name].membrane for layer in network.layers], axis=1)
     inputs = np.concatenate([presynaptic[name][place] for name, place in ways], axis=1)
-    total = PartialStep(*(np.zeros_like(before) for _ in range(3)), np.zeros(before.shape, np.bool_))
+    total = PartialStep(
+        *(np.zeros_like(before) for _ in range(3)), np.zeros(before.shape, np.bool_)
+    )
     lost = np.zeros_like(before)
     for copy in range(len(before)):
         crossbar = Crossbar(wired, before[copy])
