@@ -86,11 +86,11 @@ class ArithmeticDefaults(Protocol):
         presynaptic: Mapping[str, Sequence[Numbers]],
         states: Mapping[str, LayerState],
     ) -> Mapping[str, StepResult]:
-        """Advance all layers by one timestep, where they do so `together`.
+        """Advance all layers by one timestep, where they do so `together`; else none.
 
         presynaptic: layer -> spikes (B, M) through each of its synapses; those of the input count.
         """
-        raise NotImplementedError(f"{type(self).__name__} advances layer by layer")
+        return {}
 
     # what can be compiled
 

@@ -144,13 +144,11 @@ def update_together(
 
     presynaptic: layer -> spikes through each of its synapses; those of neurons are in the queue.
     """
-    wired, ways = _wired(rules, network)
+    wired, ways = _wired(rules, network.convention, network.layers, network.input)
     before = np.concatenate([states[layer.name].membrane for layer in network.layers], axis=1)
     inputs = np.concatenate([presynaptic[name][place] for name, place in ways], axis=1)
-    total = PartialStep(
-        *(np.zeros_like(before) for _ in range(3)), np.zeros(before.shape, np.bool_)
-    )
-    lost = np.zeros_like(before)
+    spikes, overflows, lost = (np.zeros_like(before) for _ in range(3))
+    total = PartialStep(before.copy(), spikes, overflows, np.zeros(before.shape, np.bool_))
     for copy in range(len(before)):
         crossbar = Crossbar(wired, before[copy])
         crossbar.timestep(_sent(wired, inputs[copy]), rules.host == "wait")
@@ -165,7 +163,8 @@ def update_together(
 
 def _sent(wired: CrossbarNeurons, counts: Numbers) -> list[Event]:
     """What the host sends in a timestep: inputs by index, and the biases at last."""
-    return [*axons(counts), *([("bias", 0)] if "bias" in wired.weights else [])]
+    biases: list[Event] = [("bias", 0)] if "bias" in wired.weights else []
+    return [*axons(counts), *biases]
 
 
 def axons(counts: Numbers) -> list[Event]:
@@ -195,36 +194,36 @@ def _by_layer(
 
 @lru_cache(maxsize=8)
 def _wired(
-    rules: IntegrateAndFireRules, network: Network
+    rules: IntegrateAndFireRules, convention: Convention, layers: tuple[Layer, ...], source: str
 ) -> tuple[CrossbarNeurons, tuple[tuple[str, int], ...]]:
     """The layers as one crossbar; and which synapses, by layer and place, bring the input.
 
     Inputs that arrive after different delays are axons of their own.
     """
-    starts = np.cumsum([0, *(layer.size for layer in network.layers)]).tolist()
-    columns = dict(zip((a.name for a in network.layers), starts, strict=False))
+    starts = np.cumsum([0, *(layer.size for layer in layers)]).tolist()
+    columns = dict(zip((a.name for a in layers), starts, strict=False))
     rows: dict[int, Integers] = {}
     ways: dict[int, tuple[str, int]] = {}
     recurrent = np.zeros((starts[-1], starts[-1]), np.int64)
-    for layer in network.layers:
+    for layer in layers:
         onto = slice(columns[layer.name], columns[layer.name] + layer.size)
         for place, synapses in enumerate(layer.synapses):
             weight = synapses.weight.astype(np.int64)
-            if synapses.source == network.input:
+            if synapses.source == source:
                 ways.setdefault(synapses.delay, (layer.name, place))
                 empty = np.zeros((len(weight), starts[-1]), np.int64)
                 rows.setdefault(synapses.delay, empty)[:, onto] += weight
             else:
                 at = columns[synapses.source]
                 recurrent[at : at + len(weight), onto] += weight
-    bias = np.concatenate([layer.bias + layer.voltage_bias for layer in network.layers])
+    bias = np.concatenate([layer.bias + layer.voltage_bias for layer in layers])
     weights = {"axon": np.concatenate([rows[d] for d in ways]), "neuron": recurrent}
     if bias.any():
         weights["bias"] = bias[None].astype(np.int64)
     wired = CrossbarNeurons(
         rules=rules,
-        convention=network.convention,
-        neurons=_merged(network.layers),
+        convention=convention,
+        neurons=_merged(layers),
         weights=weights,
         entries=rules.queue_entries,
         muted=np.zeros(starts[-1], np.bool_),
@@ -234,6 +233,9 @@ def _wired(
 
 def _merged(layers: Sequence[Layer]) -> Layer:
     """The neurons of all layers as one, without synapses."""
-    names = ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
-    arrays = {name: np.concatenate([getattr(a, name) for a in layers]) for name in names}
-    return replace(layers[0], synapses=(), v_reset=0, **arrays)
+    return replace(
+        layers[0],
+        synapses=(),
+        threshold=np.concatenate([layer.threshold for layer in layers]),
+        membrane_decay=np.concatenate([layer.membrane_decay for layer in layers]),
+    )

@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.neurons import PartialStep, begin, fires
@@ -79,7 +79,7 @@ def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
     if len(resets) > 1 or not resets <= {"subtract", "fixed"}:
         found = f"is {', '.join(sorted(resets))[:40]}"
         raise specs[0].wrong("reset", found, "Write 'subtract' or 'fixed', in all layers the same.")
-    reset = "subtract" if resets == {"subtract"} else "zero"
+    reset: Reset = "subtract" if resets == {"subtract"} else "zero"
     layers = list[Layer]()
     for place, spec in enumerate(specs):
         source, fan_in = (layers[-1].name, layers[-1].size) if layers else ("input", width)
