@@ -9,6 +9,7 @@ import numpy as np
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.recorded_events import (
     RecordedEvents,
@@ -32,6 +33,7 @@ _HOSTS = ("wait", "step", "stream", "relays")
 _ORDERS = ("index", "random")
 _ROWS = 256  # of the crossbar, of axons and of neurons
 _MOST_EVENTS = 1 << 20
+_MOST_NUMBERS = 1 << 24  # membranes after all events
 # given twice in the file, or by the weights
 _REPEATED = {
     "chip", "params", "steps", "reset", "leak_str", "leak_en", "inhibitory_axons",
@@ -237,6 +239,8 @@ def _as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
     for t, sent in enumerate(recorded.sent):
         crossbar.timestep(sent, waits, settles=recorded.host != "stream" or t == last)
         steps += [t] * (len(crossbar.done) - len(steps))
+        if len(steps) * len(recorded.start) > _MOST_NUMBERS:
+            raise RuleError(f"the trace has more than {len(steps)} events. Record a shorter run.")
     # while a queue is full, events of a timestep come before the time reference of the next
     references = np.cumsum([done.event == TREF for done in crossbar.done]) - 1
     return crossbar.done, references.tolist() if recorded.host == "stream" else steps

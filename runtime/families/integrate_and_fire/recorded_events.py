@@ -132,9 +132,7 @@ def _event(spec: Fields, place: int, row: Any, shape: tuple[int, int, int]) -> t
     index = rest[0] if rest else 0
     known = type(step) is int and type(index) is int and (len(row) == 2) == (kind == "tref")
     if not known or not 0 <= step < timesteps or not 0 <= index < most[kind]:
-        raise spec.wrong(
-            "events", f"has {str(row)[:40]!r} at {place}", f"{wanted} Mind the ranges."
-        )
+        raise spec.wrong("events", f"has {str(row)[:40]!r} at {place}, out of range", wanted)
     return step, (kind, index)
 
 

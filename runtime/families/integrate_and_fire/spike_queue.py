@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import (
     Integers,
     PartialStep,
@@ -29,6 +30,8 @@ from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFi
 EventKind = Literal["tref", "axon", "bias", "neuron"]
 Event = tuple[EventKind, int]
 TREF: Event = ("tref", 0)
+# in a timestep; neurons that keep each other spiking never leave the chip idle
+_ENDLESS = 1 << 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +107,14 @@ class Crossbar:
 
     def settle(self) -> None:
         """Work until nothing is queued."""
+        before = len(self.done)
         while self._queue:
             self.work_on()
+            if len(self.done) - before > _ENDLESS:
+                raise RuleError(
+                    f"rule queue: the chip is not idle after {_ENDLESS} events: recurrent neurons "
+                    "keep each other spiking in one timestep. Weaken them, or choose queue=off."
+                )
 
     def work_on(self) -> None:
         """Work on the first event in the queue, if there is one."""

@@ -105,7 +105,8 @@ def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in
         raise spec.wrong("weights", f"has shape {weights.shape}", remedy)
     synapses = [Synapses(source, weights, 0 if source == "input" else 2)]
     if spec.name("weights_rec"):
-        recurrent = _weights(spec, "weights_rec", rules)
+        # their width is a parameter of its own, which no field names
+        recurrent = _weights(spec, "weights_rec", replace(rules, weight_bits=16))
         if recurrent.shape != (size, size):
             found = f"has shape {recurrent.shape}"
             raise spec.wrong("weights_rec", found, f"Write {size} rows of {size} neurons.")
