@@ -9,10 +9,11 @@ import numpy as np
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.recorded_events import (
+    MOST_NUMBERS,
     RecordedEvents,
+    check_length,
     events_of,
 )
 from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
@@ -32,8 +33,6 @@ _NEURONS = "neurons"
 _HOSTS = ("wait", "step", "stream", "relays")
 _ORDERS = ("index", "random")
 _ROWS = 256  # of the crossbar, of axons and of neurons
-_MOST_EVENTS = 1 << 20
-_MOST_NUMBERS = 1 << 24  # membranes after all events
 # given twice in the file, or by the weights
 _REPEATED = {
     "chip", "params", "steps", "reset", "leak_str", "leak_en", "inhibitory_axons",
@@ -93,12 +92,13 @@ def _recorded(spec: Fields, chip: str) -> _Recorded:
     if not isinstance(rules, IntegrateAndFire):
         raise spec.wrong("chip", f"{chip} has no crossbar of events", "Name odin or tinyodin.")
     counts = table_of(spec, ("input_spikes",), 0, 255, index="input_spikes_index")
-    if counts.shape[1] > _ROWS or counts.sum() > _MOST_EVENTS:
-        found = f"has {counts.shape[1]} axons and {counts.sum()} spikes"
-        raise spec.wrong("input_spikes", found, f"At most {_ROWS} and {_MOST_EVENTS} fit.")
+    if counts.shape[1] > _ROWS:
+        found = f"has {counts.shape[1]} axons"
+        raise spec.wrong("input_spikes", found, f"A crossbar has {_ROWS} at most.")
     host, order = _choice(spec, "host", _HOSTS), _choice(spec, "order", _ORDERS)
     wired, start = _wired(spec, rules, counts.shape[1], host)
     size = len(start)
+    check_length(spec, counts, size)
     events = events_of(spec, (len(counts), counts.shape[1], size))
     return _Recorded(
         wired=wired,
@@ -234,23 +234,25 @@ _OTHER_TURNS = (
 
 def _as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
     """What the chip does with what the host sends."""
-    crossbar, steps = Crossbar(recorded.wired, recorded.start), list[int]()
+    crossbar, steps = _crossbar(recorded, recorded.wired), list[int]()
     waits, last = recorded.host == "wait", len(recorded.sent) - 1
     for t, sent in enumerate(recorded.sent):
         crossbar.timestep(sent, waits, settles=recorded.host != "stream" or t == last)
         steps += [t] * (len(crossbar.done) - len(steps))
-        if len(steps) * len(recorded.start) > _MOST_NUMBERS:
-            raise RuleError(f"the trace has more than {len(steps)} events. Record a shorter run.")
     # while a queue is full, events of a timestep come before the time reference of the next
     references = np.cumsum([done.event == TREF for done in crossbar.done]) - 1
     return crossbar.done, references.tolist() if recorded.host == "stream" else steps
+
+
+def _crossbar(recorded: _Recorded, wired: CrossbarNeurons) -> Crossbar:
+    return Crossbar(wired, recorded.start, most=MOST_NUMBERS // len(recorded.start))
 
 
 def _as_recorded(
     recorded: _Recorded, events: RecordedEvents
 ) -> tuple[list[WorkedEvent], list[int]]:
     """What the events do one after another, as they were recorded."""
-    crossbar = Crossbar(replace(recorded.wired, entries=0), recorded.start)
+    crossbar = _crossbar(recorded, replace(recorded.wired, entries=0))
     for event in events.events:
         crossbar.work(event)
     return crossbar.done, events.steps

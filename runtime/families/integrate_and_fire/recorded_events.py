@@ -11,6 +11,9 @@ from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import Difference
 
 _KINDS = ("tref", "axon", "neuron")
+# membranes after all events, or all timesteps; and spikes of inputs
+MOST_NUMBERS = 1 << 24
+_MOST_SPIKES = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +90,13 @@ class RecordedEvents:
 def _said(step: int, event: Event) -> str:
     kind, index = event
     return f"{kind} of step {step}" if kind == "tref" else f"{kind} {index} of step {step}"
+
+
+def check_length(spec: Fields, counts: Integers, size: int) -> None:
+    """Refuse a run of input spikes (T, M) and so many neurons that would take hours to replay."""
+    if counts.sum() > _MOST_SPIKES or len(counts) * size > MOST_NUMBERS:
+        found = f"has {counts.sum()} spikes in {len(counts)} timesteps of {size} neurons"
+        raise spec.wrong("input_spikes", found, f"Record {_MOST_SPIKES} spikes at most, or less.")
 
 
 def events_of(spec: Fields, shape: tuple[int, int, int]) -> RecordedEvents | None:

@@ -30,7 +30,7 @@ from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFi
 EventKind = Literal["tref", "axon", "bias", "neuron"]
 Event = tuple[EventKind, int]
 TREF: Event = ("tref", 0)
-# in a timestep; neurons that keep each other spiking never leave the chip idle
+# events of a timestep; neurons that keep each other spiking never leave the chip idle
 _ENDLESS = 1 << 14
 
 
@@ -75,9 +75,11 @@ class Crossbar:
 
     membrane: (N,) now.
     done: what it worked on so far.
+    most: events that it may work on.
     """
 
-    def __init__(self, wired: CrossbarNeurons, membrane: Integers) -> None:
+    def __init__(self, wired: CrossbarNeurons, membrane: Integers, most: int = _ENDLESS) -> None:
+        self._most = most
         self.membrane = membrane
         self.done: list[WorkedEvent] = []
         self._wired = wired
@@ -107,14 +109,8 @@ class Crossbar:
 
     def settle(self) -> None:
         """Work until nothing is queued."""
-        before = len(self.done)
         while self._queue:
             self.work_on()
-            if len(self.done) - before > _ENDLESS:
-                raise RuleError(
-                    f"rule queue: the chip is not idle after {_ENDLESS} events: recurrent neurons "
-                    "keep each other spiking in one timestep. Weaken them, or choose queue=off."
-                )
 
     def work_on(self) -> None:
         """Work on the first event in the queue, if there is one."""
@@ -123,6 +119,11 @@ class Crossbar:
 
     def work(self, event: Event, entries_held: int = 1) -> None:
         """Work on an event, which holds so many entries meanwhile, and queue the spikes."""
+        if len(self.done) >= self._most:
+            raise RuleError(
+                f"rule queue: the chip is not done after {self._most} events. Weaken recurrent "
+                "neurons that keep each other spiking, choose queue=off, or record a shorter run."
+            )
         wired, now = self._wired, PartialStep.of(self.membrane[None])
         if event == TREF:
             begin(wired.rules, wired.convention, wired.neurons, now)

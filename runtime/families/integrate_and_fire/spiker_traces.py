@@ -17,6 +17,7 @@ from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.neurons import PartialStep, begin, fires
+from spikedeploy.runtime.families.integrate_and_fire.recorded_events import check_length
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import PROSE, Verdict, nothing_to_compare, table_of
 from spikedeploy.runtime.traces.verify import first_difference
@@ -35,6 +36,7 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
     specs = _layers_of(fields)
     counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
     program = _program(specs, datasheet(chip), counts.shape[1])
+    check_length(fields, counts, sum(layer.size for layer in program.layers))
     recorded = {
         layer.name: _recorded(spec, (len(counts), layer.size))
         for layer, spec in zip(program.layers, specs, strict=True)

@@ -168,7 +168,7 @@ def test_neurons_that_keep_each_other_spiking_are_refused():
     a, b = program.layers
     loop = replace(b.synapses[0], source="n4", weight=np.full((1, 1), 7, np.int16), delay=1)
     endless = replace(b, synapses=(*b.synapses, loop), threshold=np.array([7]))
-    with pytest.raises(RuleError, match="rule queue: the chip is not idle after 16384 events"):
+    with pytest.raises(RuleError, match="rule queue: the chip is not done after 16384 events"):
         trace(replace(program, layers=(a, endless)), np.ones((1, 1, 1), np.uint8))
 
 
