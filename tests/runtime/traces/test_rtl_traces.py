@@ -1,17 +1,20 @@
 """Equal to simulations of the RTL of ODIN, tinyODIN and Spiker+, recorded and by a plain model."""
 
+import contextlib
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import Interpreter
-from spikedeploy.runtime.errors import TraceError
+from spikedeploy.runtime.errors import SpikedeployError, TraceError
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
 from tests.rtl_reference import ODIN, TINYODIN, random_odin, random_spiker
@@ -299,6 +302,32 @@ def test_a_file_of_spiker_that_makes_no_sense_is_refused_in_a_sentence(fields, m
     record["layers"][0].update(fields)
     with pytest.raises(TraceError, match=message):
         judged(record)
+
+
+SMALL = [
+    random_odin(ODIN, 0, loop=True, steps=9, host="step"),
+    random_odin(ODIN, 0, loop=True, steps=9, host="relays"),
+    random_odin(TINYODIN, 0, loop=True, steps=9, host="stream"),
+    random_spiker(0, (5, 4, 3), loop=True, reset="fixed"),
+]
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(SMALL), st.randoms(use_true_random=False), JUNK)
+def test_junk_in_a_field_is_an_error_or_a_verdict(tmp_path_factory, source, rng, junk):
+    record = json.loads(json.dumps(source))
+    groups = [record, *([record["params"]] if "params" in record else record["layers"])]
+    group = rng.choice(groups)
+    group[rng.choice(sorted(group))] = junk
+    path = tmp_path_factory.getbasetemp() / "rtl_junk.json"
+    path.write_text(json.dumps(record))
+    with contextlib.suppress(SpikedeployError):
+        assert verify(path).compared > 0
 
 
 def test_layers_of_spiker_share_widths_and_reset(judged):
