@@ -9,7 +9,7 @@ from spikedeploy.exporters.c.declarations import Declarations, literal
 from spikedeploy.exporters.c.registers import fit, held, shifted_down
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
+from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class IntegrateWriter:
         """The body of a timestep before spikes arrive."""
         lines = [f"{name}_spikes[n] = 0u;"] if layer.spiking else []
         if self.rules.leak_order == "first":
-            lines += self._leak(layer, name, out)
+            lines += self._late_resets(layer, name, out, self._leak(layer, name, out))
             if self.rules.checks == "event":
                 lines += self._fire(layer, name, out)
         return _each(layer, lines)
@@ -93,6 +93,23 @@ class IntegrateWriter:
         return [f"if ({v} > 0) {{", f"    {v} -= {up};", f"}} else if ({v} < 0) {{",
                 f"    {v} += {down};", "}"]  # fmt: skip
 
+    def _late_resets(
+        self, layer: Layer, name: str, out: Declarations, leak: list[str]
+    ) -> list[str]:
+        """The leak, in whose place a neuron is reset that fired in the timestep before."""
+        if self.rules.reset_at == "spike" or not layer.spiking:
+            return leak
+        test, after = self._test(layer, name, out)
+        return [f"if ({test}) {{", f"    {after}", "} else {", *(f"    {a}" for a in leak), "}"]
+
+    def _test(self, layer: Layer, name: str, out: Declarations) -> tuple[str, str]:
+        """Whether a neuron fires, and its reset."""
+        v = f"{name}_membrane[n]"
+        threshold = out.per_neuron(f"{name}_threshold", layer.threshold, "n", self.kind)
+        test = f"{v} {'>=' if self.rules.fires == 'reached' else '>'} {threshold}"
+        subtract = self.program.convention.reset == "subtract"
+        return test, f"{v} -= {threshold};" if subtract else f"{v} = 0;"
+
     def _shift(self, layer: Layer, name: str, out: Declarations) -> list[str]:
         """V - (V >> shift); a negative shift is none, and then what is taken off is 0."""
         v, leak = f"{name}_membrane[n]", layer.membrane_decay
@@ -117,17 +134,15 @@ class IntegrateWriter:
     def _fire(self, layer: Layer, name: str, out: Declarations) -> list[str]:
         if not layer.spiking:
             return []
-        rules, v = self.rules, f"{name}_membrane[n]"
-        threshold = out.per_neuron(f"{name}_threshold", layer.threshold, "n", self.kind)
-        test = f"{v} {'>=' if rules.fires == 'reached' else '>'} {threshold}"
+        rules, (test, after) = self.rules, self._test(layer, name, out)
         subtract = self.program.convention.reset == "subtract"
-        after = f"{v} -= {threshold};" if subtract else f"{v} = 0;"
+        reset = [f"    {after}"] if rules.reset_at == "spike" else []
         count = f"{name}_spikes[n]"
         added = [f"if ({count} < {rules.spikes_max}u) {{", f"    {count}++;", "}"]
         if subtract and rules.checks == "step" and rules.spikes_max > 1:
             most = f"({count} < {rules.spikes_max}u)"
             return [f"while (({test}) && {most}) {{", f"    {after}", f"    {count}++;", "}"]
-        return [f"if ({test}) {{", f"    {after}", *(f"    {line}" for line in added), "}"]
+        return [f"if ({test}) {{", *reset, *(f"    {line}" for line in added), "}"]
 
 
 def _each(layer: Layer, lines: list[str]) -> str:

@@ -9,7 +9,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
-from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
+from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
 
 _INT32 = 2**31 - 1
 # room for a product with a decay factor, and for one more addition

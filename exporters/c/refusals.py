@@ -24,10 +24,15 @@ def check_program(program: Program) -> None:
         raise ConfigError(
             f"--to c: chip {chip!r} computes with {type(arithmetic).__name__}; C is written for "
             "integers of Loihi's kind and of integrate-and-fire neurons. Choose loihi1, int, "
-            "truenorth, odin, speck2f or spiker."
+            "truenorth, odin, tinyodin, speck2f or spiker."
         )
     if isinstance(arithmetic, CubaFixedPoint) and arithmetic.decay_bits > _DECAY_BITS:
         raise ConfigError(f"--to c: decay_bits is {arithmetic.decay_bits}; at most {_DECAY_BITS}.")
+    if arithmetic.together:
+        raise ConfigError(
+            f"--to c: the queue of {chip!r} is on, and is not written in C. Choose queue=off, "
+            "where the program relays the spikes."
+        )
     if program.graded:
         raise ConfigError(
             f"--to c: layer {min(program.graded)!r}: sigma-delta neurons send graded spikes, which "

@@ -25,6 +25,7 @@ CHIPS: dict[str, str] = {
     "speck2f": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPECK2F",
     "truenorth": "spikedeploy.runtime.families.integrate_and_fire.crossbars:TRUENORTH",
     "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbars:ODIN",
+    "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.crossbars:TINYODIN",
     "spiker": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPIKER",
     "int": "spikedeploy.runtime.families.cuba.free_width:INT",
 }

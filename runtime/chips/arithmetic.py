@@ -75,6 +75,23 @@ class ArithmeticDefaults(Protocol):
         """Step and largest threshold [state units], of chips that compute in integers."""
         return 1, NEVER - 1
 
+    @property
+    def together(self) -> bool:
+        """Whether all layers advance as one, because spikes reach others in the same timestep."""
+        return False
+
+    def update_together(
+        self,
+        network: Network,
+        presynaptic: Mapping[str, Sequence[Numbers]],
+        states: Mapping[str, LayerState],
+    ) -> Mapping[str, StepResult]:
+        """Advance all layers by one timestep, where they do so `together`; else none.
+
+        presynaptic: layer -> spikes (B, M) through each of its synapses; those of the input count.
+        """
+        return {}
+
     # what can be compiled
 
     @property
@@ -125,6 +142,10 @@ class ArithmeticDefaults(Protocol):
 
         timesteps: T of an inference; None where it is not known, or states are kept.
         """
+        return []
+
+    def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
+        """Who brings spikes from neuron to neuron, where that is a choice: a sentence, or none."""
         return []
 
     # what the design rules ask

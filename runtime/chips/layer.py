@@ -1,6 +1,6 @@
 """Layers of neurons: what a chip stores of them, what they remember, and when they start."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -60,6 +60,8 @@ class Layer:
         Its threshold is infinite, or NEVER.
     graded: whether its neurons are sigma-delta neurons (runtime.graph.sigma_delta): they send
         signed whole numbers of thresholds; the voltage bias is added before the rectification.
+    v_reset: (N,) membrane to which a spike resets integrate-and-fire neurons [state units]; the
+        compiler refuses all but 0, which some recorded runs have.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Layer:
     aliases: tuple[tuple[int, ...], ...] = ()
     spiking: bool = True
     graded: bool = False
+    v_reset: Numbers | int = 0
 
     @property
     def size(self) -> int:
@@ -149,26 +152,38 @@ class StepResult:
         sigma-delta neurons.
     active: (B, N) where there was a membrane, a current or a bias to add up.
     overflows: (B, N) how many numbers did not fit their register.
+    lost: (B, N) spikes that reach no neuron, because a queue was full; None where there is none.
     """
 
     spikes: NDArray[Any]
     active: NDArray[np.bool_]
     overflows: NDArray[np.int64]
+    lost: NDArray[np.int64] | None = None
 
 
-def starting(layers: Sequence[Layer], network_input: str, delay: int, stagger: bool) -> list[Layer]:
+def starting(
+    layers: Sequence[Layer],
+    network_input: str,
+    delay: int,
+    stagger: bool,
+    input_delay: int | None = None,
+) -> list[Layer]:
     """The layers with their starts, and delays of at least that of the chip.
 
     layers: with the lags of the graph for delays, all starting at once.
     delay: [timesteps] from a spike to its arrival on the chip.
     stagger: start each layer when the first spikes can reach it.
+    input_delay: [timesteps] likewise of the network's input; None is `delay`.
     """
-    starts = _starts(layers, network_input, delay if stagger else 0)
+    least = {network_input: delay if input_delay is None else input_delay}
+    delays = {layer.name: [least.get(s.source, delay) for s in layer.synapses] for layer in layers}
+    starts = _starts(layers, network_input, delays if stagger else None)
     return [
         replace(
             layer,
             synapses=tuple(
-                replace(s, delay=_delay(s, layer.name, starts, delay)) for s in layer.synapses
+                replace(s, delay=_delay(s, layer.name, starts, delay))
+                for s, delay in zip(layer.synapses, delays[layer.name], strict=True)
             ),
             start=starts[layer.name],
         )
@@ -176,14 +191,20 @@ def starting(layers: Sequence[Layer], network_input: str, delay: int, stagger: b
     ]
 
 
-def _starts(layers: Sequence[Layer], network_input: str, delay: int) -> dict[str, int]:
-    """Timestep at which the input can first reach each layer; slower paths decide."""
+def _starts(
+    layers: Sequence[Layer], network_input: str, delays: Mapping[str, Sequence[int]] | None
+) -> dict[str, int]:
+    """Timestep at which the input can first reach each layer; slower paths decide.
+
+    delays: [timesteps] of the synapses of each layer; None starts all at once.
+    """
     starts = {network_input: 0}
     for layer in layers:
+        late = delays[layer.name] if delays else [0] * len(layer.synapses)
         # sources that come later, or the layer itself, are feedback
-        ahead = [s for s in layer.synapses if s.source in starts]
+        ahead = [(s, d) for s, d in zip(layer.synapses, late, strict=True) if s.source in starts]
         starts[layer.name] = max(
-            (starts[s.source] + max(0, delay - s.delay) for s in ahead), default=0
+            (starts[s.source] + max(0, d - s.delay) for s, d in ahead), default=0
         )
     return starts
 

@@ -75,6 +75,7 @@ def float_program(
     layers, remarks = chip.arithmetic.prepare(
         here, graph.input, artifact.convention, chip.delay, stagger
     )
+    remarks += chip.arithmetic.carried(layers, graph.input)
     remarks += [_on_host(layer, chip.name) for layer in host]
     if chip.arithmetic.rounds:
         remarks += [_on_chip(layer, chip) for layer in here if not layer.spiking]
@@ -266,6 +267,8 @@ def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
         program = compile_program(artifact, on, limits=limits)
     except SpikedeployError as error:
         return RuleResult(COMPILE, None, "fail", str(error))
-    ranges = program.chip.arithmetic.ranges(program.layers, _window(artifact))
-    note = "; ".join(program.remarks if program.reads_membranes else ranges)
+    arithmetic, layers = program.chip.arithmetic, program.layers
+    ranges = arithmetic.ranges(layers, _window(artifact))
+    carried = arithmetic.carried(layers, program.input)
+    note = "; ".join(program.remarks if program.reads_membranes else (*carried, *ranges))
     return RuleResult(COMPILE, None, "pass", "a program", note=note)

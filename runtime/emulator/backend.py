@@ -148,7 +148,7 @@ def backend_class(program: Program, name: str) -> type[Backend]:
         choices = ", ".join(map(repr, get_args(BackendName)))
         raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
     if program.upsets is not None:
-        return _upset(name)
+        return _upset(name, program)
     arithmetic = program.chip.arithmetic
     able = {**arithmetic.backends, "interpreter": _INTERPRETER}
     obstacle: str | None = (
@@ -163,7 +163,12 @@ def backend_class(program: Program, name: str) -> type[Backend]:
     raise ConfigError(f"backend {name!r}: {obstacle} Or choose backend='numpy'.")
 
 
-def _upset(name: str) -> type[Backend]:
+def _upset(name: str, program: Program) -> type[Backend]:
+    if program.chip.arithmetic.together:
+        raise ConfigError(
+            "queue is 'on': lost and spurious spikes and flipped bits of states are emulated layer "
+            "by layer, and not in the chip's queue. Choose queue=off, or other faults."
+        )
     if name == "numba":
         raise ConfigError(
             "backend 'numba': lost and spurious spikes and flipped bits of states are drawn by the "

@@ -4,7 +4,7 @@ Short and slow on purpose. Integers are int64 (floats on `ideal` and `spinnaker2
 is tested to be equal to this in every current, membrane and spike.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ class LayerTrace:
         int64 of sigma-delta neurons.
     active: (B, T, N) as in StepResult.
     overflows: (B, T, N) as in StepResult.
+    lost: (B, T, N) as in StepResult.
     """
 
     current: Numbers
@@ -32,6 +33,7 @@ class LayerTrace:
     spikes: NDArray[np.integer[Any]]
     active: NDArray[np.bool_]
     overflows: NDArray[np.int64]
+    lost: NDArray[np.int64] | None = None
 
 
 def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
@@ -67,11 +69,14 @@ class Interpreter:
             layer.name: [] for layer in program.layers
         }
         for step in range(program.steps(timesteps)):
+            together = self._together(step, output_spikes)
             for layer in program.layers:
                 if not layer.start <= step < layer.start + timesteps:
                     continue
                 state = self.states[layer.name]
-                if layer.name in waiting:
+                if layer.name in together:
+                    tick = together[layer.name]
+                elif layer.name in waiting:
                     tick = _waiting(state)
                 else:
                     presynaptic = self._presynaptic(layer, step, output_spikes)
@@ -80,6 +85,19 @@ class Interpreter:
                 history[layer.name].append((state.current, state.membrane, tick))
         self.tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
         return {name: _stacked(ticks, output_spikes[name].dtype) for name, ticks in history.items()}
+
+    def _together(
+        self, step: int, output_spikes: dict[str, NDArray[np.integer[Any]]]
+    ) -> Mapping[str, StepResult]:
+        """A timestep of all layers, where the chip advances them as one; else nothing."""
+        arithmetic = self.program.chip.arithmetic
+        if not arithmetic.together:
+            return {}
+        presynaptic = {
+            layer.name: self._presynaptic(layer, step, output_spikes)
+            for layer in self.program.layers
+        }
+        return arithmetic.update_together(self.program, presynaptic, self.states)
 
     def _advanced(
         self, layer: Layer, step: int, presynaptic: Sequence[Numbers], state: LayerState
@@ -113,10 +131,12 @@ def _lengthened(tail: NDArray[np.integer[Any]], timesteps: int) -> NDArray[np.in
 def _stacked(
     ticks: list[tuple[Numbers, Numbers, StepResult]], kind: np.dtype[np.integer[Any]]
 ) -> LayerTrace:
+    lost = [tick.lost for _, _, tick in ticks if tick.lost is not None]
     return LayerTrace(
         current=np.stack([current for current, _, _ in ticks], axis=1),
         membrane=np.stack([membrane for _, membrane, _ in ticks], axis=1),
         spikes=np.stack([tick.spikes for _, _, tick in ticks], axis=1).astype(kind),
         active=np.stack([tick.active for _, _, tick in ticks], axis=1),
         overflows=np.stack([tick.overflows for _, _, tick in ticks], axis=1),
+        lost=np.stack(lost, axis=1) if lost else None,
     )

@@ -67,6 +67,7 @@ class InterpreterBackend:
             {name: trace.active for name, trace in traces.items()},
             {name: trace.overflows for name, trace in traces.items()},
             self._waiting,
+            {name: trace.lost for name, trace in traces.items() if trace.lost is not None},
         )
         ledger.add(counts, timesteps, self._program.steps(timesteps))
 

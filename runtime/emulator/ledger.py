@@ -24,6 +24,7 @@ EVENTS = (
     "message",
     "saturation",  # numbers that did not fit the accumulator, a current or a membrane
     "graded_sop",  # those of the synaptic operations that multiply a weight by a graded spike
+    "lost_spike",  # spikes of a layer that found the chip's queue full and reached no neuron
 )
 
 
@@ -84,6 +85,7 @@ def count(
     busy: Mapping[str, NDArray[np.bool_]] | None = None,
     overflows: Mapping[str, Counts] | None = None,
     waiting: Collection[str] = (),
+    lost: Mapping[str, Counts] | None = None,
 ) -> Counts:
     """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
 
@@ -91,21 +93,23 @@ def count(
     busy: (B, T, N) of each layer, as in StepResult; None takes every neuron-timestep for an update.
     overflows: (B, T, N) of each layer, as in StepResult; None takes none.
     waiting: names of layers that have not started.
+    lost: (B, T, N) of the layers with a queue, as in StepResult; None takes none.
     """
     batch, timesteps, _ = spikes[program.input].shape
     spikes = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
+    arriving = {n: rows - lost[n] if lost and n in lost else rows for n, rows in spikes.items()}
     counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
     graded = program.graded
     for index, layer in enumerate(program.layers):
         neuron_steps = layer.size * program.steps(timesteps)
-        spike_in = sum(_each(spikes[s.source]) for s in layer.synapses)
+        spike_in = sum(_each(arriving[s.source]) for s in layer.synapses)
         spike_out = _each(spikes[layer.name]) if layer.spiking else np.zeros(batch, np.int64)
         update = _each(busy[layer.name]) if busy else timesteps * layer.size
         sent = spike_out if layer.spiking else timesteps * layer.size * (layer.name not in waiting)
         to_host = sent if layer.name in program.to_host else 0
         event = {
             "spike_in": spike_in,
-            "sop": sum(_each(spikes[s.source] * s.fan_out) for s in layer.synapses),
+            "sop": sum(_each(arriving[s.source] * s.fan_out) for s in layer.synapses),
             "bias_sop": timesteps * layer.bias_fan_out,
             "neuron_update": update,
             "neuron_idle": neuron_steps - update,
@@ -116,6 +120,7 @@ def count(
                 (_each(spikes[s.source] * s.fan_out) for s in layer.synapses if s.source in graded),
                 np.zeros(batch, np.int64),
             ),
+            "lost_spike": _each(lost[layer.name]) if lost and layer.name in lost else 0,
         }
         for kind, name in enumerate(EVENTS):
             counts[:, index, kind] = event[name]

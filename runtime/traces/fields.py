@@ -117,6 +117,13 @@ class Fields:
                 raise self.wrong(name, f"holds {_short(each)}", remedy)
         return tuple(tuple(row) for row in found)
 
+    def rows(self, name: str) -> list[Any]:
+        """The list called `name`, of anything; it may be empty."""
+        found = self._taken(name)
+        if not isinstance(found, list):
+            raise self.wrong(name, f"is {_short(found)}", "Write a list.")
+        return found
+
     def numbers(self, *names: str) -> dict[str, float]:
         """Those of the finite numbers that are there, by name."""
         found = {name: self._taken(name) for name in names if name in self._found}

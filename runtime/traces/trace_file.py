@@ -24,6 +24,9 @@ _MAKERS = (
     # before lava's simulations, to which prose compares boards
     (r"loihi[ _-]?2[ _-]?(hw|board|chip|hardware)|hw[ _-]loihi[ _-]?2", "loihi2"),
     (r"xylo", "xylo-a2"),
+    (r"tinyodin", "tinyodin"),
+    (r"\bodin\b", "odin"),
+    (r"\bspiker\b", "spiker"),
     (r"brian2", "loihi1-brian2"),
     (r"nengo", "loihi1-nengo"),
     (r"loihi1simcfg|loihi2simcfg", "loihi1"),
@@ -38,6 +41,12 @@ _READERS = {
     "xylo-a2": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
     "xylo-a3": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
     "xylo-imu": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
+}
+# those that are replayed in a way of their own: event by event, or with an earlier reset
+_VERDICTS = {
+    "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbar_traces:crossbar_verdict",
+    "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.crossbar_traces:crossbar_verdict",
+    "spiker": "spikedeploy.runtime.families.integrate_and_fire.spiker_traces:spiker_verdict",
 }
 # what is for people
 PROSE = {
@@ -56,6 +65,7 @@ class TraceFile:
     recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
     blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
     unread: fields that the reader does not use.
+    remarks: as in Verdict.
     """
 
     source: str
@@ -64,9 +74,20 @@ class TraceFile:
     recorded: Mapping[str, Mapping[str, Integers]]
     blind_at_spikes: bool
     unread: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
 
 Reader: TypeAlias = Callable[[Fields, str], TraceFile]
+
+
+def own_verdict(fields: Fields, stem: str) -> "Verdict | None":
+    """The verdict on a trace of a chip that is replayed in a way of its own; None of the others."""
+    chip = maker(fields, stem)
+    if chip not in _VERDICTS:
+        return None
+    module, attribute = _VERDICTS[chip].split(":")
+    verdict: Verdict = getattr(import_module(module), attribute)(fields, chip)
+    return verdict
 
 
 def trace_in(fields: Fields, stem: str) -> TraceFile:
@@ -75,7 +96,8 @@ def trace_in(fields: Fields, stem: str) -> TraceFile:
     if chip not in _READERS:
         hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
         raise TraceError(
-            f"{fields.where}: chip {chip!r} {hint}. Traces may be of {', '.join(_READERS)}."
+            f"{fields.where}: chip {chip!r} {hint}. Traces may be of "
+            f"{', '.join((*_READERS, *_VERDICTS))}."
         )
     module, attribute = _READERS[chip].split(":")
     reader: Reader = getattr(import_module(module), attribute)
@@ -114,12 +136,12 @@ def maker(fields: Fields, stem: str) -> str:
                 return chip
     raise TraceError(
         f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
-        f"by that. Add a field chip; it may be {', '.join(_READERS)}."
+        f"by that. Add a field chip; it may be {', '.join((*_READERS, *_VERDICTS))}."
     )
 
 
 # in the order in which a neuron computes them
-QUANTITIES = ("current", "current 2", "membrane", "spikes")
+QUANTITIES = ("current", "current 2", "membrane after fire or leak", "membrane", "spikes")
 
 
 @dataclass(frozen=True)
@@ -127,23 +149,23 @@ class Difference:
     """The first number that is not as recorded.
 
     step: row of the trace, counted from 0.
-    layer, neuron: where it is; neurons are counted from 0.
+    layer, neuron: where it is; neurons are counted from 0. An event may stand for the layer, and
+        what an event is has no neuron.
     quantity: one of QUANTITIES, or what was summed up over the run, which has no place.
-    expected, found: in the trace, and here.
+    expected, found: in the trace, and here; of events words.
     """
 
     step: int | None
     layer: str | None
     neuron: int | None
     quantity: str
-    expected: float
-    found: float
+    expected: float | str
+    found: float | str
 
     def describe(self) -> str:
         """One line for people."""
-        place = (
-            "" if self.step is None else f"step {self.step}, {self.layer}, neuron {self.neuron}, "
-        )
+        neuron = "" if self.neuron is None else f"neuron {self.neuron}, "
+        place = "" if self.step is None else f"step {self.step}, {self.layer}, {neuron}"
         return f"{place}{self.quantity}: expected {self.expected}, found {self.found}"
 
 
@@ -159,6 +181,7 @@ class Verdict:
     why: they were not; empty where all were.
     difference: None where all numbers are equal.
     unread: fields of the file that the reader does not use.
+    remarks: how it was replayed, where that is not plain; sentences.
     """
 
     chip: str
@@ -169,6 +192,7 @@ class Verdict:
     why: str
     difference: Difference | None
     unread: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def equal(self) -> bool:

@@ -15,6 +15,7 @@ from spikedeploy.runtime.traces.trace_file import (
     TraceFile,
     Verdict,
     maker,
+    own_verdict,
     trace_in,
 )
 
@@ -26,6 +27,8 @@ def verify(path: Path) -> Verdict:
     fields = read_json(path)
     if maker(fields, path.stem) == MAKER:
         return energy_verdict(fields)
+    if (verdict := own_verdict(fields, path.stem)) is not None:
+        return verdict
     recorded = trace_in(fields, path.stem)
     ran = trace(recorded.program, recorded.raster)
     found = {name: _quantities(layer) for name, layer in ran.items()}
@@ -38,8 +41,9 @@ def verify(path: Path) -> Verdict:
         compared=sum(int(mask.sum()) for mask in masks.values()),
         passed_over=passed_over,
         why=_BLIND if passed_over else "",
-        difference=_first(recorded, found, masks),
+        difference=first_difference(recorded.recorded, found, masks),
         unread=recorded.unread,
+        remarks=recorded.remarks,
     )
 
 
@@ -65,18 +69,22 @@ def _masks(
     return masks
 
 
-def _first(
-    recorded: TraceFile,
+def first_difference(
+    recorded: Mapping[str, Mapping[str, Integers]],
     found: Mapping[str, Mapping[str, Integers]],
     masks: Mapping[tuple[str, str], NDArray[np.bool_]],
 ) -> Difference | None:
-    """The earliest difference; within a timestep in the order of layers and quantities."""
-    first, earliest = None, recorded.raster.shape[1]
-    for layer, quantities in recorded.recorded.items():
+    """The earliest difference; within a timestep in the order of layers and quantities.
+
+    recorded, found: layer -> quantity -> (T, N).
+    masks: where to compare, by layer and quantity; everywhere where there is none.
+    """
+    first, earliest = None, None
+    for layer, quantities in recorded.items():
         for quantity in (q for q in QUANTITIES if q in quantities):
             expected, ours = quantities[quantity], found[layer][quantity]
-            wrong = np.argwhere((expected != ours) & masks[layer, quantity])
-            if len(wrong) and wrong[0][0] < earliest:
+            wrong = np.argwhere((expected != ours) & masks.get((layer, quantity), True))
+            if len(wrong) and (earliest is None or wrong[0][0] < earliest):
                 step, neuron = (int(i) for i in wrong[0])
                 values = int(expected[step, neuron]), int(ours[step, neuron])
                 first, earliest = Difference(step, layer, neuron, quantity, *values), step

@@ -75,8 +75,9 @@ def measured(
 
 
 def _events(ledger: Ledger) -> dict[str, dict[str, int]]:
-    # only sigma-delta neurons send graded spikes
-    events = [event for event in EVENTS if event != "graded_sop" or ledger.total(event)]
+    # only sigma-delta neurons send graded spikes, and only queues lose some
+    rare = ("graded_sop", "lost_spike")
+    events = [event for event in EVENTS if event not in rare or ledger.total(event)]
     found = {event: ledger.by_layer(event) for event in events}
     return {name: {event: found[event][name] for event in events} for name in ledger.layers}
 

@@ -43,15 +43,15 @@ class ReplayedTrace:
         return f"equal on {found.chip}: {what}; recorded by {found.source}"
 
     def remarks(self) -> list[str]:
-        """What was not compared, and why."""
+        """What was not compared, and why; and how it was replayed where that is not plain."""
         if self.verdict is None:
             return []
         found, remarks = self.verdict, []
         if found.passed_over:
-            remarks.append(f"{found.passed_over} {found.why}")
+            remarks.append(f"not compared: {found.passed_over} {found.why}")
         if found.unread:
-            remarks.append(f"fields that are not used: {', '.join(found.unread)}")
-        return remarks
+            remarks.append(f"not compared: fields that are not used: {', '.join(found.unread)}")
+        return [*remarks, *found.remarks]
 
 
 def replay_trace(path: Path) -> ReplayedTrace:

@@ -26,7 +26,7 @@ def print_replays(replays: Iterable[ReplayedTrace]) -> None:
     for replay in replays:
         print(f"{'✓' if replay.equal else '✗'} {replay.path}: {replay.describe()}")
         for remark in replay.remarks():
-            print(f"    not compared: {remark}")
+            print(f"    {remark}")
 
 
 def print_comparison(document: Mapping[str, Any], everything: bool = True) -> None:

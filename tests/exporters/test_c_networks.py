@@ -91,7 +91,9 @@ FAMILIES = [
     ("speck2f", {}, {"reset": "subtract"}),
     ("speck2f", {"membrane": Register(9, "clip")}, {"reset": "subtract", "floor": "threshold"}),
     ("spiker", {}, {}),
-    ("spiker", {"leak_order": "last"}, {"reset": "subtract"}),
+    ("spiker", {}, {"reset": "subtract"}),
+    ("spiker", {"leak_order": "last", "reset_at": "spike"}, {"reset": "subtract"}),
+    ("tinyodin", {}, {}),
 ]
 
 

@@ -7,11 +7,19 @@ from importlib.util import find_spec
 
 import pytest
 
-from benchmarks.record_traces import GOLDEN, TOOLS, count, differences, merged, tool
+from benchmarks.record_traces import (
+    GOLDEN,
+    TOOLS,
+    count,
+    differences,
+    golden_traces,
+    merged,
+    tool,
+)
 from tests.paths import ROOT
 
 SCRIPT = ROOT / "benchmarks" / "record_traces.py"
-TRACES = sorted(GOLDEN.rglob("*.json"))
+TRACES = golden_traces()
 # tools that run beside the current NumPy, and the packages that they need
 HERE = {"xylosim": "xylosim", "nengo_loihi": "nengo_loihi", "sanafe": "sanafe"}
 

@@ -28,6 +28,12 @@ EFFECTIVE = {*_WEIGHTS_EFFECTIVE, *_THRESHOLDS_EFFECTIVE}
 # mantissas are shifted by so much to become states; thresholds always are
 _SHIFT = 6
 
+# how lava's reading rounds; it takes a decay of one more than the chip's register holds
+_LAVAS = "sum"
+_BEYOND = (
+    "{}: dv is 4096, which lava takes and the chip's register of 12 bits does not hold; replayed "
+    "as lava computes it, the membrane keeps nothing"
+)
 # states beyond this are no chip's
 _STATE = 1 << 40
 
@@ -185,8 +191,17 @@ def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: in
         )
     # without a decay of the current it lasts one timestep
     default = arithmetic.decay_one - offset if state == "u" else None
-    found = spec.row(*names, size=size, default=default, least=0, most=arithmetic.decay_max)
+    most = max(arithmetic.decay_max, arithmetic.decay_one - offset)
+    most = most if arithmetic.exponents == _LAVAS else arithmetic.decay_max
+    found = spec.row(*names, size=size, default=default, least=0, most=most)
     return arithmetic.decay_one - offset - found
+
+
+def _beyond_register(spec: Fields, part: _LoihiLayer) -> bool:
+    """Whether the register of the membrane's decay is given as more than the chip's holds."""
+    given, arithmetic = spec.name("dv", "decay_v"), part.chip.arithmetic
+    lavas = isinstance(arithmetic, CubaFixedPoint) and arithmetic.exponents == _LAVAS
+    return given is not None and lavas and not part.layer.membrane_decay.all()
 
 
 _INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
@@ -230,6 +245,11 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
         recorded=recorded,
         blind_at_spikes=chip == "loihi2",  # a board's probe shows something else there
         unread=tuple(sorted(unread)),
+        remarks=tuple(
+            _BEYOND.format(part.layer.name)
+            for part, spec in zip(parts, specs, strict=True)
+            if _beyond_register(spec, part)
+        ),
     )
 
 

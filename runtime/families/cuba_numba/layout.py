@@ -6,7 +6,9 @@ Array = Any  # the compiler sees the types
 Number = Any
 
 # events, in the order of runtime.emulator.ledger.EVENTS
-SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION, GRADED_SOP = range(9)
+(
+    SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION, GRADED_SOP, LOST_SPIKE,
+) = range(10)  # fmt: skip
 
 # columns of Constants.layers; STATE is where the layer's states begin in a row of
 # KernelMemory.states, BIAS where its biases begin in Constants.weights; of a layer with NO_CURRENT

@@ -106,6 +106,7 @@ class EventCounter:
             events["neuron_idle"] = layer.size * self.steps - events["neuron_update"]
             events["saturation"] = overflows[:, index]
             events["graded_sop"] = 0 * updates[:, index]  # only the interpreter runs such layers
+            events["lost_spike"] = 0 * updates[:, index]  # likewise
             counts[:, index] = np.stack([events[name] for name in EVENTS], axis=1)
         return counts
 

@@ -1,15 +1,24 @@
 """The arithmetic of chips that add spikes straight to the membrane, without a synaptic current."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
-from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.layer import (
+    Layer,
+    LayerState,
+    Network,
+    Numbers,
+    StepResult,
+    starting,
+)
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.families.integrate_and_fire.neurons import update
 from spikedeploy.runtime.families.integrate_and_fire.quantise import check_axons, quantise
+from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
+from spikedeploy.runtime.families.integrate_and_fire.spike_queue import update_together
 
 _LEAKS = {
     "none": "IF",
@@ -17,6 +26,20 @@ _LEAKS = {
     "crossing": "IF, linear leak",
     "shift": "LIF, leak by a shift",
 }
+# sources of the options of a queue, on chips without one
+WITHOUT_QUEUE = {
+    "queue": "none between neurons was found in any source that was read",
+    "queue_entries": "there is no queue",
+    "host": "there is no queue",
+}
+RELAYED = (
+    "spikes from neuron to neuron are relayed by the host (queue 'off'), those of a timestep by "
+    "index; the chip's own queue is emulated with queue=on"
+)
+_QUEUED = (
+    "spikes from neuron to neuron go through the chip's queue, and arrive in the same timestep"
+)
+_SOONER = "; those of recurrent neurons one timestep sooner than in the file"
 
 
 @dataclass(frozen=True)
@@ -47,6 +70,42 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
     def spikes_at_threshold(self) -> bool:
         """Whether a neuron spikes where its membrane is the threshold, and not only above it."""
         return self.fires == "reached"
+
+    @property
+    def together(self) -> bool:
+        """Whether all layers advance as one, because spikes reach others in the same timestep."""
+        return self.queue == "on"
+
+    def prepare(
+        self,
+        layers: Sequence[Layer],
+        network_input: str,
+        convention: Convention,
+        delay: int,
+        stagger: bool | None,
+    ) -> tuple[list[Layer], list[str]]:
+        """The float layers with starts and delays, and remarks on what is not as in the file."""
+        if self.together and delay:
+            raise ConfigError(
+                f"queue is 'on' and delay {delay}: spikes from the queue arrive in the same "
+                "timestep. Leave the delay at 0, or choose queue 'off'."
+            )
+        prepared, remarks = super().prepare(layers, network_input, convention, delay, stagger)
+        if self.reset_at == "leak":
+            # what is late is the spike of a neuron, not the input
+            stagger = convention.delay == 0 if stagger is None else stagger
+            prepared = starting(layers, network_input, delay, stagger, input_delay=0)
+        return prepared, remarks
+
+    def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
+        """Who brings spikes from neuron to neuron, on a chip with a queue for them."""
+        inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
+        if not (self.queue_entries and inside):
+            return []
+        if not self.together:
+            return [RELAYED]
+        late = any(s.delay for s in inside)
+        return [_QUEUED + (_SOONER if late else "")]
 
     def check_convention(self, convention: Convention, chip_name: str) -> None:
         """Refuse spikes and floors that the chip's neurons have not."""
@@ -81,6 +140,28 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
     ) -> StepResult:
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
         return update(self, network.convention, layer, presynaptic, state)
+
+    def update_together(
+        self,
+        network: Network,
+        presynaptic: Mapping[str, Sequence[Numbers]],
+        states: Mapping[str, LayerState],
+    ) -> Mapping[str, StepResult]:
+        """Advance all layers by one timestep, in which these spikes (B, M) of the input arrive."""
+        return update_together(self, network, presynaptic, states)
+
+    def before_reset(
+        self,
+        layer: Layer,
+        convention: Convention,
+        current: Numbers,
+        membrane: Numbers,
+        spikes: Numbers,
+    ) -> Numbers:
+        """Membranes (B, T, N) before a spike reset them [state units]; NaN where none can tell."""
+        if self.reset_at == "leak":
+            return membrane
+        return super().before_reset(layer, convention, current, membrane, spikes)
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""

@@ -1,4 +1,4 @@
-"""TrueNorth and ODIN: crossbars of synapses between axons and neurons.
+"""TrueNorth, ODIN and tinyODIN: crossbars of synapses between axons and neurons.
 
 TrueNorth (IBM, 28 nm, 2014) has binary crossbars, four types of axons and timesteps of 1 ms. The
 order within a timestep and the modes are published; of the widths no source was read, so they are
@@ -7,12 +7,19 @@ assumptions that can be set. Stochastic modes and resets of negative thresholds 
 ODIN (Frenkel et al. 2019, 28 nm) has 256 neurons with 8-bit membranes, updated event after event.
 Its neurons are emulated as the LIF block of its Verilog computes. The sender of the time reference
 decides what a timestep is: here one begins with it, and then events come in the order of axons.
+tinyODIN (the same authors) is ODIN without learning, with weights that have signs and membranes of
+12 bits.
 """
+
+from dataclasses import replace
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
+    WITHOUT_QUEUE,
+    IntegrateAndFire,
+)
 
 _CASSIDY = "Cassidy et al. 2013, IJCNN"
 _CORE = "the order of a tick as published: synapses, leak, threshold, reset"
@@ -90,6 +97,8 @@ TRUENORTH = Chip(
         "spikes_max": _CORE,
         "scaling": "by definition: TrueNorth's tools train with its weights and scale nothing",
         "rounding": "by definition",
+        "reset_at": _CORE,
+        **WITHOUT_QUEUE,
         "resets": f"{_SANAFE}: hard, linear (subtract), none; none is not emulated",
         "delay": "2.2.9 of SANA-FE (run): a spike is delivered in the next tick",
         "delay_max": _ASSUMED,
@@ -99,6 +108,8 @@ TRUENORTH = Chip(
 
 
 _VERILOG = "ODIN's Verilog, commit 17819318 (source read)"
+_RTL = "equal to its RTL in simulation (Verilator 5.006, commit {}), `spikedeploy verify`"
+_HOST = "by definition: with the queue on, the host waits until the chip is idle"
 _ORDER = "by definition: the chip takes events in the order in which they are sent"
 _ODIN_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
@@ -147,6 +158,7 @@ ODIN = Chip(
         spikes_max=255,
         scaling="full",
         rounding="nearest",
+        queue_entries=32,
     ),
     resets=("zero",),
     delay=0,
@@ -172,9 +184,57 @@ ODIN = Chip(
         "spikes_max": "by definition: a count of the emulator",
         "scaling": "by definition: ODIN's tools scale nothing",
         "rounding": "by definition",
+        "reset_at": f"{_VERILOG}: with the spike",
+        "queue": f"{_VERILOG}: its scheduler, in a closed loop; off is an open loop in which the "
+        "host relays spikes",
+        "queue_entries": f"{_VERILOG}: the scheduler's main FIFO, the event in work included",
+        "host": _HOST,
         "resets": f"{_VERILOG}: to 0",
         "delay": "by definition: a layer's spikes are taken in before the next time reference",
-        "delay_max": "by definition: recurrent connections take one timestep",
+        "delay_max": "by definition: recurrent connections that the host relays take one timestep",
     },
-    evidence="a trace worked out by hand from the Verilog's rule; not run against the Verilog",
+    evidence=_RTL.format("17819318"),
+)
+
+_TINY = "tinyODIN's Verilog, commit 18656534 (source read)"
+_OF_ODIN = {name: source.replace(_VERILOG, _TINY) for name, source in ODIN.sources.items()}
+_LIMITS_OF_ODIN = {name: s.replace(_VERILOG, _TINY) for name, s in _ODIN_LIMITS.sources.items()}
+
+TINYODIN = replace(
+    ODIN,
+    name="tinyodin",
+    summary="tinyODIN: 4-bit weights with signs, 12-bit membranes that look at every event",
+    arithmetic=replace(
+        ODIN.arithmetic,
+        weight_bits=4,
+        signs="weight",
+        membrane=Register(12, "saturate"),
+        floor=None,
+        floors=("none",),
+        threshold_bits=11,
+        queue_entries=128,
+    ),
+    energy_tables=(),  # no energy of it was published
+    limits=replace(
+        _ODIN_LIMITS,
+        axon_signs=False,
+        threshold_max=(1 << 11) - 1,
+        sources={
+            **{k: s for k, s in _LIMITS_OF_ODIN.items() if k != "axon_signs"},
+            "weight_max": f"{_TINY}: 4 bits with the sign",
+            "threshold_max": f"{_TINY}: 12 bits unsigned, of which a membrane reaches 11",
+        },
+    ),
+    sources={
+        **_OF_ODIN,
+        "weight_bits": f"{_TINY}: 4 bits",
+        "signs": f"{_TINY}: two's complement",
+        "leak": f"{_TINY}: at the time reference, toward 0",
+        "membrane": f"{_TINY}: 12 bits in two's complement; saturates",
+        "floor": f"{_TINY}: none but the register's",
+        "floors": f"{_TINY}: none but the register's",
+        "threshold_bits": f"{_TINY}: 12 bits unsigned; a membrane never reaches 2048 to 4095",
+        "scaling": "by definition: tinyODIN's tools scale nothing",
+    },
+    evidence=_RTL.format("18656534"),
 )

@@ -6,14 +6,19 @@ do instead, sinabs' IAF layer stepped in time, with the chip's bits: all spikes 
 one sum, and a neuron spikes as often as the threshold fits into its membrane.
 
 Spiker+ (Politecnico di Torino) generates accelerators for FPGAs, with free widths. A cycle of its
-neurons fires and resets, leaks, adds excitation, then inhibition. From leak to fire that is the
-same order, only a spike leaves one cycle later: hence the delay of 1.
+neurons begins with firing: a neuron above its threshold is reset and its spike leaves, every other
+leaks; then inputs are added, and neurons' spikes of the cycle before. A timestep here ends where
+the threshold is passed, one cycle before the spike leaves and two before it is heard: hence the
+delay of 2 between neurons, none from the input, and a reset in place of the next leak.
 """
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Convolutions, LayerCore, Limits
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
+    WITHOUT_QUEUE,
+    IntegrateAndFire,
+)
 
 _SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
 IAF = "sinabs, IAF layer (source read)"
@@ -89,6 +94,8 @@ SPECK2F = Chip(
         "spikes_max": f"by definition: a count of the emulator; {_TIMELESS}",
         "scaling": f"{_SINABS}: the smallest of the scales that fit weights, biases, threshold",
         "rounding": f"{_SINABS}: torch.round, half to even",
+        "reset_at": f"{IAF}; {_TIMELESS}",
+        **WITHOUT_QUEUE,
         "resets": f"{_SINABS}: subtracts the threshold, or return_to_zero",
         "delay": f"a spike is passed on at once; {_TIMELESS}",
         "delay_max": "by definition: recurrent connections take one timestep",
@@ -128,10 +135,11 @@ SPIKER = Chip(
         spikes_max=1,
         scaling="binary",
         rounding="truncate",
+        reset_at="leak",
     ),
     resets=("zero", "subtract"),
-    delay=1,
-    delay_max=1,
+    delay=2,
+    delay_max=2,
     energy_tables=(),  # published for whole tasks only
     limits=_SPIKER_LIMITS,
     sources={
@@ -142,20 +150,23 @@ SPIKER = Chip(
         "bias_bits": "none was found; emulated as an axon that spikes in every timestep",
         "leak": f"{VHDL}: v - (v >>> shift), an arithmetic shift, which rounds down",
         "leak_bits": "by definition: the largest shift that a membrane of 16 bits can tell",
-        "leak_order": f"{VHDL}: fire and reset, leak, excite, inhibit",
+        "leak_order": f"{VHDL}: fire and reset or leak, then what arrives",
         "membrane": f"{VHDL}: saturates; width: {_DATAPATH}",
         "floor": f"{VHDL}: none but the register's",
         "floors": f"{VHDL}: none but the register's",
-        "adds": f"{VHDL}: one active input after another; that this is by index is assumed",
+        "adds": f"{VHDL}: one active input after another by index, then neurons",
         "checks": f"{VHDL}: once a cycle",
         "fires": f"{VHDL}: strictly above",
         "threshold_bits": f"{VHDL}: as wide as the membrane, here without its sign",
         "spikes_max": f"{VHDL}: once a cycle",
         "scaling": f"{VHDL}: fraction bits",
         "rounding": f"{VHDL}: int(), toward zero",
+        "reset_at": f"{VHDL}: a neuron that fires does not leak in that cycle (RTL simulation)",
+        **WITHOUT_QUEUE,
         "resets": f"{VHDL}: fixed or subtractive",
-        "delay": "derived: a cycle begins with firing, so what was reached acts in the next",
-        "delay_max": "by definition: recurrent connections take one timestep",
+        "delay": "RTL simulation: a spike leaves one cycle after the threshold was passed, and is "
+        "heard one later; inputs are heard at once",
+        "delay_max": "RTL simulation: layers hear the one before, and recurrent neurons themselves",
     },
-    evidence="a trace worked out by hand from the VHDL's rule; not run against the VHDL",
+    evidence="equal to its RTL in simulation (GHDL 2.0.0, commit e61e5b06), `spikedeploy verify`",
 )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Rounding, rounded
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
+from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
 
 _LINEAR = (
     "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "

@@ -169,16 +169,19 @@ def test_a_skip_connection_that_is_too_long_runs_without_limits():
         "input": nir.Input(np.array([8])),
         "a": nir.Linear(rng.choice((-1.0, 1.0), (6, 8))),
         "l1": leaky(6),
-        "b": nir.Linear(rng.choice((-1.0, 1.0), (4, 6))),
-        "c": nir.Linear(rng.choice((-1.0, 1.0), (4, 8))),
-        "l2": leaky(4),
+        "b": nir.Linear(rng.choice((-1.0, 1.0), (6, 6))),
+        "l2": leaky(6),
+        "c": nir.Linear(rng.choice((-1.0, 1.0), (4, 6))),
+        "d": nir.Linear(rng.choice((-1.0, 1.0), (4, 6))),
+        "l3": leaky(4),
         "output": nir.Output(np.array([4])),
     }
-    edges = [("input", "a"), ("a", "l1"), ("l1", "b"), ("b", "l2"), ("input", "c"), ("c", "l2")]
-    graph = nir.NIRGraph(nodes, [*edges, ("l2", "output")])
+    edges = [("input", "a"), ("a", "l1"), ("l1", "b"), ("b", "l2"), ("l2", "c"), ("c", "l3")]
+    edges += [("l1", "d"), ("d", "l3")]
+    graph = nir.NIRGraph(nodes, [*edges, ("l3", "output")])
     artifact = Artifact(graph, None, Convention(1e-3))
-    with pytest.raises(RuleError, match="need a delay of 2 timesteps; spiker has at most 1"):
+    with pytest.raises(RuleError, match="need a delay of 4 timesteps; spiker has at most 2"):
         compile_program(artifact, chip("spiker"))
     assert trace(compile_program(artifact, chip("spiker"), limits=False), raster())[
-        "l2"
+        "l3"
     ].spikes.any()

@@ -198,13 +198,13 @@ def test_spiker_by_hand():
     # t   leak               events        membrane
     # 0   0                  10            10
     # 1   10 - 2 = 8         10 -9         9
-    # 2   9 - 2 = 7          10            17 > 12: spike, 17 - 12 = 5
-    # 3   5 - 1 = 4          -9            -5
-    # 4   -5 + 2 = -3        -             -3          -5 >> 2 = -2
+    # 2   9 - 2 = 7          10            17 > 12: spike
+    # 3   17 - 12 = 5        -9            -4          reset, and no leak
+    # 4   -4 + 1 = -3        -             -3          -4 >> 2 = -1
     # 5   -3 + 1 = -2        -             -2          -3 >> 2 = -1
     program = one_layer("spiker", [[10], [-9]], threshold=12, leak=2, reset="subtract")
     raster = [[1, 0], [1, 1], [1, 0], [0, 1], [0, 0], [0, 0]]
-    assert ran(program, raster)[:2] == ([10, 9, 5, -5, -3, -2], [0, 0, 1, 0, 0, 0])
+    assert ran(program, raster)[:2] == ([10, 9, 17, -4, -3, -2], [0, 0, 1, 0, 0, 0])
 
 
 def test_spiker_saturates_at_every_event_and_not_at_their_sum():
@@ -253,7 +253,10 @@ def plainly(program, raster):
                 groups = [[*weights, bias]]
             elif (layer.bias + layer.voltage_bias).any():
                 groups = [*groups, [bias]]
-            v[n] = leaked(v[n]) if point.leak_order == "first" else v[n]
+            if point.reset_at == "leak" and over(v[n]):
+                v[n] = v[n] - threshold if subtract else 0
+            elif point.leak_order == "first":
+                v[n] = leaked(v[n])
             if point.leak_order == "first" and point.checks == "event" and over(v[n]):
                 counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
             for group in groups:
@@ -262,7 +265,9 @@ def plainly(program, raster):
                     counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
             v[n] = leaked(v[n]) if point.leak_order == "last" else v[n]
             while point.checks == "step" and over(v[n]) and counts[n] < point.spikes_max:
-                counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
+                counts[n] += 1
+                if point.reset_at == "spike":
+                    v[n] = v[n] - threshold if subtract else 0
                 if not subtract:
                     break
         membranes.append(list(v))
@@ -272,7 +277,7 @@ def plainly(program, raster):
 
 @settings(max_examples=120, deadline=None)
 @given(
-    st.sampled_from(["speck2f", "truenorth", "odin", "spiker"]),
+    st.sampled_from(["speck2f", "truenorth", "odin", "tinyodin", "spiker"]),
     st.sampled_from(["zero", "subtract"]),
     st.integers(0, 2**32 - 1),
     st.sampled_from([6, 8, None]),
@@ -325,6 +330,12 @@ def test_copies_of_a_batch_do_not_meet():
         ("speck2f", {"floor": 4}, "floor is 4; membranes start from 0"),
         ("speck2f", {"leak": "slow"}, "leak 'slow' is unknown"),
         ("odin", {"adds": "step"}, "checks is 'event' and adds 'step'"),
+        ("odin", {"reset_at": "leak"}, "reset_at is 'leak': a reset in place of the leak needs"),
+        ("odin", {"queue": "full"}, "queue 'full' is unknown. Choose 'off' or 'on'"),
+        ("odin", {"queue": "on", "leak_order": "last"}, "queue is 'on': it holds single events"),
+        ("truenorth", {"queue": "on"}, "queue is 'on', and the chip's queue has no entries"),
+        ("odin", {"queue_entries": -1}, "queue_entries is -1; choose 0 to 65536"),
+        ("odin", {"host": "stream"}, "host 'stream' is unknown"),
     ],
 )
 def test_an_impossible_arithmetic_is_refused(name, options, message):

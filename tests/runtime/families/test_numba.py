@@ -262,6 +262,7 @@ NAMES = {
     "message": "MESSAGE",
     "saturation": "SATURATION",
     "graded_sop": "GRADED_SOP",
+    "lost_spike": "LOST_SPIKE",
 }
 
 

@@ -175,6 +175,21 @@ def test_a_sign_mode_in_words_is_read(file):
     assert verify(file(record)).equal
 
 
+def test_lava_takes_a_decay_that_no_register_holds_and_the_verdict_says_so(file):
+    record = small("loihi1", [[3]], [[1], [0], [1]], [[0], [192], [0]])
+    record["v"] = record["u"]
+    params = record["params"]
+    del params["effective_decay_v"]
+    verdict = verify(file({**record, "params": {**params, "dv": 4096}}))
+    assert verdict.equal
+    (remark,) = verdict.remarks
+    assert remark.startswith("layer0: dv is 4096, which lava takes and the chip's register of 12")
+    assert verify(file(small("loihi1", [[3]], [[1]], [[0]]))).remarks == ()
+    other = {**record, "chip": "loihi1-nengo", "params": {**params, "dv": 4096}}
+    with pytest.raises(TraceError, match="dv holds 4096"):
+        verify(file(other))
+
+
 def test_a_bias_that_is_given_twice_must_be_the_same(lava, file):
     # 3 * 2^4
     params = {**lava["params"], "bias_mant": 3, "bias_exp": 4, "bias": 50}

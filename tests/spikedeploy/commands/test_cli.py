@@ -297,6 +297,21 @@ def test_verify_says_equal_and_exits_with_0(command):
     assert "equal on loihi1-nengo" in out
 
 
+def test_verify_exits_with_2_where_no_file_differs_and_one_cannot_be_read(command, tmp_path):
+    broken = tmp_path / "broken.json"
+    broken.write_text('{"chip": "odin", "input_spikes": [[1]], "weights": [[9]]}')
+    code, out, _ = command("verify", TRACE, broken)
+    assert code == 2
+    assert "not replayed: broken.json: weights holds 9. It must be within -7 and 7." in out
+
+
+def test_verify_says_how_a_run_of_a_host_that_never_waits_was_replayed(command):
+    code, out, _ = command("verify", GOLDEN / "rtl" / "odin_two_layers_stream.json")
+    assert code == 0
+    assert "equal on odin: 17,830 numbers of 100 timesteps; recorded by ODIN Verilog" in out
+    assert "\n    the host never waits, so a timestep ends at the next time reference" in out
+
+
 def test_verify_tells_the_first_difference_and_goes_on(command, tmp_path):
     record = json.loads(TRACE.read_text())
     record["v"][17][2] += 64

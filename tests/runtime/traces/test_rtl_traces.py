@@ -1,0 +1,356 @@
+"""Equal to simulations of the RTL of ODIN, tinyODIN and Spiker+, recorded and by a plain model."""
+
+import contextlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.interpreter import Interpreter
+from spikedeploy.runtime.errors import SpikedeployError, TraceError
+from spikedeploy.runtime.traces.verify import verify
+from tests.paths import GOLDEN
+from tests.rtl_reference import ODIN, TINYODIN, random_odin, random_spiker
+
+RECORDED = sorted((GOLDEN / "rtl").glob("*.json"))
+ODINS = [path for path in RECORDED if "spiker" not in path.name]
+
+
+def name(path):
+    return path.stem
+
+
+@pytest.fixture
+def judged(tmp_path):
+    def judge(record):
+        path = tmp_path / "trace.json"
+        path.write_text(json.dumps(record))
+        return verify(path)
+
+    return judge
+
+
+def test_there_are_traces_of_all_three():
+    makers = [path.stem.split("_")[0] for path in RECORDED]
+    assert [makers.count(m) for m in ("odin", "tinyodin", "spiker")] == [8, 3, 7]
+
+
+@pytest.mark.parametrize("path", RECORDED, ids=name)
+def test_a_simulation_of_the_rtl_is_verified(path):
+    verdict = verify(path)
+    assert verdict.difference is None
+    assert verdict.compared >= 3000
+    assert verdict.unread == ()
+
+
+def test_a_host_that_never_waits_is_equal_event_by_event_with_the_spikes_that_it_lost():
+    record = json.loads((GOLDEN / "rtl" / "odin_two_layers_stream.json").read_text())
+    assert len(record["dropped_by_full_fifo"]) == 191
+    (remark,) = verify(GOLDEN / "rtl" / "odin_two_layers_stream.json").remarks
+    assert "the host never waits" in remark
+    assert "lost spikes included" in remark
+
+
+def program_of(record):
+    """The trace as a program of the chip; its membranes before the first event are apart."""
+    spec = record["params"]
+    weights, size = np.array(record["weights"], np.int16), len(spec["thr"])
+    closed = spec["closed_loop"]
+    datasheet = chip(record["chip"], queue="on" if closed else "off", host=spec["host"])
+    synapses = [Synapses("input", weights, 0)]
+    if closed:
+        synapses.append(Synapses("neurons", np.array(record["weights_rec"], np.int16), 1))
+    none = np.zeros(size, np.int64)
+    arrays = np.array(spec["thr"], np.int64), none, np.array(spec["leak"], np.int64)
+    layer = Layer("neurons", tuple(synapses), none, none, *arrays, 1.0, 0)
+    return Program(datasheet, Convention(1e-3), "input", len(weights), (layer,), "neurons", None)
+
+
+def run_program(record):
+    """Membranes and spikes (T, N) of the interpreter, and the spikes that the queue lost."""
+    interpreter = Interpreter(program_of(record), 1)
+    interpreter.states["neurons"].membrane = np.array([record["params"]["start"]], np.int64)
+    found = interpreter.run(np.array([record["input_spikes"]], np.uint8))["neurons"]
+    seen = found.spikes[0] * (1 - np.array(record["params"]["disabled"]))
+    return found.membrane[0].tolist(), seen.tolist(), found.lost
+
+
+PROGRAMS = [path for path in ODINS if path.stem not in
+            ("odin_random_order", "odin_two_layers_stream", "odin_layers_relayed")]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=name)
+def test_the_interpreter_equals_the_simulation_at_the_end_of_every_timestep(path):
+    record = json.loads(path.read_text())
+    membrane, spikes, _ = run_program(record)
+    assert (membrane, spikes) == (record["v"], record["s"])
+
+
+# what no recording here has: edges of thresholds, counts, hosts, full queues, registers
+KINDS = {
+    "odin, thresholds from 0": lambda s: random_odin(ODIN, s, thr=[*range(8), 254, 255], low=-2),
+    "odin, counts": lambda s: random_odin(ODIN, s, most=4),
+    "odin, up to 255": lambda s: random_odin(ODIN, s, thr=(250, 256), most=9, low=-1),
+    "odin, start and disabled": lambda s: random_odin(
+        ODIN, s, start=list(range(0, 100, 10)), disabled=[0, 1] * 5
+    ),
+    "odin, random order": lambda s: random_odin(ODIN, s, order="random", most=2),
+    "odin, recurrent": lambda s: random_odin(ODIN, s, loop=True),
+    "odin, recurrent with disabled neurons": lambda s: random_odin(
+        ODIN, s, loop=True, disabled=[0, 0, 1, 0, 1] * 2
+    ),
+    "odin, recurrent in random order": lambda s: random_odin(ODIN, s, loop=True, order="random"),
+    "odin, recurrent relayed": lambda s: random_odin(ODIN, s, loop=True, host="relays"),
+    "odin, step": lambda s: random_odin(ODIN, s, loop=True, host="step", thr=(6, 16)),
+    "odin, open loop in steps": lambda s: random_odin(ODIN, s, host="step"),
+    "odin, stream": lambda s: random_odin(ODIN, s, loop=True, host="stream", thr=(6, 16)),
+    "odin, full queue": lambda s: random_odin(
+        ODIN, s, size=96, loop="layers", thr=(6, 20), low=0, steps=6, rate=0.2
+    ),
+    "odin, full queue in steps": lambda s: random_odin(
+        ODIN, s, size=80, loop="layers", thr=(9, 40), low=-3, steps=6, rate=0.6, host="step"
+    ),
+    "odin, full queue in a stream": lambda s: random_odin(
+        ODIN, s, size=60, loop="layers", thr=(20, 60), low=-3, steps=12, rate=0.5, host="stream"
+    ),
+    "odin, spikes at the time reference": lambda s: random_odin(
+        ODIN, s, size=60, loop="layers", thr=(30, 90), start=[200] * 60, steps=3, host="step"
+    ),
+    "tinyodin, thresholds": lambda s: random_odin(
+        TINYODIN, s, thr=[0, 1, 2, 3, 5, 8, 2047, 2048, 4095, 40]
+    ),
+    "tinyodin, down to -2048 and up": lambda s: random_odin(
+        TINYODIN, s, start=[-2000] * 5 + [2000] * 5, most=9, thr=(2040, 2048)
+    ),
+    "tinyodin, recurrent": lambda s: random_odin(TINYODIN, s, loop=True, host="step"),
+    "tinyodin, full queue": lambda s: random_odin(
+        TINYODIN, s, size=256, loop="layers", thr=(1, 7), low=3, steps=2, rate=0.3, host="step"
+    ),
+    "spiker, recurrent": lambda s: random_spiker(s, (8, 7), loop=True),
+    "spiker, three layers": lambda s: random_spiker(s, (9, 8, 7, 6), shift=5),
+    "spiker, layers with loops and a fixed reset": lambda s: random_spiker(
+        s, (9, 8, 7), loop=True, reset="fixed", v_reset=(-9, 10)
+    ),
+    "spiker, narrow": lambda s: random_spiker(
+        s, (20, 9), bits=6, shift=9, rate=0.8, threshold=(5, 30)
+    ),
+    "spiker, wide weights": lambda s: random_spiker(s, (8, 7), weight=8, threshold=(50, 200)),
+    "spiker, thresholds below 0": lambda s: random_spiker(
+        s, (8, 7, 6), threshold=(-9, 3), reset="fixed", loop=True
+    ),
+    **{f"spiker, shift {n}": lambda s, n=n: random_spiker(s, (8, 6), shift=n) for n in range(11)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_plain_model_of_the_rtl_is_verified(kind, seed, judged):
+    record = KINDS[kind](seed)
+    verdict = judged(record)
+    assert verdict.difference is None
+    assert verdict.unread == ()
+    assert not any("not compared" in remark for remark in verdict.remarks)
+    if "full queue" in kind:
+        assert record["dropped_by_full_fifo"]
+    if kind.startswith("spiker"):
+        assert np.any(record["layers"][0]["s"])
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["odin, recurrent", "odin, step", "odin, full queue", "odin, full queue in steps",
+     "odin, spikes at the time reference", "tinyodin, recurrent", "tinyodin, full queue"],
+)  # fmt: skip
+def test_the_interpreter_equals_the_plain_model_with_its_queue(kind):
+    record = KINDS[kind](7)
+    membrane, spikes, lost = run_program(record)
+    assert (membrane, spikes) == (record["v"], record["s"])
+    assert lost.sum() == sum(len(neurons) for _, neurons in record["dropped_by_full_fifo"])
+
+
+CHANGED = {
+    "v": (lambda r: r["v"][9].__setitem__(3, 77), (9, "neurons", 3, "membrane")),
+    "s": (lambda r: r["s"][9].__setitem__(3, 7), (9, "neurons", 3, "spikes")),
+    "v_event": (lambda r: r["v_event"][5].__setitem__(2, -9), ("event 5", 2, "membrane")),
+    "s_event": (lambda r: r["s_event"].__setitem__(0, [4]), ("event 0 (tref)", 4, "spikes")),
+    "lost": (lambda r: r["dropped_by_full_fifo"].pop(0), ("event", "lost spikes")),
+}
+
+
+@pytest.mark.parametrize("quantity", CHANGED)
+def test_a_number_that_is_not_as_recorded_is_the_first_difference(quantity, judged):
+    record = KINDS["odin, full queue"](0) if quantity == "lost" else random_odin(ODIN, 1)
+    change, expected = CHANGED[quantity]
+    change(record)
+    found = judged(record).difference
+    text = f"{(found.step, found.layer, found.neuron, found.quantity)}"
+    assert all(str(each) in text for each in expected)
+
+
+def test_another_order_of_the_queue_is_a_difference_and_says_which_event(judged):
+    record = random_odin(ODIN, 3, loop=True)
+    events = record["events"]
+    place = next(p for p, e in enumerate(events) if e[1] == "neuron" and events[p + 1][1] == "axon")
+    events[place], events[place + 1] = events[place + 1], events[place]
+    found = judged(record).difference
+    assert found.quantity == "event"
+    assert "neuron" in found.found
+    assert "axon" in found.expected
+
+
+def test_a_host_with_another_handshake_is_replayed_as_recorded_and_says_so(judged):
+    # the same events in other turns with the queue: all inputs first
+    record = random_odin(ODIN, 5, loop=True, host="step", thr=(6, 16))
+    turned = random_odin(ODIN, 5, loop=True, host="wait", thr=(6, 16))
+    turned["params"]["host"] = "step"
+    assert turned["events"] != record["events"]
+    verdict = judged(turned)
+    assert verdict.difference is None
+    assert "not compared: which events took turns with the queue" in verdict.remarks[0]
+
+
+def test_without_events_the_ends_of_timesteps_are_compared(judged):
+    record = random_odin(ODIN, 4, loop=True)
+    short = {k: record[k] for k in record if k not in ("events", "v_event", "s_event")}
+    assert judged(short | {"dropped_by_full_fifo": None}).compared == 2 * 40 * 10
+    short["v"][30][1] += 1
+    assert judged(short).difference.step == 30
+
+
+def test_spikers_first_difference_is_where_it_fires(judged):
+    record = random_spiker(0, (8, 7))
+    record["layers"][0]["v_begun"][4][2] += 1
+    found = judged(record).difference
+    assert (found.step, found.neuron) == (4, 2)
+    assert found.quantity == "membrane after fire or leak"
+
+
+def broken(**fields):
+    return lambda record: {**record, **fields}
+
+
+def with_params(**fields):
+    return lambda record: {**record, "params": {**record["params"], **fields}}
+
+
+BROKEN = [
+    (broken(weights=[[8] * 10] * 8), "weights holds 8. It must be within -7 and 7"),
+    (broken(weights=[[1] * 10] * 7), "weights has 7 rows. Write 8"),
+    (broken(weights=[1] * 10), "weights has shape"),
+    (broken(weights_rec=[[1] * 9] * 9), "Write up to 256 and a square"),
+    (broken(input_spikes=[[-1] * 8]), "input_spikes holds -1"),
+    (broken(input_spikes=[[0] * 257] * 3), "has 257 axons"),
+    (broken(input_spikes=[[255] * 8] * 600), "Record 1048576 spikes at most"),
+    (with_params(thr=[1] * 9), "thr has 9 values. Write one, or 10"),
+    (with_params(thr=[256] * 10), "thr holds 256. It must be within 0 and 255"),
+    (with_params(leak=[128] * 10), "leak holds 128"),
+    (with_params(start=[-1] * 10), "start holds -1"),
+    (with_params(disabled=[2] * 10), "disabled holds 2"),
+    (with_params(host="phone"), "host is 'phone'. Write one of wait, step, stream, relays"),
+    (with_params(order="chaos"), "order is 'chaos'"),
+    (with_params(reset="subtract"), "reset is 'subtract'. Neurons of the chip are reset to zero"),
+    (with_params(host="relays", closed_loop=True), "host relays in a closed loop"),
+    (broken(v=[[0] * 10]), r"v has shape \(1, 10\)"),
+    (broken(v_event=[[0] * 10]), "v_event has shape"),
+    (broken(s_event=[[0]]), "s_event has 1 lists"),
+    (broken(s_event=[[11]]), "s_event holds 11"),
+    (broken(events="many"), "events is 'many'. Write a list"),
+    (broken(events=[]), "not divided into timesteps"),
+    (broken(events=[[0, "tref"], [0, "ax", 1]]), r"Write \[timestep, 'tref'\]"),
+    (broken(events=[[0, "axon", 99]]), "out of range"),
+    (broken(events=[[0, "axon", True]]), "out of range"),
+    (broken(events=[[0, "axon", [1]]]), "out of range"),
+    (broken(events=[[0, ["tref"]]]), "has .* at 0"),
+    (broken(dropped_by_full_fifo=[[0, [10]]]), r"Write \[place of the event, \[neurons\]\]"),
+    (broken(dropped_by_full_fifo=[7]), r"Write \[place of the event, \[neurons\]\]"),
+    (lambda r: {k: r[k] for k in r if k not in ("v", "s", "events", "v_event", "s_event")},
+     "there is nothing to compare"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "message"), BROKEN)
+def test_a_file_of_odin_that_makes_no_sense_is_refused_in_a_sentence(change, message, judged):
+    with pytest.raises(TraceError, match=message) as refused:
+        judged(change(random_odin(ODIN, 0)))
+    assert "\n" not in str(refused.value)
+
+
+BROKEN_SPIKER = [
+    ({"weights": [[16] * 7] * 8}, "weights holds 16. It must be within -16 and 15"),
+    ({"weights": [[1] * 7] * 9}, r"weights has shape \(9, 7\). Write 8 rows"),
+    ({"weights_rec": [[1] * 6] * 7}, "weights_rec has shape"),
+    ({"threshold": [1] * 6}, "threshold has 6 values"),
+    ({"threshold": 40000}, "threshold holds 40000"),
+    ({"shift": -1}, "shift holds -1"),
+    ({"neuron_bits": 64}, "neuron_bits holds 64"),
+    ({"reset": "soft"}, "reset is soft. Write 'subtract' or 'fixed'"),
+    ({"v": [[0] * 7]}, "v has shape"),
+    ({"s": [[2] * 7] * 60}, "s holds 2"),
+]
+
+
+@pytest.mark.parametrize(("fields", "message"), BROKEN_SPIKER)
+def test_a_file_of_spiker_that_makes_no_sense_is_refused_in_a_sentence(fields, message, judged):
+    record = random_spiker(0, (8, 7))
+    record["layers"][0].update(fields)
+    with pytest.raises(TraceError, match=message):
+        judged(record)
+
+
+SMALL = [
+    random_odin(ODIN, 0, loop=True, steps=9, host="step"),
+    random_odin(ODIN, 0, loop=True, steps=9, host="relays"),
+    random_odin(TINYODIN, 0, loop=True, steps=9, host="stream"),
+    random_spiker(0, (5, 4, 3), loop=True, reset="fixed"),
+]
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(SMALL), st.randoms(use_true_random=False), JUNK)
+def test_junk_in_a_field_is_an_error_or_a_verdict(tmp_path_factory, source, rng, junk):
+    record = json.loads(json.dumps(source))
+    groups = [record, *([record["params"]] if "params" in record else record["layers"])]
+    group = rng.choice(groups)
+    group[rng.choice(sorted(group))] = junk
+    path = tmp_path_factory.getbasetemp() / "rtl_junk.json"
+    path.write_text(json.dumps(record))
+    with contextlib.suppress(SpikedeployError):
+        assert verify(path).compared > 0
+
+
+def test_layers_of_spiker_share_widths_and_reset(judged):
+    record = random_spiker(0, (8, 7, 6))
+    record["layers"][1]["neuron_bits"] = 12
+    with pytest.raises(TraceError, match="neuron_bits differs from layer to layer"):
+        judged(record)
+
+
+def test_relayed_spikes_must_have_been_sent(judged):
+    record = random_odin(ODIN, 2, loop=True, host="relays")
+    place = next(p for p, event in enumerate(record["events"]) if event[1] == "neuron")
+    silent = next(n for n in range(10) if not np.array(record["s"])[:1, n].any())
+    record["events"].insert(1, [0, "neuron", silent])
+    record["v_event"].insert(1, record["v_event"][0])
+    record["s_event"].insert(1, [])
+    assert place
+    with pytest.raises(TraceError, match=f"more of neuron {silent} than it spiked"):
+        judged(record)
+
+
+def test_the_maker_is_found_in_prose_too(judged):
+    record = random_odin(TINYODIN, 0, low=-7)
+    del record["chip"]
+    assert judged(record | {"source": "tinyODIN Verilog in Verilator"}).chip == "tinyodin"
+    assert replace(judged(record | {"source": "Verilog of ODIN"}), chip="odin").chip == "odin"
