@@ -9,6 +9,7 @@ from pathlib import Path
 import h5py
 import nir
 import numpy as np
+import numpy.ma  # noqa: F401 - np.unique would import it while a policy is loaded
 
 from spikedeploy.runtime.artifact.batch_axis import without_batch_axis
 from spikedeploy.runtime.artifact.hdf5 import read_graph
@@ -159,7 +160,8 @@ def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
             yield f"{here} {value}".encode()
         else:
             numbers = np.ascontiguousarray(value)
-            yield f"{here} {numbers.dtype.str} {numbers.shape}".encode() + numbers.tobytes()
+            yield f"{here} {numbers.dtype.str} {numbers.shape}".encode()
+            yield numbers.data
 
 
 def _stamped(artifact: Artifact) -> nir.NIRGraph:
