@@ -7,6 +7,7 @@ import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
+    Backend,
     Delay,
     Disturb,
     Dt,
@@ -90,6 +91,30 @@ def run(
     delay: Delay = None,
     spikes: Spikes = None,
     floor: Floor = None,
+    backend: Backend = "numpy",
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help=r"Control steps per second \[Hz] by the clock; missed deadlines are counted.",
+            show_default="as fast as it can",
+        ),
+    ] = None,
+    deadline: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="With --rate: 20ms; of a control step.",
+            show_default="the period",
+        ),
+    ] = None,
+    lasting: Annotated[
+        str | None,
+        typer.Option(
+            "--duration",
+            metavar="TIME",
+            help="With --rate: 60s; episodes are played until it has passed, the last to its end.",
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -104,7 +129,9 @@ def run(
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted
-    from spikedeploy.reports.terminal import print_comparison, print_verdict
+    from spikedeploy.realtime.paced_loop import PacedLoop
+    from spikedeploy.realtime.pacing import pacing
+    from spikedeploy.reports.terminal import print_comparison, print_real_time, print_verdict
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
@@ -121,6 +148,12 @@ def run(
         check_output_folder("-o", output, report.FILES, (policy,), force, report.is_report)
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
+    pace = pacing(rate, deadline, lasting)
+    if pace and video:
+        raise typer.BadParameter("--rate is by the clock, and a film is not: leave --video out")
+    if pace and pace.duration and episodes > 1:
+        raise typer.BadParameter("--duration plays as many episodes as fit: leave --episodes out")
+    loop = PacedLoop(pace) if pace else None
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     convention = {"dt": dt, "reset": reset, "delay": delay, "spikes": spikes, "floor": floor}
@@ -145,8 +178,12 @@ def run(
         rounded,
         faults(fault or (), specimen),
         metrics,
+        loop,
+        backend,
     )
     document = report.document(replace(comparison, tables=tables))
+    if loop:
+        document["real_time"] = loop.measured().as_json()
     if output:
         recorded = report.recordings(comparison, document["rows"], options)
         report.write(document, output, episodes=recorded)
@@ -158,6 +195,8 @@ def run(
             typer.echo(f"wrote {video}")
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
+        if loop:
+            print_real_time(document["real_time"])
         print_verdict(document)
 
 

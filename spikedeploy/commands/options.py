@@ -20,6 +20,7 @@ AfterSpike = Literal[
 ]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
+Computes = Literal["numpy", "numba", "auto", "interpreter"]
 Encoders = Literal["population", "rate", "delta"]
 SpikeCount = Literal["above", "reached", "many"]
 LowestMembrane = Literal["none", "zero", "threshold"]
@@ -108,6 +109,9 @@ PolicyChip = Annotated[
         help="Chip of a spiking policy; 'float' for its float twin.",
         show_default="loihi1",
     ),
+]
+Backend = Annotated[
+    Computes, typer.Option(help="What computes a chip; numba needs the extra fast.")
 ]
 
 # what NIR leaves open: these take precedence over the file

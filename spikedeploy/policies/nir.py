@@ -24,6 +24,7 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.design_rules.rule import design
+from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called
@@ -57,6 +58,7 @@ class NirController:
         quantisation: Quantisation = PLAIN,
         faults: Faults = NONE,
         trace: bool = False,
+        backend: BackendName = "numpy",
     ) -> None:
         artifact = load(path)
         if artifact.codec is None:
@@ -68,6 +70,7 @@ class NirController:
             self.chip,
             "each" if trace else "total",
             sampled,
+            backend,
             faults=faults,
             trace=trace,
             limits=limits,
@@ -155,6 +158,7 @@ def controller(
         candidate.limits,
         candidate.quantisation,
         candidate.faults,
+        backend=candidate.backend,
     )
 
 
