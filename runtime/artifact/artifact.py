@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import nir
 import numpy as np
-import numpy.ma  # noqa: F401 - np.unique would import it while a policy is loaded
+import numpy.ma  # here, as np.unique would import it while a policy is loaded
 
 from spikedeploy.runtime.artifact.batch_axis import without_batch_axis
 from spikedeploy.runtime.artifact.hdf5 import read_graph
@@ -150,7 +150,7 @@ def _parameters(node: nir.NIRNode) -> dict[str, object]:
     return {**values, "type": type(node).__name__}
 
 
-def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
+def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes | memoryview]:
     """Names and values, sorted by name; arrays with dtype and shape, in C order."""
     for name, value in sorted(tree.items()):
         here = f"{path}/{name}"

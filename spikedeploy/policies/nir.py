@@ -116,14 +116,7 @@ class NirController:
     @property
     def ledger(self) -> Ledger:
         """Counts since the last reset, all inferences in one row."""
-        now, before = self.controller.ledger, self._before
-        return replace(
-            now,
-            counts=now.counts.sum(axis=0, keepdims=True) - before.counts.sum(axis=0, keepdims=True),
-            inferences=now.inferences - before.inferences,
-            timesteps=now.timesteps - before.timesteps,
-            steps=now.steps - before.steps,
-        )
+        return self.controller.ledger.since(self._before)
 
 
 def describe(path: Path) -> Candidate:

@@ -3,6 +3,6 @@
 pacing      rate, deadline and duration as they are given; waiting for the next period
 paced_loop  episodes at that rate, and how long each control step took
 protocol    requests and replies of `serve`, as JSON
-client      what one client of `serve` has: its episode, and what a step cost
-server      the socket, and the clients that it knows
+served_policy  the clients of `serve`, and the episode of each
+server      its socket
 """

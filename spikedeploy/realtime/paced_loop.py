@@ -5,7 +5,7 @@ and the environment takes its step. Times of a step:
 
 late        from the beginning of the period until the loop woke: the jitter
 policy      from an observation to its action, by the wall clock: the runtime's own work
-policy_cpu  what the loop's thread computed of it; less than `policy` where it had to wait for a core
+policy_cpu  what the loop's thread computed of it: less than `policy` where it waited for a core
 step        from the beginning of the period until the environment had stepped
 """
 
@@ -48,7 +48,7 @@ class RealTime:
         return int(np.count_nonzero(self.times[name] > self.pacing.deadline))
 
     def percentiles(self, name: str) -> dict[str, float]:
-        """ "p50", "p95", "p99" and "max" [s]."""
+        """The 50th, 95th and 99th percentile and the largest, as p50, p95, p99 and max [s]."""
         found = np.percentile(self.times[name], _PERCENTILES).tolist()
         named = {f"p{p}": value for p, value in zip(_PERCENTILES, found, strict=True)}
         return {**named, "max": float(self.times[name].max())}

@@ -131,7 +131,7 @@ def test_a_time_that_is_none_is_refused_in_a_sentence(text):
 
 @pytest.mark.parametrize("rate", [0, -50, float("nan"), float("inf"), 1e9, 1e-9])
 def test_a_rate_that_is_none_is_refused(rate):
-    with pytest.raises(ConfigError, match="--rate .* must be from"):
+    with pytest.raises(ConfigError, match="must be from"):
         pacing(rate, None, None)
 
 
