@@ -110,7 +110,8 @@ def _channels(graph: OnnxGraph, encoder: DeltaEncoder, events: str, at: str) -> 
 def _population(graph: OnnxGraph, encoder: PopulationEncoder, x: str, timesteps: int) -> Spikes:
     """Spikes of neurons that integrate the drive of their receptive fields."""
     drive = _drive(graph, encoder, x)
-    threshold, membrane, spikes = graph.constant("codec:threshold", encoder.threshold), drive, []
+    threshold, membrane = graph.constant("codec:threshold", encoder.threshold), drive
+    spikes: Spikes = []
     for t in range(timesteps):
         at = f"codec:{t}"
         if t:

@@ -217,7 +217,10 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     if found is not None:
         _check_digest(stated, found)
     # after the digest, which is of the numbers as they were exported
-    return replace(stated, graph=with_floats(graph), convention=convention.with_options(given))
+    floats = with_floats(graph)
+    if floats is graph and not given:
+        return stated  # which is checked already
+    return replace(stated, graph=floats, convention=convention.with_options(given))
 
 
 def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
