@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import Backend, LimitsOption, PolicyChip
+from spikedeploy.commands.options import Backend, Json, LimitsOption, PolicyChip
 
 
 def serve(
@@ -28,11 +28,12 @@ def serve(
     ] = "60s",
     limits: LimitsOption = "on",
     backend: Backend = "numpy",
+    json: Json = False,
 ) -> None:
     """Answer observations with actions over ZeroMQ, on this machine."""
     import threading
 
-    from spikedeploy.console import say
+    from spikedeploy.console import print_json, say
     from spikedeploy.realtime.pacing import duration
     from spikedeploy.realtime.served_policy import ServedPolicy
     from spikedeploy.realtime.server import PolicyServer
@@ -43,7 +44,10 @@ def serve(
     server = PolicyServer(served, address, port, clients, forgotten)
     if address != "127.0.0.1":
         say(f"warning: {address} is open to other machines, and nothing is authenticated")
-    typer.echo(f"serving {served.name} on {served.chip} at {server.endpoint}")
+    if json:
+        print_json({"endpoint": server.endpoint, **served.info()})
+    else:
+        typer.echo(f"serving {served.name} on {served.chip} at {server.endpoint}")
     try:
         server.serve(threading.Event())
     finally:

@@ -3,11 +3,13 @@
 Nothing is authenticated, so it listens on this machine alone unless it is told otherwise.
 """
 
+import mmap
 import sys
 import threading
 import time
 import traceback
 from ipaddress import IPv4Address
+from pathlib import Path
 
 import zmq
 
@@ -19,12 +21,17 @@ _WAIT = 200  # [ms] for a message, then whether to stop is asked
 _HANDSHAKE = 2000  # [ms] for a connection to say that it speaks ZeroMQ
 _HEARTBEAT = 10_000  # [ms] between signs of life that a silent connection is asked for
 _QUEUED = 16  # messages of a client that wait; then it waits itself
+# memory that the service may take beyond that of the policy, and for each client [bytes]
+_GROWTH, _CLIENT = 256 << 20, 16 << 20
+_STATM = Path("/proc/self/statm")
+_REBIND, _PAUSE = 5.0, 0.1  # [s] in which the port must be had again, and between two tries
 
 
 class PolicyServer:
     """Answers clients until it is stopped; to be closed.
 
     endpoint  where it listens, as `tcp://127.0.0.1:5555`
+    reopened  times that all connections were closed because what was sent took too much memory
     """
 
     def __init__(
@@ -35,27 +42,27 @@ class PolicyServer:
         clients: int = 32,
         idle: float = 60.0,
     ) -> None:
-        self._clients = Clients(policy, clients, idle)
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.ROUTER)
-        for option, value in _options(policy).items():
-            self._socket.setsockopt(option, value)
+        self._policy, self._most, self._idle = policy, clients, idle
+        self.reopened = 0
+        wanted = f"tcp://{_ipv4(address)}:{port or '*'}"
         try:
-            self._socket.bind(f"tcp://{_ipv4(address)}:{port or '*'}")
+            self._open(wanted)
         except zmq.ZMQError as error:
             self.close()
             raise ConfigError(
                 f"cannot listen on {address}:{port}: {error}. Give another --port, or 0 for one "
                 "that is free."
             ) from error
-        except ConfigError:
-            self.close()
-            raise
         self.endpoint = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def serve(self, stop: threading.Event) -> None:
         """Answer until `stop` is set."""
+        most = _resident() + _GROWTH + self._most * _CLIENT
         while not stop.is_set():
+            # a message of endless frames is none to ZeroMQ before its last, and nothing bounds it
+            if _resident() > most:
+                self._reopen()
+                most = _resident() + _GROWTH + self._most * _CLIENT
             if self._socket.poll(_WAIT):
                 client, *frames = self._socket.recv_multipart()
                 # a REQ socket puts an empty frame before its message, a DEALER none
@@ -67,6 +74,34 @@ class PolicyServer:
         """Give the port back, at once."""
         self._socket.close(linger=0)
         self._context.term()
+
+    def _open(self, endpoint: str) -> None:
+        """A socket without connections, and without clients."""
+        self._clients = Clients(self._policy, self._most, self._idle)
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.ROUTER)
+        for option, value in _options(self._policy).items():
+            self._socket.setsockopt(option, value)
+        self._socket.bind(endpoint)
+
+    def _reopen(self) -> None:
+        """Close all connections, which gives their memory back; clients connect again."""
+        self.close()
+        self.reopened += 1
+        until = time.monotonic() + _REBIND
+        while not self._bound(self.endpoint):
+            if time.monotonic() > until:
+                raise ConfigError(f"the port of {self.endpoint} was taken by another program")
+            time.sleep(_PAUSE)
+
+    def _bound(self, endpoint: str) -> bool:
+        """Whether the port was free again, and is ours."""
+        try:
+            self._open(endpoint)
+        except zmq.ZMQError:
+            self.close()
+            return False
+        return True
 
     def _answer(self, client: bytes, frames: list[bytes]) -> bytes:
         """The reply to a message, whatever it holds."""
@@ -91,6 +126,15 @@ def _options(policy: ServedPolicy) -> dict[int, int]:
         zmq.HEARTBEAT_IVL: _HEARTBEAT,
         zmq.LINGER: 0,
     }
+
+
+def _resident() -> int:
+    """Memory of this process [bytes]; 0 where the system does not say it."""
+    try:
+        pages = int(_STATM.read_text().split()[1])
+    except OSError:
+        return 0
+    return pages * mmap.PAGESIZE
 
 
 def _ipv4(address: str) -> IPv4Address:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
 
 zmq = pytest.importorskip("zmq")
-from spikedeploy.realtime.server import PolicyServer  # noqa: E402 - it needs zmq
+from spikedeploy.realtime.server import PolicyServer, _resident  # noqa: E402 - it needs zmq
 
 POLICY = "kart-steer/sparse"
 
@@ -191,6 +192,42 @@ def test_messages_of_several_frames_and_of_dealers_are_answered(connect):
     client.send_multipart([b"", b"{}", b"{}"])
     empty, answer = client.recv_multipart()
     assert (empty, "one frame" in json.loads(answer)["error"]) == (b"", True)
+
+
+# ZMTP 3.0: a greeting without security, a READY command of a DEALER, and frames with more to come
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
+READY = b"\x05READY" + b"\x0bSocket-Type" + b"\0\0\0\x06" + b"DEALER"
+FRAME = b"\x03" + (2000).to_bytes(8, "big") + bytes(2000)
+
+
+def send_without_end(port, enough):
+    """Send frames of one message until the connection is closed, or there were enough."""
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as raw:
+        raw.sendall(GREETING + b"\x04" + bytes([len(READY)]) + READY)
+        with suppress(OSError):
+            for _ in range(enough // (500 * len(FRAME))):
+                raw.sendall(500 * FRAME)
+
+
+@pytest.mark.skipif(not _resident(), reason="the system does not say what memory a process has")
+def test_a_message_without_an_end_loses_its_connection_before_it_takes_all_memory(
+    monkeypatch, policy
+):
+    monkeypatch.setattr("spikedeploy.realtime.server._GROWTH", 32 << 20)
+    running, stop, context = PolicyServer(policy, clients=1), threading.Event(), zmq.Context()
+    thread = threading.Thread(target=running.serve, args=(stop,))
+    thread.start()
+    send_without_end(int(running.endpoint.rpartition(":")[2]), enough=1 << 30)
+    with context.socket(zmq.REQ) as client:
+        client.setsockopt(zmq.LINGER, 0)
+        client.setsockopt(zmq.RCVTIMEO, 20_000)
+        client.connect(running.endpoint)
+        assert ask(client, do="reset")["ok"]
+    assert running.reopened
+    stop.set()
+    thread.join()
+    running.close()
+    context.term()
 
 
 def test_a_client_that_floods_and_reads_nothing_keeps_nobody_from_answers(policy, connect):
