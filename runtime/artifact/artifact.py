@@ -9,7 +9,6 @@ from pathlib import Path
 import h5py
 import nir
 import numpy as np
-import numpy.ma  # here, as np.unique would import it while a policy is loaded
 
 from spikedeploy.runtime.artifact.batch_axis import without_batch_axis
 from spikedeploy.runtime.artifact.hdf5 import read_graph

@@ -8,6 +8,7 @@ import typer
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
     Backend,
+    Deadline,
     Delay,
     Disturb,
     Dt,
@@ -19,10 +20,12 @@ from spikedeploy.commands.options import (
     From,
     Headroom,
     Json,
+    Lasting,
     LimitsOption,
     Metrics,
     PolicyChip,
     Quantise,
+    Rate,
     Reset,
     Rounding,
     Seed,
@@ -92,29 +95,9 @@ def run(
     spikes: Spikes = None,
     floor: Floor = None,
     backend: Backend = "numpy",
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            help=r"Control steps per second \[Hz] by the clock; missed deadlines are counted.",
-            show_default="as fast as it can",
-        ),
-    ] = None,
-    deadline: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="With --rate: 20ms; of a control step.",
-            show_default="the period",
-        ),
-    ] = None,
-    lasting: Annotated[
-        str | None,
-        typer.Option(
-            "--duration",
-            metavar="TIME",
-            help="With --rate: 60s; episodes are played until it has passed, the last to its end.",
-        ),
-    ] = None,
+    rate: Rate = None,
+    deadline: Deadline = None,
+    lasting: Lasting = None,
     force: Force = False,
     json: Json = False,
 ) -> None:

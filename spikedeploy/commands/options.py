@@ -114,6 +114,28 @@ Backend = Annotated[
     Computes, typer.Option(help="What computes a chip; numba needs the extra fast.")
 ]
 
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        help=r"Control steps per second \[Hz] by the clock; missed deadlines are counted.",
+        show_default="as fast as it can",
+    ),
+]
+Deadline = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME", help="With --rate: 20ms; of a control step.", show_default="the period"
+    ),
+]
+Lasting = Annotated[
+    str | None,
+    typer.Option(
+        "--duration",
+        metavar="TIME",
+        help="With --rate: 60s; episodes are played until it has passed, the last to its end.",
+    ),
+]
+
 # what NIR leaves open: these take precedence over the file
 FROM_FILE = "from the file"
 Dt = Annotated[float | None, typer.Option(help=r"Timestep \[s].", show_default=FROM_FILE)]
