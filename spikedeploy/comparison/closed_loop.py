@@ -86,7 +86,8 @@ def run_policy(
             done()
     world.close()
     rows, disturb = [Row(entry, episodes)], disturbed_by(options)
-    seeds = range(seeds[0], seeds[0] + len(episodes))
+    if loop is not None:  # it may have played more
+        seeds = range(seeds[0], seeds[0] + len(episodes))
     return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period if foreign else None)
 
 
