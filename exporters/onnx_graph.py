@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import onnx
 from numpy.typing import ArrayLike
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper, numpy_helper
 
 _OPSET = 17
 _IR_VERSION = 8  # ONNX Runtime 1.17 and newer read both
@@ -16,17 +16,23 @@ OUTPUTS = {"continuous": "action", "discrete": "logits"}  # by a policy's head
 
 
 class OnnxGraph:
-    """Nodes and constants from the observation to the output, in float32."""
+    """Nodes and constants from the observation to the output.
 
-    def __init__(self) -> None:
+    kind: the type of all floats, float32 or float64.
+    """
+
+    def __init__(self, kind: type[np.floating[Any]] = np.float32) -> None:
+        self._kind, self._element = kind, helper.np_dtype_to_tensor_dtype(np.dtype(kind))
+        self._states: list[onnx.ValueInfoProto] = []
+        self._next: list[onnx.ValueInfoProto] = []
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
         self._presynaptic: list[onnx.ValueInfoProto] = []
 
     def constant(self, name: str, value: ArrayLike) -> str:
-        """Add a constant, integers as int64 and anything else as float32; return its name."""
+        """Add a constant, integers as int64 and anything else as floats; return its name."""
         array = np.asarray(value)
-        exact = array.astype(np.int64 if array.dtype.kind == "i" else np.float32)
+        exact = array.astype(np.int64 if array.dtype.kind == "i" else self._kind)
         self._constants.append(numpy_helper.from_array(exact, name))
         return name
 
@@ -35,6 +41,10 @@ class OnnxGraph:
         self._nodes.append(helper.make_node(operator, inputs, [output], output, **attributes))
         return output
 
+    def floats(self, flags: str, output: str) -> str:
+        """Add 1.0 where a flag is true and 0.0 elsewhere; return its name."""
+        return self.node("Cast", [flags], output, to=self._element)
+
     def column(self, index: int, name: str) -> str:
         """Add the column (B, 1) of the observation at `index`; return its name."""
         place = self.constant(f"{name}_index", [index])
@@ -42,9 +52,20 @@ class OnnxGraph:
 
     def presynaptic(self, name: str, width: int) -> None:
         """Make the input (B, width) of a weight matrix an output, to count effective operations."""
-        self._presynaptic.append(
-            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", width])
-        )
+        self._presynaptic.append(self._rows(name, width))
+
+    def state(self, name: str, width: int) -> str:
+        """Add an input (B, width), what the step before left; return its name."""
+        self._states.append(self._rows(name, width))
+        return name
+
+    def next_state(self, name: str, value: str, width: int) -> None:
+        """Make a value the output of this name, which the next step takes for the state."""
+        self.node("Identity", [value], name)
+        self._next.append(self._rows(name, width))
+
+    def _rows(self, name: str, width: int) -> onnx.ValueInfoProto:
+        return helper.make_tensor_value_info(name, self._element, ["B", width])
 
     def sha256(self) -> str:
         """SHA-256 of the constants, in the order in which they were added."""
@@ -57,15 +78,15 @@ class OnnxGraph:
     def model(
         self, observations: int, actions: int, head: str, properties: dict[str, str]
     ) -> onnx.ModelProto:
-        """Return the checked model, observation (B, obs) to the output (B, act) of a head."""
+        """Return the checked model, observation (B, obs) to the output (B, act) of a head.
+
+        States come in after the observation, and go out last.
+        """
         graph = helper.make_graph(
             self._nodes,
             "policy",
-            [helper.make_tensor_value_info(OBSERVATION, TensorProto.FLOAT, ["B", observations])],
-            [
-                helper.make_tensor_value_info(OUTPUTS[head], TensorProto.FLOAT, ["B", actions]),
-                *self._presynaptic,
-            ],
+            [self._rows(OBSERVATION, observations), *self._states],
+            [self._rows(OUTPUTS[head], actions), *self._presynaptic, *self._next],
             self._constants,
         )
         opsets = [helper.make_opsetid("", _OPSET)]

@@ -7,7 +7,7 @@ A NIR file must spike equally, in float64:
 In float32, which training uses, a few membranes fall on the other side of a threshold; their number
 is reported, not checked. A random encoder uses the same generator on both sides. Each observation
 is an inference of its own, before which states and levels of a code are 0. An ONNX file is
-compared in ONNX Runtime with the policy in torch.
+compared in ONNX Runtime with the policy in torch, of a spiking policy with its float twin.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,10 +20,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from spikedeploy.exporters import spiking_onnx
 from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
 from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS
 from spikedeploy.exporters.raster import raster as presynaptic
-from spikedeploy.exporters.to_nir import SpikingPolicy
+from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec
@@ -33,6 +34,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
 from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PopsanPolicy
 from spikedeploy.trainers.policies.delta_graph import event_channels, hidden_node, live_neurons
@@ -87,9 +89,9 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
         return _episode_checks(policy, path, observations)
     if not isinstance(policy, SpikingPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
-    artifact = load(path)
-    codec = _codec(artifact, path)
-    graph, program = FloatGraph(artifact), compiled(artifact, chip("ideal"))
+    stated = load(path)
+    codec = _codec(stated, path)
+    graph, program = FloatGraph(stated), compiled(stated, chip("ideal"))
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
     to_numpy, to_ideal, to_single = (
         _ImplementationPair(),
@@ -116,11 +118,11 @@ def _episode_checks(
 
     One timestep per control step, so that the episode is one long inference.
     """
-    artifact = load(path)
-    codec = _codec(artifact, path)
+    stated = load(path)
+    codec = _codec(stated, path)
     raster = codec.encode_episode(observations).swapaxes(0, 1)
-    by_numpy = _episode(codec, _by_numpy(FloatGraph(artifact), raster))
-    by_ideal = _episode(codec, _by_machine(compiled(artifact, chip("ideal")), raster))
+    by_numpy = _episode(codec, _by_numpy(FloatGraph(stated), raster))
+    by_ideal = _episode(codec, _by_machine(compiled(stated, chip("ideal")), raster))
     pairs = _ImplementationPair(), _ImplementationPair(), _ImplementationPair()
     pairs[0].add(_by_steps(deepcopy(policy).double(), observations), by_numpy)
     pairs[1].add(by_numpy, by_ideal)
@@ -156,10 +158,10 @@ def _report(pair: _ImplementationPair) -> ParityCheck:
     return ParityCheck("for information: torch float32 against NumPy float64", True, detail)
 
 
-def _codec(artifact: Artifact, path: Path) -> Codec:
-    if artifact.codec is None:
+def _codec(stated: Artifact, path: Path) -> Codec:
+    if stated.codec is None:
         raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
-    return artifact.codec
+    return stated.codec
 
 
 @torch.no_grad()
@@ -224,6 +226,8 @@ def _onnx_checks(
     policy: Policy, path: Path, observations: NDArray[np.float64]
 ) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
+    if isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
+        return spiking_onnx.checks(artifact(policy, Provenance("")), path, observations)
     single = deepcopy(policy).float()
     network = session(path)
     together, alone = LargestDifference(), LargestDifference()

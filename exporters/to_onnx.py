@@ -1,5 +1,7 @@
 """A float policy as one ONNX file, with its normaliser and its provenance.
 
+What spikes is written by spiking_onnx, with its states.
+
 observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
                                                                      -> Gemm -> logits
 
@@ -17,6 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
+from spikedeploy.exporters.spiking_onnx import spiking_to_onnx
+from spikedeploy.exporters.to_nir import artifact
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.atomic import replacing
@@ -27,12 +31,9 @@ _KINDS = ("ann", "control")
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
-    """Write the policy to `path` and return it; `kind` is its kind in comparisons."""
+    """Write the policy to `path` and return it; `kind` is that of a float one in comparisons."""
     if not isinstance(policy, MlpPolicy | PrunedMlpPolicy):
-        raise ConfigError(
-            f"a policy of kind {policy.kind!r} spikes, which ONNX cannot describe: "
-            "export it with --to nir"
-        )
+        return spiking_to_onnx(artifact(policy, origin), path)
     if kind not in _KINDS:
         raise ConfigError(f"kind {kind!r} is unknown; it is one of {', '.join(_KINDS)}")
     path = Path(path)

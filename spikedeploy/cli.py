@@ -16,6 +16,7 @@ COMMANDS = {
         "demo": "closed_loop",
         "compare": "closed_loop",
         "run": "closed_loop",
+        "serve": "serving",
         "emulate": "open_loop",
         "check": "checks",
         "drift": "open_loop",

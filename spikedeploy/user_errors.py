@@ -13,6 +13,7 @@ EXTRAS = {
     "tomli": "train",
     "numba": "fast",
     "ray": "sweep",
+    "zmq": "serve",
 }
 _EXPECTED = (
     ("spikedeploy.runtime.errors", "SpikedeployError"),

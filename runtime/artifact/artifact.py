@@ -149,7 +149,7 @@ def _parameters(node: nir.NIRNode) -> dict[str, object]:
     return {**values, "type": type(node).__name__}
 
 
-def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
+def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes | memoryview]:
     """Names and values, sorted by name; arrays with dtype and shape, in C order."""
     for name, value in sorted(tree.items()):
         here = f"{path}/{name}"
@@ -159,7 +159,8 @@ def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes]:
             yield f"{here} {value}".encode()
         else:
             numbers = np.ascontiguousarray(value)
-            yield f"{here} {numbers.dtype.str} {numbers.shape}".encode() + numbers.tobytes()
+            yield f"{here} {numbers.dtype.str} {numbers.shape}".encode()
+            yield numbers.data
 
 
 def _stamped(artifact: Artifact) -> nir.NIRGraph:
@@ -215,7 +216,10 @@ def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
     if found is not None:
         _check_digest(stated, found)
     # after the digest, which is of the numbers as they were exported
-    return replace(stated, graph=with_floats(graph), convention=convention.with_options(given))
+    floats = with_floats(graph)
+    if floats is graph and not given:
+        return stated  # which is checked already
+    return replace(stated, graph=floats, convention=convention.with_options(given))
 
 
 def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:

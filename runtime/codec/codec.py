@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol, TypeAlias, cast, get_args
 
 import numpy as np
+import numpy.ma  # here, as np.unique would import it while a policy is loaded
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.codec.delta import DeltaEncoder

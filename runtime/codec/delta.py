@@ -15,9 +15,9 @@ from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metadata import Record, Tree
 
 Code = Literal["unary", "one-hot"]
-_PARTS = 256  # of a step: what an observation is rounded to
+PARTS = 256  # of a step: what an observation is rounded to
 _MOST = 256  # events of one observation in a timestep; the table grows with its square
-_LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that no integer overflows
+LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that no integer overflows
 
 
 class Levels:
@@ -82,9 +82,9 @@ class DeltaEncoder:
                 f"delta encoder: code {self.code!r} is unknown; known are "
                 f"{', '.join(get_args(Code))}. Export the policy again."
             )
-        if not _PARTS // 2 <= self.threshold <= _PARTS * self.most:
+        if not PARTS // 2 <= self.threshold <= PARTS * self.most:
             raise ArtifactError(
-                f"delta encoder: threshold must be from {_PARTS // 2} to {_PARTS * self.most} "
+                f"delta encoder: threshold must be from {PARTS // 2} to {PARTS * self.most} "
                 f"(256ths of a step), found {self.threshold}. Export the policy again."
             )
 
@@ -130,11 +130,11 @@ class DeltaEncoder:
         sent = levels.of(*x.shape)
         table = _events(self.most, self.threshold)
         # clipped, e is an index of the table
-        apart = self._parts(x) + len(table) // 2 - _PARTS * sent
+        apart = self._parts(x) + len(table) // 2 - PARTS * sent
         found = np.empty((timesteps, *x.shape), np.int64)
         for events in found:
             table.take(apart, mode="clip", out=events)
-            apart -= _PARTS * events
+            apart -= PARTS * events
         levels.sent = sent + np.add.reduce(found, axis=0)
         return np.asarray(found.swapaxes(0, 1))
 
@@ -166,20 +166,20 @@ class DeltaEncoder:
         """Observations X (B, obs) of normalised ones, rounded to halves even [1/256 steps]."""
         with np.errstate(over="ignore"):  # what is clipped anyway
             parts = x / self.step
-            parts *= _PARTS
+            parts *= PARTS
         # np.clip takes three times as long at batch 1
-        np.minimum(parts, _LARGEST, out=parts)
-        np.maximum(parts, -_LARGEST, out=parts)
+        np.minimum(parts, LARGEST, out=parts)
+        np.maximum(parts, -LARGEST, out=parts)
         return np.rint(parts).astype(np.int64)
 
 
 @lru_cache(maxsize=16)
 def _events(most: int, threshold: int) -> NDArray[np.int64]:
     """Signed numbers n of events at the distances e from -256 K - 1 to 256 K + 1, the ends too."""
-    apart = np.arange(-_PARTS * most - 1, _PARTS * most + 2)
+    apart = np.arange(-PARTS * most - 1, PARTS * most + 2)
     far = np.abs(apart)
     # n = sign(e) min((|e| + 128) >> 8, K)    where |e| > threshold
-    events = np.sign(apart) * np.minimum((far + _PARTS // 2) >> 8, most)
+    events = np.sign(apart) * np.minimum((far + PARTS // 2) >> 8, most)
     return np.where(far > threshold, events, 0)
 
 

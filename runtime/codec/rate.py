@@ -12,7 +12,7 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record, Tree
 
 Mode = Literal["regular", "bernoulli"]
-_LEVELS = 256  # steps of a rate from 0 to 1; a rate of 1 is level 256
+LEVELS = 256  # steps of a rate from 0 to 1; a rate of 1 is level 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class RateEncoder:
         # np.clip takes three times as long at batch 1
         np.maximum(share, 0, out=share)
         np.minimum(share, 1, out=share)
-        share *= _LEVELS
+        share *= LEVELS
         return np.rint(share).astype(np.int64)
 
     def astype(self, dtype: DTypeLike) -> "RateEncoder":
@@ -128,7 +128,7 @@ class RateEncoder:
 @lru_cache(maxsize=16)
 def _carries(timesteps: int) -> NDArray[np.uint8]:
     """Spikes (T, 257) of the accumulator for each rate n."""
-    t, levels = np.arange(timesteps + 1)[:, None], np.arange(_LEVELS + 1)
+    t, levels = np.arange(timesteps + 1)[:, None], np.arange(LEVELS + 1)
     # c[t] = floor((n t + 128) / 256) ; s[t] = c[t + 1] - c[t]
-    carried = (t * levels + _LEVELS // 2) // _LEVELS
+    carried = (t * levels + LEVELS // 2) // LEVELS
     return np.diff(carried, axis=0).astype(np.uint8)

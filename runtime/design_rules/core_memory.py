@@ -94,9 +94,7 @@ def _load(projection: Projection, limits: Limits, lists: int, block: int) -> Loa
     fan = projection.fan
     if fan.weight is None:
         return _estimated(projection, limits, block)
-    starts = np.arange(0, fan.into.size, block)
-    signs = [fan.weight > 0, fan.weight < 0] if lists == 2 else [fan.weight != 0]
-    counts = [np.add.reduceat(sign, starts, axis=1, dtype=np.int64) for sign in signs]
+    counts = fan.in_blocks(block, lists)
     axons = int(np.count_nonzero(sum(counts), axis=0).max())
     if limits.memory is None:
         return Load(None, axons)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import nir
@@ -52,6 +52,31 @@ class SynapseCounts:
     def synapses(self) -> int:
         """All of them."""
         return int(self.into.sum())
+
+    def in_blocks(self, block: int, lists: int) -> list[Counts]:
+        """(M, k) synapses of each source in each block of targets; of 2 lists, one for each sign.
+
+        Where synapses are listed.
+        """
+        targets = self.into.size
+        starts = np.arange(0, targets, block)
+        ends = np.minimum(starts + block, targets)
+        counts = [
+            np.subtract(before[ends], before[starts], dtype=np.int64).T for before in self._before
+        ]
+        return counts if lists == 2 else [counts[0] + counts[1]]
+
+    @cached_property
+    def _before(self) -> NDArray[np.int32]:
+        """(2, N + 1, M) positive and negative synapses onto the targets before each.
+
+        Added up once, because a mapping tries many blocks.
+        """
+        before = np.zeros((2, self.into.size + 1, self.out.size), np.int32)
+        if self.weight is not None:
+            np.cumsum(self.weight.T > 0, axis=0, out=before[0, 1:])
+            np.cumsum(self.weight.T < 0, axis=0, out=before[1, 1:])
+        return before
 
 
 def one_to_one(size: int) -> SynapseCounts:

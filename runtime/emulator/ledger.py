@@ -1,7 +1,7 @@
 """The ledger: what a chip did, counted, so that any table of energies can price it afterwards."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
@@ -63,6 +63,17 @@ class Ledger:
         """All events of a kind, of each layer."""
         totals = self.counts[:, :, EVENTS.index(event)].sum(axis=0)
         return dict(zip(self.layers, totals.tolist(), strict=True))
+
+    def since(self, before: "Ledger") -> "Ledger":
+        """What has happened since an earlier ledger of the same network, in one row."""
+        now, then = (each.counts.sum(axis=0, keepdims=True) for each in (self, before))
+        return replace(
+            self,
+            counts=now - then,
+            inferences=self.inferences - before.inferences,
+            timesteps=self.timesteps - before.timesteps,
+            steps=self.steps - before.steps,
+        )
 
     @property
     def sparsity(self) -> float | None:

@@ -5,6 +5,7 @@ when it is loaded, so that `--help` is quick; everything else is imported inside
 
 options      options that several commands share
 closed_loop  run, compare, demo: policies in their environments
+serving      serve
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce

@@ -7,6 +7,8 @@ import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
+    Backend,
+    Deadline,
     Delay,
     Disturb,
     Dt,
@@ -18,10 +20,12 @@ from spikedeploy.commands.options import (
     From,
     Headroom,
     Json,
+    Lasting,
     LimitsOption,
     Metrics,
     PolicyChip,
     Quantise,
+    Rate,
     Reset,
     Rounding,
     Seed,
@@ -90,6 +94,10 @@ def run(
     delay: Delay = None,
     spikes: Spikes = None,
     floor: Floor = None,
+    backend: Backend = "numpy",
+    rate: Rate = None,
+    deadline: Deadline = None,
+    lasting: Lasting = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -104,7 +112,9 @@ def run(
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted
-    from spikedeploy.reports.terminal import print_comparison, print_verdict
+    from spikedeploy.realtime.paced_loop import PacedLoop
+    from spikedeploy.realtime.pacing import pacing
+    from spikedeploy.reports.terminal import print_comparison, print_real_time, print_verdict
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
@@ -121,6 +131,12 @@ def run(
         check_output_folder("-o", output, report.FILES, (policy,), force, report.is_report)
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
+    pace = pacing(rate, deadline, lasting)
+    if pace and video:
+        raise typer.BadParameter("--rate is by the clock, and a film is not: leave --video out")
+    if pace and pace.duration and episodes > 1:
+        raise typer.BadParameter("--duration plays as many episodes as fit: leave --episodes out")
+    loop = PacedLoop(pace) if pace else None
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     convention = {"dt": dt, "reset": reset, "delay": delay, "spikes": spikes, "floor": floor}
@@ -145,8 +161,12 @@ def run(
         rounded,
         faults(fault or (), specimen),
         metrics,
+        loop,
+        backend,
     )
     document = report.document(replace(comparison, tables=tables))
+    if loop:
+        document["real_time"] = loop.measured().as_json()
     if output:
         recorded = report.recordings(comparison, document["rows"], options)
         report.write(document, output, episodes=recorded)
@@ -158,6 +178,8 @@ def run(
             typer.echo(f"wrote {video}")
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
+        if loop:
+            print_real_time(document["real_time"])
         print_verdict(document)
 
 

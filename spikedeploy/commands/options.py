@@ -20,6 +20,7 @@ AfterSpike = Literal[
 ]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
+Computes = Literal["numpy", "numba", "auto", "interpreter"]
 Encoders = Literal["population", "rate", "delta"]
 SpikeCount = Literal["above", "reached", "many"]
 LowestMembrane = Literal["none", "zero", "threshold"]
@@ -107,6 +108,31 @@ PolicyChip = Annotated[
         "--chip",
         help="Chip of a spiking policy; 'float' for its float twin.",
         show_default="loihi1",
+    ),
+]
+Backend = Annotated[
+    Computes, typer.Option(help="What computes a chip; numba needs the extra fast.")
+]
+
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        help=r"Control steps per second \[Hz] by the clock; missed deadlines are counted.",
+        show_default="as fast as it can",
+    ),
+]
+Deadline = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME", help="With --rate: 20ms; of a control step.", show_default="the period"
+    ),
+]
+Lasting = Annotated[
+    str | None,
+    typer.Option(
+        "--duration",
+        metavar="TIME",
+        help="With --rate: 60s; episodes are played until it has passed, the last to its end.",
     ),
 ]
 

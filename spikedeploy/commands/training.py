@@ -148,13 +148,15 @@ def export(
     run: Annotated[
         str,
         typer.Argument(
-            metavar="RUN", help="Run folder, its name under runs/, or 'last'; for c also FILE.nir."
+            metavar="RUN",
+            help="Run folder, its name under runs/, or 'last'; for c and onnx also FILE.nir.",
         ),
     ],
     to: Annotated[
         str | None,
         typer.Option(
-            help="Format: nir or c for spiking policies, onnx for float ones.",
+            help="Format: nir or c for spiking policies, onnx for float ones, or for one step of "
+            "a spiking one.",
             show_default="as -o ends, else as the policy is",
         ),
     ] = None,
@@ -188,11 +190,15 @@ def export(
         return
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
+    from spikedeploy.shipping.export_onnx import export_onnx, is_file
     from spikedeploy.shipping.export_run import export_run
 
-    written = export_run(
-        run, to, output, observations, state=state, checkpoint=checkpoint, force=force
-    )
+    if to == "onnx" and is_file(run):
+        written = export_onnx(run, output, observations, force)
+    else:
+        written = export_run(
+            run, to, output, observations, state=state, checkpoint=checkpoint, force=force
+        )
     if json:
         checks = [vars(check) for check in written.checks]
         print_json({"path": str(written.path), "passed": written.passed, "checks": checks})

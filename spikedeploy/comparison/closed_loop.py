@@ -17,7 +17,9 @@ from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.outputs import mark
 from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.video import Frame, Pace, captioned, mp4
@@ -37,6 +39,8 @@ def run_policy(
     quantisation: Quantisation = PLAIN,
     faults: Faults = NONE,
     metrics: Sequence[str] = (),
+    loop: PacedLoop | None = None,
+    backend: BackendName = "numpy",
 ) -> Comparison:
     """One row: the policy on every seed.
 
@@ -51,8 +55,12 @@ def run_policy(
     quantisation  of a spiking policy on a chip
     faults     of that chip
     metrics    of the step infos, `name:mean|last|max`
+    loop       paces it by the clock, and says which seeds are played; None plays as fast as it can
+    backend    of a spiking policy on a chip
     """
-    candidate = replace(find(reference), limits=limits, quantisation=quantisation, faults=faults)
+    candidate = replace(
+        find(reference), limits=limits, quantisation=quantisation, faults=faults, backend=backend
+    )
     entry = Entry(candidate, chip or _default_chip(candidate))
     if faults and entry.chip in (None, FLOAT):
         raise ConfigError(
@@ -68,13 +76,18 @@ def run_policy(
     pace = Pace.of(period or _UNKNOWN)
     episodes = []
     with progress(entry.label, len(seeds)) as done:
-        for seed in seeds:
+        for seed in seeds if loop is None else loop.seeds(seeds):
             with _film(video if seed == seeds[0] else None, pace.fps, entry.label) as on_frame:
-                played = rollout(world, player, seed, on_frame, pace.every)
+                if loop is None:
+                    played = rollout(world, player, seed, on_frame, pace.every)
+                else:
+                    played = loop.rollout(world, player, seed)
             episodes.append(summarise(candidate, player, played, {}, metrics, foreign))
             done()
     world.close()
     rows, disturb = [Row(entry, episodes)], disturbed_by(options)
+    if loop is not None:  # it may have played more
+        seeds = range(seeds[0], seeds[0] + len(episodes))
     return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period if foreign else None)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults.request import NONE, Faults
 
@@ -39,6 +40,7 @@ class Candidate:
     limits    whether a chip refuses it when it breaks a design rule
     quantisation  of a spiking policy on a chip
     faults    of that chip
+    backend   what computes that chip
     """
 
     path: str
@@ -51,6 +53,7 @@ class Candidate:
     limits: bool = True
     quantisation: Quantisation = PLAIN
     faults: Faults = NONE
+    backend: BackendName = "numpy"
 
 
 class Player(Protocol):

@@ -24,6 +24,7 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.design_rules.rule import design
+from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called
@@ -57,6 +58,7 @@ class NirController:
         quantisation: Quantisation = PLAIN,
         faults: Faults = NONE,
         trace: bool = False,
+        backend: BackendName = "numpy",
     ) -> None:
         artifact = load(path)
         if artifact.codec is None:
@@ -68,6 +70,7 @@ class NirController:
             self.chip,
             "each" if trace else "total",
             sampled,
+            backend,
             faults=faults,
             trace=trace,
             limits=limits,
@@ -113,14 +116,7 @@ class NirController:
     @property
     def ledger(self) -> Ledger:
         """Counts since the last reset, all inferences in one row."""
-        now, before = self.controller.ledger, self._before
-        return replace(
-            now,
-            counts=now.counts.sum(axis=0, keepdims=True) - before.counts.sum(axis=0, keepdims=True),
-            inferences=now.inferences - before.inferences,
-            timesteps=now.timesteps - before.timesteps,
-            steps=now.steps - before.steps,
-        )
+        return self.controller.ledger.since(self._before)
 
 
 def describe(path: Path) -> Candidate:
@@ -155,6 +151,7 @@ def controller(
         candidate.limits,
         candidate.quantisation,
         candidate.faults,
+        backend=candidate.backend,
     )
 
 

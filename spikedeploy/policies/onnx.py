@@ -24,6 +24,7 @@ KINDS = ("ann", "control")
 HEADS = ("continuous", "discrete")
 
 Floats = NDArray[np.float64]
+_STEP = "snn-step"  # what exporters.spiking_onnx writes
 _DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
@@ -43,6 +44,11 @@ class OnnxController:
         self.path = path
         self._session = session(path)
         self.metadata = _metadata(path, self._session)
+        if self.metadata.get("kind") == _STEP:
+            raise ArtifactError(
+                f"{path} is one step of a spiking policy, whose states whoever runs it keeps, as "
+                "docs/own-network.md shows. To play it, give the .nir file that it was made of"
+            )
         self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
         self._dtype = _DTYPES[self._input.type]
         self._single = self._input.shape[0] == 1

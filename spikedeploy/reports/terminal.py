@@ -75,6 +75,31 @@ def print_verdict(document: Mapping[str, Any]) -> None:
     print_text(verdict(document))
 
 
+def print_real_time(found: Mapping[str, Any]) -> None:
+    """Print what a paced loop measured: times of a control step, deadlines, periods."""
+    rows = [
+        (_TIMES[name], *(f"{1e3 * value:.3f}" for value in times.values()))
+        for name, times in found["times_s"].items()
+    ]
+    title = f"{found['steps']:,} control steps at {found['rate_hz']:g} Hz; times in ms"
+    print_table(title, ("of a control step", "p50", "p95", "p99", "max"), rows, numbers=True)
+    missed = found["missed"]
+    print_text(
+        f"Deadlines of {1e3 * found['deadline_s']:g} ms missed: {missed['policy']:,} by the policy "
+        f"({missed['policy_cpu']:,} by its own computation), {missed['step']:,} by the whole step. "
+        f"Periods skipped: {found['skipped_periods']:,}."
+    )
+
+
+# names of RealTime.times
+_TIMES = {
+    "late": "woken late",
+    "policy": "policy",
+    "policy_cpu": "policy, its own computation",
+    "step": "whole step",
+}
+
+
 def _print_short(document: Mapping[str, Any]) -> None:
     rows = document["rows"]
     print_rows("", rows, document["env_id"])

@@ -93,7 +93,7 @@ def export_c(
     names = file_names(prefix, codec=True)
     check_output_folder("-o", folder, names, (file, policy), force, _written_before)
     program = compile_program(artifact, on)
-    seen, source = _observations(artifact, on, observations, _world(policy, artifact))
+    seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
     files = policy_in_c(program, artifact.codec, seen, origin, prefix)
     write(files, folder)
@@ -120,7 +120,7 @@ def _written_before(folder: Path) -> bool:
     return marked(folder / "codec.c", MARK)
 
 
-def _world(policy: str, artifact: Artifact) -> str:
+def world_of(policy: str, artifact: Artifact) -> str:
     """The environment that a run was trained in, else one of ours that the file names.
 
     A run folder is the user's, and its environment is imported; what a file names is not.
@@ -132,8 +132,8 @@ def _world(policy: str, artifact: Artifact) -> str:
     return trained_in(policy) or ours or ""
 
 
-def _observations(
-    artifact: Artifact, on: Chip, count: int, where: str
+def episode_of(
+    artifact: Artifact, on: Chip | None, count: int, where: str
 ) -> tuple[NDArray[np.float64], str]:
     """Observations (S, obs) of an episode in an environment, and where they come from in words."""
     codec = artifact.codec

@@ -116,9 +116,12 @@ def test_exporting_twice_gives_the_same_bytes(tmp_path):
 
 
 @pytest.mark.parametrize("kind", [PopsanPolicy, SpikingMlpPolicy])
-def test_a_spiking_policy_is_sent_to_nir(kind, tmp_path):
-    with pytest.raises(ConfigError, match="--to nir"):
-        to_onnx(kind(6, 2, hidden=(4,)), ORIGIN, tmp_path / "p.onnx")
+def test_a_spiking_policy_becomes_a_step_that_acts_as_its_float_twin(kind, tmp_path):
+    torch.manual_seed(0)
+    policy = kind(6, 2, hidden=(4,))
+    observation = np.random.default_rng(1).normal(0, 1, (20, 6))
+    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
+    assert all(check.passed for check in check_parity(policy, path, observation))
 
 
 def test_an_unknown_kind_is_refused(tmp_path):

@@ -19,9 +19,9 @@ def optional():
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     extras = tomllib.loads(text)["project"]["optional-dependencies"]
     return {
-        re.match(r"[a-z]+", package)[0]: extra
+        re.match(r"[a-z]+", package)[0].replace("pyzmq", "zmq"): extra  # as it is imported
         for extra, packages in reversed(extras.items())  # the first that has it
-        if extra in ("train", "fast", "sweep")
+        if extra in ("train", "fast", "sweep", "serve")
         for package in packages
     }
 

@@ -7,6 +7,7 @@ import pytest
 from spikedeploy.commands import options
 from spikedeploy.runtime import convention
 from spikedeploy.runtime.chips import quantisation, registers
+from spikedeploy.runtime.emulator import backend
 
 
 @pytest.mark.parametrize(
@@ -20,6 +21,7 @@ from spikedeploy.runtime.chips import quantisation, registers
         (options.States, convention.State),
         (options.SpikeCount, convention.Spikes),
         (options.LowestMembrane, convention.Floor),
+        (options.Computes, backend.BackendName),
     ],
 )
 def test_an_option_offers_what_the_runtime_knows(choices, original):

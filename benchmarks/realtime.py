@@ -1,0 +1,126 @@
+"""Real time of the shipped policies: how soon they act, and how many times faster than the robot.
+
+    python benchmarks/realtime.py [NAME ...] [--chip loihi1] [--steps 1000] [--rounds 5] [--json]
+
+start  load + compile + first act, after the import of spikedeploy, each in a process of its own:
+       wall clock, and what the process computed, which other work on the machine does not change
+loop   the closed loop with the ledger on: policy on NumPy's kernels and on the compiled ones,
+       which see the same observations step by step, and the environment's own step; medians. A
+       factor is the control period over the sum of policy and environment.
+
+Where the machine has other work, compare the parts with one another and not with other machines.
+"""
+
+import prepare  # isort: skip  # noqa: F401 - before all others
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spikedeploy import zoo
+from spikedeploy.make_env import make_env
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
+
+NAMES = ("hexapod/popsan", "hexapod/sparse", "kart-steer/snn", "kart-steer/sparse")
+BACKENDS = ("numpy", "numba")
+SEED = 5_000  # evaluation begins at 10,000
+_START = """
+import json, sys, time
+import spikedeploy.api
+wall, cpu = time.perf_counter(), time.process_time()
+controller = spikedeploy.api.load(sys.argv[1]).on(sys.argv[2]).controller()
+controller.act([0.0] * controller.codec.encoder.observed)
+print(json.dumps([time.perf_counter() - wall, time.process_time() - cpu]))
+"""
+
+
+def main() -> None:
+    """Measure, and print a table or JSON."""
+    given = parsed()
+    result = {
+        name: {
+            **starts(name, given.chip, given.rounds),
+            **loops(name, given.chip, given.steps),
+        }
+        for name in given.names or NAMES
+    }
+    print(json.dumps(result, indent=2) if given.json else table(result))
+
+
+def starts(name: str, on: str, rounds: int) -> dict[str, float]:
+    """Medians [s] of load, compile and first act; the first process fills caches."""
+    words = [sys.executable, "-c", _START, str(zoo.resolve(name)), on]
+    path = str(Path(__file__).resolve().parent.parent)
+    found = [
+        json.loads(subprocess.run(words, check=True, capture_output=True, cwd=path).stdout)
+        for _ in range(rounds + 1)
+    ]
+    wall, cpu = np.median(found[1:], axis=0).tolist()
+    return {"start_s": wall, "start_cpu_s": cpu}
+
+
+def loops(name: str, on: str, steps: int) -> dict[str, Any]:
+    """Medians [s] of a control step's parts, and by how much they are faster than the robot."""
+    artifact, env = load(str(zoo.resolve(name))), make_env(name.partition("/")[0], {})
+    world: Any = env.unwrapped
+    policies = {
+        backend: SpikingController(artifact, chip(on), "total", backend=backend)
+        for backend in BACKENDS
+    }
+    taken: dict[str, list[float]] = {part: [] for part in (*BACKENDS, "env")}
+    observation, _ = env.reset(seed=SEED)
+    for _ in range(steps):
+        for backend, policy in policies.items():
+            begun = time.perf_counter()
+            action = policy.act(observation)
+            taken[backend].append(time.perf_counter() - begun)
+        begun = time.perf_counter()
+        observation, _, terminated, truncated, _ = env.step(action)
+        taken["env"].append(time.perf_counter() - begun)
+        if terminated or truncated:
+            observation, _ = env.reset()
+            for policy in policies.values():
+                policy.reset(0)
+    median = {part: float(np.median(values[steps // 20 :])) for part, values in taken.items()}
+    times = {b: world.CONTROL_DT / (median[b] + median["env"]) for b in BACKENDS}
+    return {"median_s": median, "times_real_time": times}
+
+
+def table(result: dict[str, Any]) -> str:
+    """Return the result for people."""
+    lines = [
+        "load + compile + first act [ms]; of a control step [us]; closed loop, times real time",
+        f"{'':20}{'start':>8}{'its CPU':>9}{'numpy':>8}{'numba':>8}{'env':>8}"
+        f"{'x numpy':>9}{'x numba':>9}",
+    ]
+    for name, found in result.items():
+        parts = "".join(f"{1e6 * found['median_s'][part]:8.0f}" for part in (*BACKENDS, "env"))
+        times = "".join(f"{found['times_real_time'][backend]:9.0f}" for backend in BACKENDS)
+        start = f"{1e3 * found['start_s']:8.0f}{1e3 * found['start_cpu_s']:9.0f}"
+        lines.append(f"{name:20}{start}{parts}{times}")
+    return "\n".join(lines)
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="shipped spiking policies")
+    parser.add_argument("--chip", default="loihi1")
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,338 @@
+"""`serve`: what clients are answered, and that none of them harms another."""
+
+import ast
+import json
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from spikedeploy.api import load
+from spikedeploy.realtime.protocol import Request, RequestError, largest_request
+from spikedeploy.realtime.served_policy import Clients, ServedPolicy
+from spikedeploy.runtime.errors import ConfigError
+from tests.paths import ROOT
+
+zmq = pytest.importorskip("zmq")
+from spikedeploy.realtime.server import PolicyServer, _resident  # noqa: E402 - it needs zmq
+
+POLICY = "kart-steer/sparse"
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return ServedPolicy(POLICY, "loihi1")
+
+
+@pytest.fixture
+def server(policy):
+    """A server on a free port of this machine."""
+    running, stop = PolicyServer(policy), threading.Event()
+    thread = threading.Thread(target=running.serve, args=(stop,))
+    thread.start()
+    yield running
+    stop.set()
+    thread.join(10)
+    assert not thread.is_alive()
+    running.close()
+
+
+@pytest.fixture
+def connect(server):
+    """What connects a client to the server."""
+    context, sockets = zmq.Context(), []
+
+    def connected(kind=zmq.REQ):
+        sockets.append(context.socket(kind))
+        sockets[-1].setsockopt(zmq.LINGER, 0)
+        sockets[-1].setsockopt(zmq.RCVTIMEO, 20_000)
+        sockets[-1].connect(server.endpoint)
+        return sockets[-1]
+
+    yield connected
+    for each in sockets:
+        each.close()
+    context.term()
+
+
+def sent(client, body):
+    """The reply to a message."""
+    client.send(body)
+    return json.loads(client.recv())
+
+
+def ask(client, **request):
+    return sent(client, json.dumps(request).encode())
+
+
+def observations(policy, count, seed):
+    return np.random.default_rng(seed).normal(0, 1, (count, policy.observed))
+
+
+def expected(rows):
+    """Actions of the policy itself."""
+    controller = load(POLICY).on("loihi1").controller()
+    return [controller.act(row).tolist() for row in rows]
+
+
+def test_a_client_gets_the_actions_of_the_policy_bit_for_bit(policy, connect):
+    client, rows = connect(), observations(policy, 30, 1)
+    assert ask(client, do="reset", seed=0) == {"ok": True, "seed": 0}
+    answers = [ask(client, do="act", observation=row.tolist()) for row in rows]
+    assert [answer["action"] for answer in answers] == expected(rows)
+    assert [answer["step"] for answer in answers] == list(range(1, 31))
+
+
+def test_clients_have_episodes_of_their_own(policy, connect):
+    clients = [connect(), connect(zmq.REQ)]
+    rows = [observations(policy, 10, seed) for seed in (1, 2)]
+    for client in clients:
+        ask(client, do="reset")
+    found = [[], []]
+    for k in range(10):
+        for each, client in enumerate(clients):
+            found[each].append(ask(client, do="act", observation=rows[each][k].tolist())["action"])
+    assert found == [expected(rows[0]), expected(rows[1])]
+
+
+def test_spikes_operations_and_energy_of_a_step_are_those_of_its_ledger(policy, connect):
+    client, rows = connect(), observations(policy, 3, 1)
+    ask(client, do="reset")
+    controller = load(POLICY).on("loihi1").controller()
+    for row in rows:
+        answer = ask(client, do="act", observation=row.tolist(), want=["sops", "spikes", "energy"])
+        before = controller.ledger
+        controller.act(row)
+        step = controller.ledger.since(before)
+        assert answer["sops"] == step.total("sop")
+        assert answer["spikes"] == step.by_layer("spike_out")
+        assert answer["energy_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
+    assert "sops" not in ask(client, do="act", observation=rows[0].tolist())
+
+
+def test_info_says_what_a_client_has_to_know(policy, connect):
+    found = ask(connect(), do="info")
+    assert (found["protocol"], found["observations"]) == (1, policy.observed)
+    assert (found["policy"], found["chip"], found["actions"]) == ("sparse", "loihi1", 5)
+
+
+BAD = {
+    b"": "no JSON",
+    b"{": "no JSON",
+    b"\xff\xfe": "no JSON",
+    b"[" * 3000: "no JSON",
+    b"[]": "no object",
+    b"7": "no object",
+    b"{}": "'do'",
+    b'{"do": "fly"}': "'do' is 'fly'",
+    b'{"do": ["act"]}': "'do'",
+    b'{"do": "act"}': "observation",
+    b'{"do": "act", "observation": 7}': "a list of numbers",
+    b'{"do": "act", "observation": []}': "shape",
+    b'{"do": "act", "observation": [1, 2]}': "shape",
+    b'{"do": "act", "observation": [[1], [1, 2]]}': "no array of numbers",
+    b'{"do": "act", "observation": ["1"]}': "not real numbers",
+    b'{"do": "act", "observation": [{}]}': "observation",
+    b'{"do": "act", "observation": [1], "want": "spikes"}': "'want'",
+    b'{"do": "act", "observation": [1], "want": [[]]}': "'want'",
+    b'{"do": "reset", "seed": -1}': "'seed'",
+    b'{"do": "reset", "seed": 1.5}': "'seed'",
+    b'{"do": "reset", "seed": true}': "'seed'",
+    b'{"do": "reset", "seeds": 1}': "unknown field 'seeds'",
+}
+
+
+def test_what_is_no_request_is_answered_by_a_sentence_and_the_episode_goes_on(policy, connect):
+    client, rows = connect(), observations(policy, 2, 1)
+    ask(client, do="reset")
+    first = ask(client, do="act", observation=rows[0].tolist())
+    for body, said in BAD.items():
+        answer = sent(client, body)
+        assert (answer["ok"], said in answer["error"]) == (False, True), (body, answer)
+        assert "\n" not in answer["error"]
+    second = ask(client, do="act", observation=rows[1].tolist())
+    assert [first["action"], second["action"]] == expected(rows)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400])
+def test_numbers_that_are_none_are_refused(policy, connect, number):
+    client = connect()
+    ask(client, do="reset")
+    body = ", ".join([number, *["0"] * (policy.observed - 1)])
+    answer = sent(client, f'{{"do": "act", "observation": [{body}]}}'.encode())
+    assert not answer["ok"]
+
+
+def test_act_before_reset_is_refused(policy, connect):
+    answer = ask(connect(), do="act", observation=[0.0] * policy.observed)
+    assert "send reset first" in answer["error"]
+
+
+def test_a_message_that_is_too_large_ends_its_connection_and_nobody_elses(policy, connect):
+    other, large = connect(), connect(zmq.DEALER)
+    ask(other, do="reset")
+    large.setsockopt(zmq.RCVTIMEO, 300)
+    large.send(b"x" * (largest_request(policy.observed) + 1))
+    with pytest.raises(zmq.Again):
+        large.recv()
+    assert ask(other, do="act", observation=[0.0] * policy.observed)["ok"]
+
+
+def test_messages_of_several_frames_and_of_dealers_are_answered(connect):
+    client = connect(zmq.DEALER)
+    client.send(b'{"do": "info"}')
+    assert json.loads(client.recv())["ok"]
+    client.send_multipart([b"", b"{}", b"{}"])
+    empty, answer = client.recv_multipart()
+    assert (empty, "one frame" in json.loads(answer)["error"]) == (b"", True)
+
+
+# ZMTP 3.0: a greeting without security, a READY command of a DEALER, and frames with more to come
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
+READY = b"\x05READY" + b"\x0bSocket-Type" + b"\0\0\0\x06" + b"DEALER"
+FRAME = b"\x03" + (2000).to_bytes(8, "big") + bytes(2000)
+
+
+def send_without_end(port, enough):
+    """Send frames of one message until the connection is closed, or there were enough."""
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as raw:
+        raw.sendall(GREETING + b"\x04" + bytes([len(READY)]) + READY)
+        with suppress(OSError):
+            for _ in range(enough // (500 * len(FRAME))):
+                raw.sendall(500 * FRAME)
+
+
+@pytest.mark.skipif(not _resident(), reason="the system does not say what memory a process has")
+def test_a_message_without_an_end_loses_its_connection_before_it_takes_all_memory(
+    monkeypatch, policy
+):
+    monkeypatch.setattr("spikedeploy.realtime.server._GROWTH", 32 << 20)
+    running, stop, context = PolicyServer(policy, clients=1), threading.Event(), zmq.Context()
+    thread = threading.Thread(target=running.serve, args=(stop,))
+    thread.start()
+    send_without_end(int(running.endpoint.rpartition(":")[2]), enough=1 << 30)
+    with context.socket(zmq.REQ) as client:
+        client.setsockopt(zmq.LINGER, 0)
+        client.setsockopt(zmq.RCVTIMEO, 20_000)
+        client.connect(running.endpoint)
+        assert ask(client, do="reset")["ok"]
+    assert running.reopened
+    stop.set()
+    thread.join()
+    running.close()
+    context.term()
+
+
+def test_a_client_that_floods_and_reads_nothing_keeps_nobody_from_answers(policy, connect):
+    flooding, other = connect(zmq.DEALER), connect()
+    for _ in range(3000):
+        if flooding.poll(0, zmq.POLLOUT):
+            flooding.send(b'{"do": "info"}')
+    ask(other, do="reset")
+    assert ask(other, do="act", observation=[0.0] * policy.observed)["ok"]
+
+
+def test_bytes_that_are_no_zeromq_and_silent_connections_do_no_harm(server, policy, connect):
+    port = int(server.endpoint.rpartition(":")[2])
+    strangers = [socket.create_connection(("127.0.0.1", port)) for _ in range(20)]
+    for each in strangers[:10]:
+        each.sendall(b"GET / HTTP/1.1\r\n\r\n" * 10)
+    client = connect()
+    assert ask(client, do="reset")["ok"]
+    for each in strangers:
+        each.close()
+    assert ask(client, do="act", observation=[0.0] * policy.observed)["ok"]
+
+
+def test_clients_are_few_and_idle_ones_are_forgotten(policy):
+    clients, reset = Clients(policy, most=2, idle=10), Request("reset")
+    act = Request("act", observation=[0.0] * policy.observed)
+    clients.answer(b"a", reset, 0)
+    clients.answer(b"b", reset, 5)
+    with pytest.raises(RequestError, match="2 clients already"):
+        clients.answer(b"c", reset, 6)
+    clients.answer(b"b", act, 8)
+    clients.answer(b"c", reset, 11)  # a was idle for more than 10 s
+    with pytest.raises(RequestError, match="send reset first"):
+        clients.answer(b"a", act, 11)
+    clients.answer(b"c", Request("bye"), 12)
+    clients.answer(b"a", reset, 12)
+
+
+def test_a_request_that_meets_a_bug_is_answered_and_the_server_lives(policy, connect, monkeypatch):
+    def fails(self):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(ServedPolicy, "info", fails)
+    client = connect()
+    assert "ZeroDivisionError" in ask(client, do="info")["error"]
+    assert ask(client, do="reset")["ok"]
+
+
+def test_addresses_and_ports_that_are_none_are_refused(policy, server):
+    with pytest.raises(ConfigError, match="no IPv4 address"):
+        PolicyServer(policy, "localhost; rm")
+    with pytest.raises(ConfigError, match="cannot listen"):
+        PolicyServer(policy, port=int(server.endpoint.rpartition(":")[2]))
+
+
+def test_what_does_not_spike_is_not_served():
+    with pytest.raises(ConfigError, match="no spiking policy"):
+        ServedPolicy("hexapod/sac")
+
+
+def test_the_float_twin_is_served_too():
+    episode = ServedPolicy(POLICY, "float").episode()
+    episode.reset(0)
+    controller = load(POLICY).controller()
+    row = [0.1] * controller.codec.encoder.observed
+    found = episode.act(Request("act", observation=row))["action"]
+    assert found == controller.act(row).tolist()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_end_the_command_at_once(number, code):
+    words = ["serve", POLICY, "--port", "0"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spikedeploy", *words], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    with process, socket.socket() as client:
+        line = process.stdout.readline()
+        client.connect(
+            ("127.0.0.1", int(line.rpartition(":")[2]))
+        )  # an open connection is no reason to stay
+        begun = time.monotonic()
+        process.send_signal(number)
+        found = process.wait(20)
+        assert time.monotonic() - begun < 10
+    assert found in (code, -number)  # shells say 128 + the signal of both
+
+
+def test_the_example_of_a_client_runs_and_is_short(server, capsys, monkeypatch):
+    example = ROOT / "examples" / "serve_client.py"
+    monkeypatch.setattr(sys, "argv", [str(example), server.endpoint])
+    left = runpy.run_path(str(example))
+    answer = ast.literal_eval(capsys.readouterr().out)
+    assert answer["ok"]
+    left["socket"].close()
+    left["socket"].context.term()
+    code = ast.parse(example.read_text("utf-8"))
+    lines = {node.lineno for node in ast.walk(code) if hasattr(node, "lineno")}
+    assert len(lines) <= 20
+
+
+def test_the_ros_node_imports_ros_and_zeromq_alone():
+    tree = ast.parse((ROOT / "examples" / "ros2_node.py").read_text("utf-8"))
+    found = {
+        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    }
+    assert found == {"json", "rclpy", "std_msgs", "zmq"}
