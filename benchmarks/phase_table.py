@@ -1,0 +1,169 @@
+"""A rival of the walkers that is hardly a network: a table over the gait's phases and a few MACs.
+
+    python benchmarks/phase_table.py [--macs 10] [--teacher hexapod/linear] [--write]
+
+    action = clip(table[phase] + W observation, -1, 1)
+
+The gait of Hexapod-v0 has 40 phases, which the observation holds as sine and cosine. Table (40, 18)
+and W are fitted by least squares to a float teacher on its own walks, then on walks of the
+student too (DAgger, six rounds); of W only the entries that lower the error most are kept. Both are rounded to
+8 bits, one scale each. The student's own last command is not looked at. The energy is that of
+docs/energy.md: MACs, 18 constants, and reads of 16 bits of 18 table entries and the observations.
+
+--write puts the result into results/phase-table.json.
+"""
+
+import prepare  # isort: skip  # noqa: F401 - before all others
+
+import argparse
+import json
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import envs, zoo
+from spikedeploy.comparison.statistics import nested_ratio, stratified
+from spikedeploy.envs.hexapod.observation import BODY, layout
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.experiments.pareto.costs import INT8, TABLES
+from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.seeds import EVALUATION
+from tests.paths import ROOT
+
+Array = NDArray[np.float64]
+Controller = Callable[[Array], Array]
+_PHASES, _ROUNDS, _WALKS, _FIRST = 40, 6, 4, 3000  # seeds of walks that are learned from
+_READ = 2.5e-12  # [J] of 16 bits, a quarter of an access of 64 (Horowitz 2014)
+_NAMES = layout(BODY)
+
+
+class Player:
+    """A function of the observation that acts."""
+
+    def __init__(self, act: Controller, noise: float = 0.0) -> None:
+        self.act_on, self._noise = act, noise
+
+    def reset(self, seed: int) -> None:
+        """Draw noise from this seed on."""
+        self._random = np.random.default_rng(seed)
+
+    def act(self, observation: Array) -> Array:
+        """The action (18,)."""
+        action = self.act_on(observation)
+        noise = self._noise * self._random.normal(size=action.shape)
+        return np.asarray(np.clip(action + noise, -1, 1))
+
+
+class PhaseTable:
+    """The student.
+
+    table: (40, 18), W: (18, obs), both of 8 bits.
+    """
+
+    def __init__(self, seen: Array, wanted: Array, macs: int) -> None:
+        """Fit to observations (S, obs) and the teacher's actions (S, 18)."""
+        at = phase(seen)
+        names = [n for n in _NAMES if n not in ("previous", "phase")]
+        columns = np.concatenate([np.arange(seen.shape[1])[_NAMES[n]] for n in names])
+        here = np.stack([(at == k) / max((at == k).sum(), 1) for k in range(_PHASES)])
+        mean_seen, mean_wanted = here @ seen, here @ wanted
+        x, y = (seen - mean_seen[at])[:, columns], wanted - mean_wanted[at]
+        weight = np.zeros((wanted.shape[1], seen.shape[1]))
+        weight[:, columns] = _few(x, y, macs)
+        self.weight = _in_bits(weight)
+        self.table = _in_bits(mean_wanted - mean_seen @ weight.T)
+
+    def __call__(self, observation: Array) -> Array:
+        """The action (18,) of an observation (obs,)."""
+        action = self.table[phase(observation[None])[0]] + self.weight @ observation
+        return np.asarray(np.clip(action, -1, 1))
+
+    def joules(self) -> dict[str, float]:
+        """Energy of a control step [J]."""
+        prices, (_, actions) = TABLES[INT8].joules, self.table.shape
+        observed = int(self.weight.any(axis=0).sum())
+        return {
+            "operations": np.count_nonzero(self.weight) * prices["mac"],
+            "constants": actions * prices["sop"],
+            "reads": (actions + observed) * _READ,
+        }
+
+
+def phase(seen: Array) -> NDArray[np.int64]:
+    """Which of the 40 phases observations (S, obs) are at."""
+    sine, cosine = seen[:, _NAMES["phase"]].T
+    turns = np.arctan2(sine, cosine) / (2 * np.pi)
+    return np.asarray(np.rint(turns * _PHASES).astype(np.int64) % _PHASES)
+
+
+def _few(x: Array, y: Array, most: int) -> Array:
+    """Weights (act, obs) of which so many are not 0, chosen one by one (matching pursuit)."""
+    gram, toward = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1]), y.T @ x
+    weight = np.zeros(toward.shape)
+    for _ in range(most):
+        left = toward - weight @ gram  # (act, obs) what each entry could still explain
+        gain = np.where(weight == 0, left**2 / np.diag(gram), 0)
+        action, column = np.unravel_index(gain.argmax(), gain.shape)
+        chosen = np.flatnonzero(weight[action]).tolist() + [int(column)]
+        weight[action, chosen] = np.linalg.solve(
+            gram[np.ix_(chosen, chosen)], toward[action, chosen]
+        )
+    return weight
+
+
+def _in_bits(numbers: Array) -> Array:
+    scale = np.abs(numbers).max() / 127 or 1.0
+    return np.asarray(np.rint(numbers / scale) * scale)
+
+
+def fitted(teacher: Controller, macs: int) -> PhaseTable:
+    """The student of a teacher, after DAgger."""
+    world = envs.make("hexapod")
+    walks = [
+        rollout(world, Player(teacher, 0.2 * (k % 2)), _FIRST + k).observation[:-1]
+        for k in range(_WALKS)
+    ]
+    for number in range(_ROUNDS):
+        seen = np.concatenate(walks)
+        student = PhaseTable(seen, np.stack([teacher(each) for each in seen]), macs)
+        seeds = range(_FIRST + 100 * (number + 1), _FIRST + 100 * (number + 1) + 3)
+        walks += [rollout(world, Player(student), seed).observation[:-1] for seed in seeds]
+    return student
+
+
+def main() -> None:
+    """Fit, play, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--macs", type=int, default=10)
+    parser.add_argument("--teacher", default="hexapod/linear")
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--write", action="store_true", help="into results/phase-table.json")
+    options = parser.parse_args()
+    teacher = OnnxController(zoo.path(options.teacher))
+    student = fitted(lambda seen: teacher.act(seen), options.macs)
+    world, seeds = envs.make("hexapod"), range(EVALUATION, EVALUATION + options.episodes)
+    played = [rollout(world, Player(student), seed) for seed in seeds]
+    returns = [each.total for each in played]
+    report = json.loads((ROOT / "results/hexapod/report.json").read_text("utf-8"))
+    sac = next(row["returns"] for row in report["rows"] if row["policy"] == "sac")
+    of_sac = nested_ratio([returns], sac[: len(returns)], np.random.default_rng(0))
+    joules = student.joules()
+    result = {
+        "command": f"python benchmarks/phase_table.py --macs {options.macs} "
+        f"--teacher {options.teacher} --episodes {options.episodes}",
+        "macs": int(np.count_nonzero(student.weight)),
+        "observations": int(student.weight.any(axis=0).sum()),
+        "return": stratified([returns], np.random.default_rng(0)).mean.as_json(),
+        "of_sac": of_sac.as_json(),
+        "success": float(np.mean([each.success for each in played])),
+        "joules": {**joules, "all": sum(joules.values())},
+    }
+    text = json.dumps(result, indent=1)
+    print(text)
+    if options.write:
+        (ROOT / "results/phase-table.json").write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
