@@ -12,5 +12,4 @@ has the same spikes, and tau' = dt'/(1 - decay) gives the same decay factors at 
 rewritten    the table of importers, and an artifact as one of them reads it, checked
 neurons      a layer's neurons, and the weights before it
 visits       names and edges in an order in which importers run the nodes as NIR means
-older_nir    files that earlier releases of `nir` open
 """

@@ -108,7 +108,7 @@ def _gain(kind: type[nir.NIRNode], neuron: DiscreteNeuron, tool: Importer) -> Ar
 
 
 def _scale(neuron: DiscreteNeuron, gain: Array, uniform: bool) -> Array:
-    """s of each neuron: one that keeps the weights, or else one threshold for all."""
+    """The scale s of each neuron: one that keeps the weights, or else one threshold for all."""
     scale, threshold = np.asarray(gain / neuron.gain), _threshold_of(neuron)
     if not uniform or is_uniform(scale * threshold):
         return scale

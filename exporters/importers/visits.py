@@ -45,7 +45,8 @@ def visits(nodes: Nodes, edges: Edges, output: str = "") -> list[str]:
 
 def _reached(name: str, edges: Edges, without: Container[str]) -> set[str]:
     """Nodes that paths from this one lead to, past those that are left out."""
-    found, new = set(), {name}
+    found: set[str] = set()
+    new = {name}
     while new := {each for each in new if each not in without} - found:
         found |= new
         new = {target for source, target in edges if source in new}
