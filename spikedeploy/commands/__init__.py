@@ -8,6 +8,7 @@ closed_loop  run, compare, demo: policies in their environments
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
+interop      interop
 training     train, visualize, export, publish
 training_seeds  train --seeds
 exports      export --to c, --for, --nir-compat
