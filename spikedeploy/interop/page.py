@@ -81,10 +81,11 @@ def _cell(row: Row) -> str:
 
 
 def _like(row: Row) -> str:
-    """Whether the tool computes what we say that it does."""
+    """How far the tool computes what we say that it does."""
     if isinstance(row["like"], str):
         return ""
-    return "; as `--like` says" if not row["like"]["differ"] else "; not as `--like` says"
+    apart = row["like"]["differ"]
+    return f"; from `--like` {apart:,} do" if apart else "; as `--like` says"
 
 
 def _checked(rows: Sequence[Row]) -> str:

@@ -82,7 +82,7 @@ def test_the_page_says_what_came_of_each_case(file):
     text = page(rows, "spikedeploy interop policy.nir -o x.md")
     assert "spikedeploy interop policy.nir -o x.md" in text
     assert "opens, 15 of 25 differ, first in timestep 0, `a`, neuron 0" in text
-    assert "not as `--like` says" in text
+    assert "; from `--like` 15 do" in text
     assert "**equal**, 25 compared" in text
     assert "Releases: norse 1.1.0." in text
     assert "Not imported: its import runs an installer." in text
