@@ -72,10 +72,10 @@ PEERS = (
         (f"{FAMILIES}/test_rockpool_quantisers.py", INTEROP, "-k", "rockpool"),
         options=("--no-deps", "rockpool==3.1.0", "nirtorch==2.6", "scipy"),
     ),
-    Peer("snn-mlir", (INTEROP, "-k", "snn-mlir")),
+    Peer("snn-mlir", (INTEROP, "-k", "snn_mlir")),
     # releases of nir that are no longer the newest, for files that older tools open
     *(
-        Peer(f"nir=={release}", (INTEROP, "-k", f"nir=={release}"), options=(f"nir=={release}",))
+        Peer(f"nir=={release}", (INTEROP, "-k", f"nir-{release}"), options=(f"nir=={release}",))
         for release in ("1.0.1", "1.0.4", "1.0.5", "1.0.6", "1.0.7")
     ),
     Peer("nengo-loihi", traces="nengo_loihi"),

@@ -128,9 +128,7 @@ def _leak(layer: _Layer) -> tuple[Array, Array]:
     """v_leak of the tool's node, and what a bias has to add to the membrane beside it."""
     neuron, scale = layer.neuron, layer.scale
     leak, complement = neuron.leak * scale, 1 - neuron.membrane_decay
-    if layer.kind is nir.LIF and layer.tool.name == "norse":
-        return leak / complement, np.zeros_like(leak)
-    # SpikingJelly's LIF leaks to v_reset
+    # SpikingJelly's LIF leaks to v_reset; Norse's starts at v_leak, and ours at 0
     at_rest = neuron.v_reset * scale if layer.kind is nir.LIF else np.zeros_like(leak)
     rest = leak - complement * at_rest
     rest = np.where(np.abs(rest) <= ROUNDED * np.abs(scale * _threshold_of(neuron)), 0.0, rest)

@@ -82,7 +82,7 @@ def test_what_is_written_for_a_tool_has_the_same_spikes_there(tool, tmp_path):
         assert (found.differ, found.output, found.compared) == (0, "equal", 60 * 17)
 
 
-@pytest.mark.parametrize("release", RELEASES, ids=lambda release: f"nir=={release}")
+@pytest.mark.parametrize("release", RELEASES, ids=lambda release: f"nir-{release}")
 def test_a_release_of_nir_reads_what_it_writes(release, tmp_path):
     if installed("nir") != release:
         pytest.skip(f"nir {release} is not installed; ./spike test --peers installs it")
