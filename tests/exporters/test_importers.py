@@ -188,7 +188,7 @@ REFUSED = {
     "many": ("norse", cuba, {"reset": "subtract", "spikes": "many"}, "its spikes is 'above'"),
     "v_leak": ("norse", slow, {}, "behind a synaptic current"),
     "v_reset": ("snntorch", from_below, {}, "v_reset is not 0"),
-    "decays": ("spikingjelly", mixed, {}, "needs one tau for all neurons"),
+    "decays": ("spikingjelly", mixed, {}, "needs one (tau|r) for all neurons"),
     "IF": ("snntorch", lambda n: nir.IF(np.full(n, 1e3), np.ones(n)), {}, "decay factor 0.9"),
     "readout": ("norse", lambda n: nir.LI(*np.full((3, n), 0.01)), {}, "reads no LI"),
     "no decay": ("rockpool", lambda n: cuba(n, 0.0), {}, "reset by 'subtract'"),
