@@ -3,7 +3,8 @@
     python benchmarks/live_peers.py [NAME …] [--folder .venv-peers]
 
 Each tool gets a virtual environment, FOLDER/NAME, in the release that pyproject.toml pins. There
-its golden traces are recorded again, and the tests that compare with it run. A line for each says
+its golden traces are recorded again, and the tests that compare with it run; `spikedeploy interop`
+finds it there. A line for each says
 what came of it; a tool that cannot be installed is named with the reason. Exits with 1 where a
 comparison fails.
 
@@ -37,6 +38,7 @@ else:
 ROOT = Path(__file__).parents[1]
 FAMILIES, METRICS = "tests/runtime/families", "tests/runtime/metrics"
 PRESETS, EXPORTS = "tests/runtime/test_peers.py", "tests/runtime/test_peer_exports.py"
+INTEROP = "tests/spikedeploy/interop/test_peer_process.py"
 EXAMPLES = "tests/spikedeploy/commands/test_check_against.py"
 
 
@@ -58,17 +60,23 @@ class Peer:
 
 
 PEERS = (
-    Peer("snntorch", (PRESETS, EXPORTS, EXAMPLES, "-k", "snntorch")),
-    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, "-k", "norse")),
-    Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, "-k", "spikingjelly")),
+    Peer("snntorch", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "snntorch")),
+    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "norse")),
+    Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "spikingjelly")),
     Peer("nengo", (PRESETS, "-k", "nengo")),
     Peer("neurobench", (f"{METRICS}/test_neurobench_peer.py",)),
     Peer("sanafe", (f"{METRICS}/test_sanafe.py",), traces="sanafe"),
     Peer("xylosim", (f"{FAMILIES}/test_xylosim.py",), traces="xylosim"),
     Peer(
         "rockpool",
-        (f"{FAMILIES}/test_rockpool_quantisers.py",),
-        options=("--no-deps", "rockpool==3.1.0"),
+        (f"{FAMILIES}/test_rockpool_quantisers.py", INTEROP, "-k", "rockpool"),
+        options=("--no-deps", "rockpool==3.1.0", "nirtorch==2.6", "scipy"),
+    ),
+    Peer("snn-mlir", (INTEROP, "-k", "snn_mlir")),
+    # releases of nir that are no longer the newest, for files that older tools open
+    *(
+        Peer(f"nir=={release}", (INTEROP, "-k", f"nir-{release}"), options=(f"nir=={release}",))
+        for release in ("1.0.1", "1.0.4", "1.0.5", "1.0.6", "1.0.7")
     ),
     Peer("nengo-loihi", traces="nengo_loihi"),
     Peer("brian2-loihi", traces="brian2_loihi"),

@@ -12,6 +12,7 @@ onnx_graph   builds an ONNX graph node by node
 raster       input spikes of a policy in torch, drawn with the generator of the chip
 parity       a written file against its policy: NIR spike by spike, ONNX action by action
 check        one line of a parity report, and its counters
+importers/   the same network in the scaling that another tool's import accepts; takes no torch
 c/           a compiled program as C99 for microcontrollers, beside the table: it takes no torch
 """
 

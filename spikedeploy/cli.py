@@ -21,6 +21,7 @@ COMMANDS = {
         "check": "checks",
         "drift": "open_loop",
         "verify": "checks",
+        "interop": "interop",
         "reproduce": "evidence",
     },
     "Make": {

@@ -11,7 +11,7 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.artifact.batch_axis import without_batch_axis
-from spikedeploy.runtime.artifact.hdf5 import read_graph
+from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
 from spikedeploy.runtime.artifact.presets.preset import read_like
 from spikedeploy.runtime.artifact.writers.writer import read_as_written
 from spikedeploy.runtime.codec.codec import Codec
@@ -61,17 +61,17 @@ class Artifact:
             _check_width(self.graph, self.codec)
 
 
-def save(artifact: Artifact, path: str | Path) -> None:
+def save(artifact: Artifact, path: str | Path, older: str | None = None) -> None:
     """Write a file; equal artifacts give equal bytes, and an interruption leaves the old file.
 
-    Raises ArtifactError where it cannot be written.
+    Raises ArtifactError where it cannot be written, for release `older` of `nir` if one is given.
     """
     path = Path(os.path.realpath(path))
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         if path.exists() and not path.is_file():
             raise ValueError("it is no plain file")
-        nir.write(part, _stamped(artifact))
+        write_graph(part, _stamped(artifact), older)
         with part.open("rb") as written:
             os.fsync(written.fileno())
         part.replace(path)

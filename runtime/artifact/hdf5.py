@@ -1,4 +1,4 @@
-"""Reading the HDF5 container of a NIR file into a graph, without trusting it.
+"""The HDF5 container of a NIR file: written for a release of `nir`, and read without trusting it.
 
 `nir.read` checks inner graphs when told not to, and does not say which node it cannot make. So the
 container is checked before anything in it is read (hdf5_limits), and the graph is read node by
@@ -17,7 +17,28 @@ from nir.serialization import hdf2dict
 from spikedeploy.runtime.artifact.hdf5_limits import check_container, check_file
 from spikedeploy.runtime.errors import ArtifactError
 
+# releases that refuse the field v_reset, and others that files were opened with
+_WITHOUT_V_RESET = ("1.0.4", "1.0.5")
+RELEASES = ("1.0.1", "1.0.3", *_WITHOUT_V_RESET, "1.0.6", "1.0.7", "1.0.8")
 _REMEDY = "Export the network again, or correct the node."
+
+
+def write_graph(path: Path, graph: nir.NIRGraph, older: str | None = None) -> None:
+    """Write a file that a release of `nir` opens; ArtifactError where it has no such network."""
+    if older is not None and older not in RELEASES:
+        raise ArtifactError(f"nir {older} was not tried. Choose one of {', '.join(RELEASES)}.")
+    nir.write(path, graph)
+    if older not in _WITHOUT_V_RESET:
+        return
+    with h5py.File(path, "r+") as file:
+        for name, node in file["node/nodes"].items():
+            if np.any(node["v_reset"][()] if "v_reset" in node else 0):
+                raise ArtifactError(
+                    f"node {name!r}: nir {older} has no v_reset, and it is not 0. Choose 1.0.6 or "
+                    "later."
+                )
+            if "v_reset" in node:
+                del node["v_reset"]
 
 
 def read_graph(path: Path) -> nir.NIRGraph:

@@ -9,8 +9,10 @@ serving      serve
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
+interop      interop
 training     train, visualize, export, publish
 training_seeds  train --seeds
+exports      export --to c, --for, --nir-compat
 distillation  distill
 tuning       tune
 experiments  experiment

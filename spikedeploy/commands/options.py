@@ -187,6 +187,19 @@ From = Annotated[
         "spikingjelly, sinabs, rockpool or lava.",
     ),
 ]
+For = Annotated[
+    str | None,
+    typer.Option(
+        "--for",
+        metavar="TOOL",
+        help="In the scaling that the import of norse, rockpool, snntorch or spikingjelly accepts; "
+        "nir only.",
+    ),
+]
+NirCompat = Annotated[
+    str | None,
+    typer.Option("--nir-compat", metavar="RELEASE", help="Release of nir that opens the file."),
+]
 Quantise = Annotated[
     Granularity, typer.Option("--quantise", help="One scale for a layer, or for each neuron.")
 ]

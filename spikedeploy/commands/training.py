@@ -9,7 +9,18 @@ from typing import Annotated, Any
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Force, Json, States, Workers
+from spikedeploy.commands.exports import export_c, export_for
+from spikedeploy.commands.options import (
+    Dt,
+    For,
+    Force,
+    From,
+    Json,
+    NirCompat,
+    Reset,
+    States,
+    Workers,
+)
 from spikedeploy.commands.training_seeds import run_seeds
 
 Checkpoint = Annotated[
@@ -148,8 +159,7 @@ def export(
     run: Annotated[
         str,
         typer.Argument(
-            metavar="RUN",
-            help="Run folder, its name under runs/, or 'last'; for c and onnx also FILE.nir.",
+            metavar="RUN", help="Run folder, its name under runs/, or 'last'; FILE.nir."
         ),
     ],
     to: Annotated[
@@ -181,12 +191,24 @@ def export(
         ),
     ] = None,
     checkpoint: Checkpoint = None,
+    for_: For = None,
+    nir_compat: NirCompat = None,
+    from_: From = None,
+    dt: Dt = None,
+    reset: Reset = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it; or as C99."""
+    given = {"written_by": from_, "dt": dt, "reset": reset}
+    if for_ or nir_compat:
+        options = {**given, "state": state}
+        export_for(run, to, output, for_, nir_compat, observations, options, force, json)
+        return
+    if any(value is not None for value in given.values()):
+        raise typer.BadParameter("--from, --dt and --reset go with --for or --nir-compat")
     if to == "c":
-        _export_c(run, chip, output, observations, prefix, force, json)
+        export_c(run, chip, output, observations, prefix, force, json)
         return
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
@@ -208,27 +230,6 @@ def export(
         if written.unfinished:
             say(f"its training is unfinished: stopped at {written.unfinished}")
     raise typer.Exit(0 if written.passed else 1)
-
-
-def _export_c(
-    policy: str,
-    chip: str,
-    folder: Path | None,
-    observations: int,
-    prefix: str,
-    force: bool,
-    json: bool,
-) -> None:
-    """Write a policy as C of a chip, and say what that takes."""
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping.export_c import export_c
-
-    written = export_c(policy, chip, folder, observations, prefix, force)
-    if json:
-        print_json(written.record())
-        return
-    for line in written.lines():
-        typer.echo(line)
 
 
 def publish(

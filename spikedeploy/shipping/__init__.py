@@ -5,6 +5,7 @@ An exported file is read back and compared with its policy before anything else 
 export_run           a run's policy as a file, compared with the policy on recorded observations
 export_c             a policy as C of a chip, with what it takes
 export_onnx          a .nir file as one step in ONNX
+export_nir           a network for another tool's import, compared with the given one
 exported_run         a run folder as its exported file, written where it is missing or old
 publish_run          an exported policy in the zoo, with its card, learning curve and evaluation
 card_page            the page of a card, and both written again after a new evaluation

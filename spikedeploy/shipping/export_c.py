@@ -83,7 +83,7 @@ def export_c(
     """
     if folder is None:
         raise ConfigError("--to c writes a folder: name it, as in -o firmware")
-    file = _nir_file(policy)
+    file = nir_file(policy, "c")
     artifact, on = load(file), chip(chip_name)
     if artifact.codec is None:
         raise ConfigError(
@@ -100,7 +100,7 @@ def export_c(
     return WrittenC(folder, tuple(files.text), files.costs, program.remarks, source)
 
 
-def _nir_file(policy: str) -> Path:
+def nir_file(policy: str, to: str) -> Path:
     """The file of a policy; that of a run is exported first."""
     file = zoo.resolve(policy)
     if file is None or file.is_dir():
@@ -109,8 +109,8 @@ def _nir_file(policy: str) -> Path:
         file = Path(runnable(policy))
     if file.suffix != ".nir" or not file.is_file():
         raise ConfigError(
-            f"--to c: {policy} is no spiking policy; C is written of .nir files and of runs that "
-            "make one."
+            f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs "
+            "that make one."
         )
     return file
 

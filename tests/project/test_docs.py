@@ -30,6 +30,7 @@ NOT_RUN = {
     r"demo\b": "a minute of episodes and films",
     r"(train|tune|distill|experiment)\b": "trains for minutes or hours",
     r"export last\b": "needs a training",
+    r"interop\b": "minutes, and environments of other tools",
     r"(play|draw)\b": "opens a window",
     r"replay\b": "opens a window, or films what a training left",
     r"compare hexapod": "minutes of episodes",

@@ -1,0 +1,70 @@
+"""`interop`: our networks in other tools."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.options import Force, Json
+
+
+def interop(
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[FILE]…",
+            help=".nir files, names of shipped policies, or 'shipped': all of them.",
+            show_default="shipped",
+        ),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Page to write, in Markdown.")
+    ] = Path("interop.md"),
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            help="What was found, in JSON; what stands there is not measured again.",
+            show_default="beside the page",
+        ),
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option(help="Environments of the tools, as ./spike test --peers makes them.")
+    ] = Path(".venv-peers"),
+    python: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TOOL=PATH", help="Python in which a tool is installed, may be repeated."
+        ),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Open networks in other tools, run them there, compare every spike; write a page."""
+    from spikedeploy.console import print_json, say
+    from spikedeploy.files import write_text
+    from spikedeploy.interop.measured import measure
+    from spikedeploy.interop.page import page
+    from spikedeploy.interop.peers import pythons
+    from spikedeploy.interop.written import check_written, network_files, page_command
+
+    given = _pairs(python or [])
+    records = records or output.with_suffix(".json")
+    chosen = network_files(files or [])
+    check_written(output, records, chosen, force)
+    rows = measure(chosen, pythons(folder, given), records, say)
+    write_text(output, page(rows, page_command(files or [], output, records)))
+    if json:
+        print_json(rows)
+    else:
+        typer.echo(f"wrote {output}")
+
+
+def _pairs(texts: list[str]) -> dict[str, Path]:
+    """TOOL=PATH of each text; a release of nir is TOOL too: nir==1.0.4=PATH."""
+    found = {}
+    for text in texts:
+        name, sign, path = text.rpartition("=")
+        if not sign or not name:
+            raise typer.BadParameter(f"--python {text}: give TOOL=PATH")
+        found[name] = Path(path)
+    return found

@@ -1,0 +1,42 @@
+"""The files that are opened, the guard of those that are written, and the command in the page."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from spikedeploy import zoo
+from spikedeploy.interop.page import TITLE
+from spikedeploy.outputs import check_output, marked
+from spikedeploy.runtime.errors import ConfigError
+
+
+def network_files(names: Sequence[str]) -> list[Path]:
+    """The .nir files of these names; `shipped` stands for all shipped policies."""
+    found: list[Path] = []
+    for name in names or ["shipped"]:
+        file = zoo.resolve(name)
+        if name == "shipped":
+            found += [each for each in zoo.policies() if each.suffix == ".nir"]
+        elif file is not None and file.suffix == ".nir" and file.is_file():
+            found.append(file)
+        else:
+            raise ConfigError(f"{name} is no .nir file and no shipped spiking policy")
+    return found
+
+
+def check_written(page: Path, records: Path, files: Sequence[Path], force: bool) -> None:
+    """Refuse to replace what this command did not write."""
+    check_output("-o", page, files, force, lambda path: marked(path, TITLE))
+    check_output("--records", records, (*files, page), force, _is_ours)
+
+
+def _is_ours(records: Path) -> bool:
+    return records.read_text("utf-8").startswith('[\n  {\n    "file":')
+
+
+def page_command(names: Sequence[str], page: Path, records: Path) -> str:
+    """The command that makes the page again."""
+    words = ["spikedeploy", "interop", *names, "-o", page.as_posix()]
+    if records != page.with_suffix(".json"):
+        words += ["--records", records.as_posix()]
+    return shlex.join(words)

@@ -1,0 +1,154 @@
+"""`spikedeploy interop`: what it asks, keeps, compares and writes; no other tool is needed."""
+
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spikedeploy.interop import measured, peers
+from spikedeploy.interop.cases import FOR, PLAIN, case, meant, raster
+from spikedeploy.interop.measured import measure
+from spikedeploy.interop.outcome import compared
+from spikedeploy.interop.page import page
+from spikedeploy.interop.peers import PEERS, pythons, versions
+from spikedeploy.runtime.artifact.artifact import save
+from spikedeploy.runtime.errors import ConfigError
+from tests.networks import popsan
+
+OWN = f"nir=={version('nir')}"
+TOOL = {peer.name: peer for peer in PEERS}
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save(popsan(), "policy.nir")
+    return Path("policy.nir")
+
+
+def layers(**changed):
+    found = {"a": np.zeros((5, 3)), "b": np.zeros((5, 2)), "output": np.ones((5, 2))}
+    return {**found, **changed}
+
+
+def test_equal_layers_are_equal():
+    found = compared(layers(), layers(output=np.ones((5, 2)) + 1e-6))
+    assert found.equal
+    assert (found.compared, found.differ, found.first) == (25, 0, None)
+
+
+def test_the_first_difference_is_the_earliest_in_time():
+    late, early = np.zeros((5, 3)), np.zeros((5, 2))
+    late[4, 0] = early[2, 1] = 1
+    found = compared(layers(a=late, b=early), layers())
+    assert (found.differ, found.first) == (2, (2, "b", 1))
+
+
+def test_outputs_of_another_node_or_size_are_not_equal():
+    assert compared(layers(output=np.zeros((5, 3))), layers()).output == "another shape"
+    assert compared(layers(output=np.zeros((5, 2))), layers()).output == "differs"
+
+
+def test_names_of_the_tool_need_not_be_ours():
+    renamed = {f"n00_{name}": rows for name, rows in layers().items() if name != "output"}
+    assert compared({**renamed, "output": np.ones((5, 2))}, layers()).equal
+
+
+def test_a_missing_tool_is_a_row_and_a_measured_one_is_kept(file, monkeypatch):
+    said, places = [], {OWN: Path(sys.executable)}
+    rows = measure([file], places, Path("found.json"), said.append)
+    opened = [row for row in rows if row["opens"]]
+    assert {row["peer"] for row in opened} == {OWN}
+    assert len(said) == 1
+    assert all("same after write and read" in row["message"] for row in opened)
+    monkeypatch.setattr(measured, "answers", None)  # nobody is asked again
+    assert measure([file], places, Path("found.json"), said.append) == rows
+    save(popsan(seed=1), file)
+    with pytest.raises(TypeError):
+        measure([file], places, Path("found.json"), said.append)
+
+
+def test_the_page_says_what_came_of_each_case(file):
+    rows = measure([file], {}, Path("found.json"), print)
+    assert page(rows, "spikedeploy interop").count("not installed") >= 8
+    equal = compared(layers(), layers()).record()
+    other = compared(layers(a=np.ones((5, 3))), layers()).record()
+    norse = [row for row in rows if row["peer"] == "norse"]
+    norse[0] |= {"opens": True, "meant": other, "like": other, "versions": {"norse": "1.1.0"}}
+    norse[1] |= {"opens": True, "meant": equal, "like": equal}
+    text = page(rows, "spikedeploy interop policy.nir -o x.md")
+    assert "spikedeploy interop policy.nir -o x.md" in text
+    assert "opens, 15 of 25 differ, first in timestep 0, `a`, neuron 0" in text
+    assert "; from `--like` 15 do" in text
+    assert "**equal**, 25 compared" in text
+    assert "Releases: norse 1.1.0." in text
+    assert "Not imported: its import runs an installer." in text
+
+
+def test_a_case_that_cannot_be_written_is_refused_in_words(file, tmp_path):
+    found = case(file, TOOL["rockpool"], FOR, tmp_path)
+    assert found.path is None
+    assert found.refused.startswith("--for rockpool: its neurons reset by 'subtract'")
+    assert case(file, TOOL["rockpool"], PLAIN, tmp_path).path == file
+
+
+def test_both_sides_get_the_same_spikes(file):
+    rows = raster(file)
+    assert np.array_equal(rows, raster(file))
+    assert set(meant(file, rows)) == {"n2", "n4", "n6", "output"}
+
+
+def test_sinabs_and_samna_are_never_asked(file):
+    assert TOOL["sinabs"].missing
+    places = {"sinabs": Path(sys.executable)}
+    rows = measure([file], places, Path("found.json"), print)
+    assert all(row["opens"] is None for row in rows if row["peer"] == "sinabs")
+
+
+def test_a_python_is_given_or_found(tmp_path):
+    found = tmp_path / "norse" / "bin"
+    found.mkdir(parents=True)
+    (found / "python").write_text("")
+    assert pythons(tmp_path, {})["norse"] == found / "python"
+    assert pythons(tmp_path, {"norse": Path(sys.executable)})["norse"] == Path(sys.executable)
+    with pytest.raises(ConfigError, match="there is no"):
+        pythons(tmp_path, {"norse": tmp_path / "none"})
+    with pytest.raises(ConfigError, match="there are norse, "):
+        pythons(tmp_path, {"brian2": Path(sys.executable)})
+
+
+def test_a_python_without_the_tool_is_as_none():
+    assert versions(TOOL["spikingjelly"], Path(sys.executable)) == {}
+
+
+def test_a_process_that_ends_early_refuses_the_rest(monkeypatch):
+    monkeypatch.setattr(peers, "_called", lambda *_: '{"opens": true, "message": ""}\n')
+    said = list(peers.answers(TOOL["norse"], Path(sys.executable), [{}, {}]))
+    assert [answer["opens"] for answer in said] == [True, False]
+    assert "ended" in said[1]["message"]
+
+
+def test_the_command_writes_and_keeps_what_is_not_its_own(command, file):
+    words = ("interop", "policy.nir", "--folder", "none")
+    code, out, _ = command(*words, "-o", "page.md", "--json")
+    assert code == 0
+    assert {row["file"] for row in json.loads(out)} == {"policy.nir"}
+    assert command(*words, "-o", "page.md")[0] == 0  # again
+    Path("notes.md").write_text("mine")
+    code, _, err = command(*words, "-o", "notes.md")
+    assert (code, "--force" in err) == (2, True)
+    assert Path("notes.md").read_text() == "mine"
+    code, _, err = command("interop", "policy.onnx", "-o", "page.md")
+    assert (code, "no .nir file" in err) == (2, True)
+
+
+def test_the_page_in_the_documentation_is_that_of_its_records():
+    """Written by `spikedeploy interop`, and not by hand."""
+    root = Path(__file__).parents[3]
+    text = (root / "docs/interop.md").read_text("utf-8")
+    rows = json.loads((root / "results/interop.json").read_text("utf-8"))
+    command = next(line for line in text.splitlines() if line.startswith("spikedeploy interop"))
+    assert page(rows, command) == text
