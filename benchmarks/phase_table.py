@@ -5,9 +5,9 @@
     action = clip(table[phase] + W observation, -1, 1)
 
 The gait of Hexapod-v0 has 40 phases, which the observation holds as sine and cosine. Table (40, 18)
-and W are fitted by least squares to a float teacher on its own walks, then on walks of the
-student too (DAgger, six rounds); of W only the entries that lower the error most are kept. Both are rounded to
-8 bits, one scale each. The student's own last command is not looked at. The energy is that of
+and W are fitted by least squares to a float teacher on its own walks, then on walks of the student
+too (DAgger, six rounds); of W only the entries that lower the error most are kept. Both are rounded
+to 8 bits, one scale each. The student's own last command is not looked at. The energy is that of
 docs/energy.md: MACs, 18 constants, and reads of 16 bits of 18 table entries and the observations.
 
 --write puts the result into results/phase-table.json.
@@ -18,6 +18,7 @@ import prepare  # isort: skip  # noqa: F401 - before all others
 import argparse
 import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,8 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.experiments.pareto.costs import INT8, TABLES
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.seeds import EVALUATION
-from tests.paths import ROOT
 
+ROOT = Path(__file__).resolve().parents[1]
 Array = NDArray[np.float64]
 Controller = Callable[[Array], Array]
 _PHASES, _ROUNDS, _WALKS, _FIRST = 40, 6, 4, 3000  # seeds of walks that are learned from
@@ -105,10 +106,9 @@ def _few(x: Array, y: Array, most: int) -> Array:
         left = toward - weight @ gram  # (act, obs) what each entry could still explain
         gain = np.where(weight == 0, left**2 / np.diag(gram), 0)
         action, column = np.unravel_index(gain.argmax(), gain.shape)
-        chosen = np.flatnonzero(weight[action]).tolist() + [int(column)]
-        weight[action, chosen] = np.linalg.solve(
-            gram[np.ix_(chosen, chosen)], toward[action, chosen]
-        )
+        chosen = [*np.flatnonzero(weight[action]).tolist(), int(column)]
+        these = gram[np.ix_(chosen, chosen)]
+        weight[action, chosen] = np.linalg.solve(these, toward[action, chosen])
     return weight
 
 

@@ -175,6 +175,18 @@ def macs(env, *policies):
     return [row(env, policy)["effective_macs"] for policy in policies]
 
 
+def phase_table():
+    """What `python benchmarks/phase_table.py` found."""
+    return json.loads((RESULTS / "phase-table.json").read_text("utf-8"))
+
+
+def walker_picojoules():
+    """Of the sparse walkers with reward [pJ]: operations alone, and all, in the overview."""
+    wanted = {"task": "hexapod", "policy": "LIF, with reward"}
+    return [column("pareto.md", head, **wanted)[0] for head in
+            ("operations alone [pJ]", "+ the rest")]  # fmt: skip
+
+
 RULES = [
     # README
     ("a linear policy ({} MACs) and mlp-8, eight hidden units ({}), earn what sac does", lambda:
@@ -189,13 +201,25 @@ RULES = [
     ("the command task ({} operations), three karts ({})", lambda: (
         sops("hexapod-command"), max(map(sops, KARTS)))),
     ("and all MACs (sac: {}) included", lambda: (row("hexapod", "sac")["macs_dense"],)),
-    ("the operations of the sparse walkers cost {} to {} times those of the cheapest float", lambda:
+    ("Operations of sparse walkers cost {} to {} times those of the cheapest float", lambda:
         spread(cheapest("Operations alone"))),
-    ("with the updates of their neurons and the encoder they cost {} to {} times as much", lambda:
-        spread(cheapest("With updates, encoder and constants") + cheapest("With neuron updates"))),
+    ("with the updates of their neurons {} to {} times, with the encoder too {} to {}", lambda: (
+        *spread(cheapest("With neuron updates")),
+        *spread(cheapest("With updates, encoder and constants")))),
+    ("a table of the gait's {} phases with {} MACs earns {} % of it", lambda: (
+        40, phase_table()["macs"], 100 * phase_table()["of_sac"]["mean"])),
     # docs/results.md
     ("Among policies with {} % of the teacher's return, and among those with {} %, the cheapest "
      "sparse walker costs less", lambda: (100 * NEARLY, 100 * NEAR)),
+    ("a table of {} actions for each of them and {} multiplications beside it", lambda: (
+        18, phase_table()["macs"])),
+    ("pruned greedily, earn {} % [{}, {}] of sac on the {} seeds", lambda: [
+        100 * n for n in (
+            phase_table()["of_sac"]["mean"], *phase_table()["of_sac"]["ci95"], 1)]),
+    ("that is {} pJ for the operations and {} pJ with the constants and all reads, against {} and "
+     "{} of the sparse walkers", lambda: (
+        1e12 * phase_table()["joules"]["operations"], 1e12 * phase_table()["joules"]["all"],
+        *walker_picojoules())),
     ("down to mlp-8 with {} MACs", lambda: macs("hexapod", "mlp-8")),
     ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
      "({}) earns more than every spiking policy", lambda:

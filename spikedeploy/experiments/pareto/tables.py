@@ -146,7 +146,7 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
 
 
 def _mark(pair: Pairing, span: Span) -> str:
-    """✓ where the spiking point costs less wherever scores are in their intervals, ✗ never, else ≈."""
+    """✓ where the spiking point is cheaper wherever in the intervals scores are, ✗ never, else ≈."""
     least, largest = span
     if largest is not None and largest <= 1:
         return "✓"
