@@ -1,6 +1,7 @@
-"""The plots of a comparison as SVG in the colours of the page, light or dark."""
+"""Figures of matplotlib as SVG in the colours of the page, light or dark."""
 
 from collections.abc import Sequence
+from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING
 
@@ -10,14 +11,19 @@ from spikedeploy.reports.plots import energy_figure, returns_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# colours of the plots -> those of report.css
+# colours of the plots -> those of page.css
 _COLOURS = {
     "#0072b2": "var(--ann)",
     "#e69f00": "var(--snn)",
     "#d55e00": "var(--chip)",
     "#8a939e": "var(--control)",
+    "#009e73": "var(--green)",
+    "#cc79a7": "var(--pink)",
+    "#56b4e9": "var(--sky)",
+    "#f0e442": "var(--yellow)",
     "#e6e8eb": "var(--line)",
     "#000000": "var(--ink)",
+    "#222222": "var(--ink)",
     "#333333": "var(--ink)",
     "#555555": "var(--soft)",
 }
@@ -25,22 +31,23 @@ _COLOURS = {
 
 def returns_svg(rows: Sequence[Row]) -> str:
     """Returns of all episodes, means and intervals."""
-    return _svg(returns_figure(rows), "Return of each episode, mean and 95% interval of each row")
+    return svg(returns_figure(rows), "Return of each episode, mean and 95% interval of each row")
 
 
 def energy_svg(rows: Sequence[Row]) -> str:
     """Joules per inference by each table; empty where none prices a row."""
     if not any(row["energy_per_inference_j"] for row in rows):
         return ""
-    return _svg(energy_figure(rows), "Energy of an inference by each table, on a logarithmic axis")
+    return svg(energy_figure(rows), "Energy of an inference by each table, on a logarithmic axis")
 
 
-def _svg(figure: "Figure", title: str) -> str:
+def svg(figure: "Figure", alt: str) -> str:
+    """A figure with its alternative text."""
     from matplotlib import rc_context
 
     text = StringIO()
     # text as text; ids that do not differ from call to call
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": alt}):
         figure.savefig(
             text, format="svg", bbox_inches="tight", transparent=True, metadata={"Date": None}
         )
@@ -48,4 +55,4 @@ def _svg(figure: "Figure", title: str) -> str:
     drawn = drawn[drawn.index("<svg") :]
     for colour, name in _COLOURS.items():
         drawn = drawn.replace(colour, name)
-    return drawn.replace("<svg", f'<svg role="img" aria-label="{title}"', 1)
+    return drawn.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1)
