@@ -41,6 +41,7 @@ COMMANDS = {
         "energy": "listings",
         "envs": "listings",
         "recipes": "listings",
+        "runs": "runs",
         "doctor": "checks",
     },
 }

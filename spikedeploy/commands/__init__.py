@@ -10,6 +10,7 @@ checks       check, verify, doctor
 evidence     reproduce
 training     train, visualize, export, publish
 training_seeds  train --seeds
+runs         runs
 distillation  distill
 tuning       tune
 experiments  experiment

@@ -124,12 +124,15 @@ def run_training(
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.console import print_json, say
+    from spikedeploy.pages.training import LivePage
     from spikedeploy.shipping.exported_run import trained_in
+    from spikedeploy.shipping.run_card import write_run_files
     from spikedeploy.trainers.interrupt import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
-    run = learn(recipe, quiet=json, interrupt=interrupt, **more)
+    run = learn(recipe, quiet=json, interrupt=interrupt, watch=LivePage(), **more)
+    write_run_files(run)
     if json:
         print_json({"run": str(run)})
     if interrupt.share is not None:
@@ -141,7 +144,7 @@ def run_training(
     if not json:
         env = trained_in(str(run))
         again = shlex.join(["spikedeploy", "compare", str(env), str(run)])
-        typer.echo(f"trained: {run}\n{remark(run)}next: {again}")
+        typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
 
 
 def export(
@@ -154,7 +157,7 @@ def export(
     to: Annotated[
         str | None,
         typer.Option(
-            help="Format: nir or c for spiking policies, onnx for float ones.",
+            help="Format: nir or c for spiking policies, onnx for float ones; or card.",
             show_default="as -o ends, else as the policy is",
         ),
     ] = None,
@@ -179,12 +182,23 @@ def export(
         ),
     ] = None,
     checkpoint: Checkpoint = None,
+    film: Annotated[
+        bool, typer.Option("--film", help="With --to card: replay.mp4 of one greedy episode.")
+    ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99."""
+    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99.
+
+    --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
+    """
+    if film and to != "card":
+        raise typer.BadParameter("--film goes with --to card")
     if to == "c":
         _export_c(run, chip, output, observations, prefix, force, json)
+        return
+    if to == "card":
+        _export_card(run, output, checkpoint, film, force, json)
         return
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
@@ -225,6 +239,22 @@ def _export_c(
         typer.echo(line)
 
 
+def _export_card(
+    run: str, output: Path | None, checkpoint: str | None, film: bool, force: bool, json: bool
+) -> None:
+    """Write what shows a run beside its policy into its folder, and say what."""
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.run_card import export_card
+
+    if output is not None or checkpoint is not None:
+        raise typer.BadParameter("--to card is of the run folder: leave -o and --checkpoint out")
+    files = export_card(run, film, force)
+    if json:
+        print_json({"files": [str(file) for file in files]})
+    else:
+        typer.echo("wrote " + ", ".join(str(file) for file in files))
+
+
 def publish(
     run: Annotated[
         str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
@@ -259,8 +289,8 @@ def publish(
 
 def visualize(
     runs: Annotated[
-        list[Path],
-        typer.Argument(exists=True, file_okay=False, help="Run folders.", metavar="RUN…"),
+        list[str],
+        typer.Argument(help="Run folders, or their names under runs/.", metavar="RUN…"),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path(
         "reports/curves.png"
@@ -273,10 +303,12 @@ def visualize(
     from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.reports.curves import curve
     from spikedeploy.reports.plots import draw_curves
+    from spikedeploy.trainers.run_names import existing_run
 
     own = mark("visualize")
-    check_output("-o", output, runs, force, lambda path: marked(path, own))
-    curves = [curve(run / "metrics.csv", run.resolve().name) for run in runs]
+    folders = [existing_run(run) for run in runs]
+    check_output("-o", output, folders, force, lambda path: marked(path, own))
+    curves = [curve(run / "metrics.csv", run.resolve().name) for run in folders]
     picture = draw_curves(curves, output, own)
     if json:
         print_json({"path": str(picture), "curves": [vars(each) for each in curves]})

@@ -5,6 +5,7 @@ from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING
 
+from spikedeploy.pages.page import part
 from spikedeploy.reports.cells import Row
 from spikedeploy.reports.plots import energy_figure, returns_figure
 
@@ -39,6 +40,13 @@ def energy_svg(rows: Sequence[Row]) -> str:
     if not any(row["energy_per_inference_j"] for row in rows):
         return ""
     return svg(energy_figure(rows), "Energy of an inference by each table, on a logarithmic axis")
+
+
+def standalone(drawn: str) -> str:
+    """An SVG of `svg` as a file of its own, light or dark as its reader is."""
+    colours = part("page.css").partition("* {")[0]
+    head, _, rest = drawn.partition(">")
+    return f"{head}><style>{colours}text {{ fill: var(--ink); }}</style>{rest}"
 
 
 def svg(figure: "Figure", alt: str) -> str:
