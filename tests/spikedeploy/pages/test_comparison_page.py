@@ -73,15 +73,17 @@ def test_a_float_policy_alone_has_a_return_and_what_is_known_of_its_cost():
     assert [each.number for each in headline([row("gait", "gait")])] == ["3,000"]
 
 
-@pytest.fixture
-def page(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    compared = compare_policies(
-        "stroll", line_up("stroll", (), ("loihi1",)), range(10_000, 10_003), processes=1
-    )
-    document = report.document(compared)
-    episodes = report.recordings(compared, document["rows"], {})
-    return report.write(document, tmp_path / "out", episodes=episodes)[0]
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    with pytest.MonkeyPatch.context() as patch:
+        toy_stroll_env.ship(patch, folder / "zoo")
+        compared = compare_policies(
+            "stroll", line_up("stroll", (), ("loihi1",)), range(10_000, 10_003), processes=1
+        )
+        document = report.document(compared)
+        episodes = report.recordings(compared, document["rows"], {})
+        return report.write(document, folder / "out", episodes=episodes)[0]
 
 
 def test_the_page_is_small_and_its_names_cannot_end_the_script(page):
