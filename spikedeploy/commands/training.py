@@ -126,13 +126,12 @@ def run_training(
     from spikedeploy.console import print_json, say
     from spikedeploy.pages.training import LivePage
     from spikedeploy.shipping.exported_run import trained_in
-    from spikedeploy.shipping.run_card import write_run_files
     from spikedeploy.trainers.interrupt import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
     run = learn(recipe, quiet=json, interrupt=interrupt, watch=LivePage(), **more)
-    write_run_files(run)
+    _show_run(run)
     if json:
         print_json({"run": str(run)})
     if interrupt.share is not None:
@@ -145,6 +144,20 @@ def run_training(
         env = trained_in(str(run))
         again = shlex.join(["spikedeploy", "compare", str(env), str(run)])
         typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
+
+
+def _show_run(run: Path) -> None:
+    """Write page, card and curves; where that fails, the training is none the worse."""
+    from spikedeploy.console import say
+    from spikedeploy.runtime.errors import SpikedeployError
+    from spikedeploy.shipping.run_card import write_run_files
+    from spikedeploy.user_errors import one_line
+
+    try:
+        write_run_files(run)
+    except (OSError, SpikedeployError) as error:
+        with suppress(OSError):  # of a terminal that was closed
+            say(f"page and card are not written: {one_line(error) or error}")
 
 
 def export(
@@ -306,7 +319,7 @@ def visualize(
     from spikedeploy.trainers.run_names import existing_run
 
     own = mark("visualize")
-    folders = [existing_run(run) for run in runs]
+    folders = [Path(run) if Path(run).is_dir() else existing_run(run) for run in runs]
     check_output("-o", output, folders, force, lambda path: marked(path, own))
     curves = [curve(run / "metrics.csv", run.resolve().name) for run in folders]
     picture = draw_curves(curves, output, own)
