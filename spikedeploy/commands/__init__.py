@@ -8,7 +8,8 @@ closed_loop  run, compare, demo: policies in their environments
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
-training     train, visualize, export, publish
+training     train, visualize
+exporting    export, publish
 training_seeds  train --seeds
 runs         runs
 distillation  distill

@@ -1,4 +1,4 @@
-"""`train`, `visualize`, `export` and `publish`: from a recipe to a shipped policy."""
+"""`train` and `visualize`: from a recipe to a run folder, and its curve."""
 
 import shlex
 from collections.abc import Callable
@@ -9,17 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import Force, Json, States, Workers
+from spikedeploy.commands.options import Force, Json
 from spikedeploy.commands.training_seeds import run_seeds
-
-Checkpoint = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Checkpoint of the run, such as last or ops-480.",
-        show_default="best, else last",
-    ),
-]
 
 _RUNS = Path("runs")
 TrainingSeed = Annotated[
@@ -158,146 +149,6 @@ def _show_run(run: Path) -> None:
     except (OSError, SpikedeployError) as error:
         with suppress(OSError):  # of a terminal that was closed
             say(f"page and card are not written: {one_line(error) or error}")
-
-
-def export(
-    run: Annotated[
-        str,
-        typer.Argument(
-            metavar="RUN", help="Run folder, its name under runs/, or 'last'; for c also FILE.nir."
-        ),
-    ],
-    to: Annotated[
-        str | None,
-        typer.Option(
-            help="Format: nir or c for spiking policies, onnx for float ones; or card.",
-            show_default="as -o ends, else as the policy is",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="File to write; for c the folder.",
-            show_default="in the run folder",
-        ),
-    ] = None,
-    observations: Annotated[
-        int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
-    ] = 1000,
-    chip: Annotated[str, typer.Option(help="Chip whose integers are written; c only.")] = "loihi1",
-    prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
-    state: Annotated[
-        States | None,
-        typer.Option(
-            help="Membranes at an inference: reset, or kept; nir only.", show_default="as trained"
-        ),
-    ] = None,
-    checkpoint: Checkpoint = None,
-    film: Annotated[
-        bool, typer.Option("--film", help="With --to card: replay.mp4 of one greedy episode.")
-    ] = False,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99.
-
-    --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
-    """
-    if film and to != "card":
-        raise typer.BadParameter("--film goes with --to card")
-    if to == "c":
-        _export_c(run, chip, output, observations, prefix, force, json)
-        return
-    if to == "card":
-        _export_card(run, output, checkpoint, film, force, json)
-        return
-    from spikedeploy.console import print_json, say
-    from spikedeploy.reports.terminal import print_checks
-    from spikedeploy.shipping.export_run import export_run
-
-    written = export_run(
-        run, to, output, observations, state=state, checkpoint=checkpoint, force=force
-    )
-    if json:
-        checks = [vars(check) for check in written.checks]
-        print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
-    else:
-        print_checks(written.checks)
-        typer.echo(f"wrote {written.path}")
-        if written.unfinished:
-            say(f"its training is unfinished: stopped at {written.unfinished}")
-    raise typer.Exit(0 if written.passed else 1)
-
-
-def _export_c(
-    policy: str,
-    chip: str,
-    folder: Path | None,
-    observations: int,
-    prefix: str,
-    force: bool,
-    json: bool,
-) -> None:
-    """Write a policy as C of a chip, and say what that takes."""
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping.export_c import export_c
-
-    written = export_c(policy, chip, folder, observations, prefix, force)
-    if json:
-        print_json(written.record())
-        return
-    for line in written.lines():
-        typer.echo(line)
-
-
-def _export_card(
-    run: str, output: Path | None, checkpoint: str | None, film: bool, force: bool, json: bool
-) -> None:
-    """Write what shows a run beside its policy into its folder, and say what."""
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping.run_card import export_card
-
-    if output is not None or checkpoint is not None:
-        raise typer.BadParameter("--to card is of the run folder: leave -o and --checkpoint out")
-    files = export_card(run, film, force)
-    if json:
-        print_json({"files": [str(file) for file in files]})
-    else:
-        typer.echo("wrote " + ", ".join(str(file) for file in files))
-
-
-def publish(
-    run: Annotated[
-        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
-    ],
-    name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
-    note: Annotated[str, typer.Option(help="Note for the card.")] = "",
-    control: Annotated[
-        bool, typer.Option("--control", help="Comparisons show it as a control.")
-    ] = False,
-    checkpoint: Checkpoint = None,
-    workers: Workers = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder of the zoo.", show_default="the package's own"),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
-    from spikedeploy import zoo
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping.publish_run import publish_run
-
-    folder = output or zoo.FOLDER
-    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)
-    if json:
-        print_json({"files": [str(file) for file in files]})
-    else:
-        typer.echo("wrote " + ", ".join(str(file) for file in files))
 
 
 def visualize(

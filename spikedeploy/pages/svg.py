@@ -1,5 +1,6 @@
 """Figures of matplotlib as SVG in the colours of the page, light or dark."""
 
+import re
 from collections.abc import Sequence
 from html import escape
 from io import StringIO
@@ -12,6 +13,7 @@ from spikedeploy.reports.plots import energy_figure, returns_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_WIDTH = re.compile(r'viewBox="0 0 ([\d.]+) ')  # [pt]
 # colours of the plots -> those of page.css
 _COLOURS = {
     "#0072b2": "var(--ann)",
@@ -63,4 +65,6 @@ def svg(figure: "Figure", alt: str) -> str:
     drawn = drawn[drawn.index("<svg") :]
     for colour, name in _COLOURS.items():
         drawn = drawn.replace(colour, name)
-    return drawn.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1)
+    width = float(_WIDTH.search(drawn)[1])  # type: ignore[index]  # matplotlib writes it
+    head = f'<svg role="img" aria-label="{escape(alt)}" style="--wide: {width:.0f}px"'
+    return drawn.replace("<svg", head, 1)
