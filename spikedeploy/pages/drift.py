@@ -9,7 +9,7 @@ from spikedeploy.pages.svg import svg
 from spikedeploy.pages.written import made_by
 from spikedeploy.reports.drift_tables import ABLATION_STEPS, Table, output_name, tables
 from spikedeploy.reports.headline import HeadlineNumber
-from spikedeploy.reports.plots import BLUE, VERMILION
+from spikedeploy.reports.plots import BLUE, VERMILION, plain
 from spikedeploy.runtime.analysis.drift import Drift
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def _rates(drift: Drift) -> str:
         values = [pair[place] for pair in rates]
         look = {"markersize": 10, "fillstyle": "none"} if place == 0 else {"markersize": 6}
         axes.plot(values, range(len(layers)), "os"[place], color=colour, label=label, **look)
-    axes.set_yticks(range(len(layers)), [_plain(layer.name) for layer in layers])
+    axes.set_yticks(range(len(layers)), [plain(layer.name) for layer in layers])
     axes.set_ylim(len(layers) - 0.5, -0.5)
     axes.set_xlim(0, 1.08 * max(max(pair) for pair in rates) or 1)
     axes.set_xlabel("spikes for each neuron and timestep")
@@ -113,7 +113,7 @@ def _ablation(drift: Drift) -> str:
     for place, layer in enumerate(drift.layers):
         distances = [step.distance[layer.name] for step in drift.ablation]
         look = _COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)]
-        axes.plot(steps, distances, color=look[0], marker=look[1], label=_plain(layer.name))
+        axes.plot(steps, distances, color=look[0], marker=look[1], label=plain(layer.name))
     axes.set_xticks(steps, [_two_lines(ABLATION_STEPS[step.name]) for step in drift.ablation])
     axes.set_ylim(bottom=0)
     axes.set_ylabel("distance of the spikes")
@@ -122,11 +122,6 @@ def _ablation(drift: Drift) -> str:
 
 def _two_lines(text: str) -> str:
     return text.replace(": ", ":\n").replace(" and ", "\nand ").replace(", ", ",\n")
-
-
-def _plain(name: str) -> str:
-    """A name in which no dollar sign begins a formula."""
-    return name.replace("$", r"\$")
 
 
 def _finished(drawing: "Figure", axes: "Axes", alt: str) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spikedeploy.reports.curves import counted_by
 from spikedeploy.reports.plots import BLUE, VERMILION
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def curves_figure(rows: Sequence[Row]) -> "Figure | None":
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for each, panel in zip(axes, panels, strict=True):
         _draw(each, panel, rows)
-    axes[-1].set_xlabel(next(iter(rows[0])).replace("env_", "environment ").replace("_", " "))
+    axes[-1].set_xlabel(counted_by(next(iter(rows[0]))))
     axes[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
     return figure
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.policies import run_record
+from spikedeploy.reports.curves import counted_by
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.run_lock import in_use
 
@@ -113,7 +114,7 @@ def _steps(rows: Sequence[Mapping[str, float]]) -> tuple[int, str]:
     if not rows:
         return 0, "steps"
     unit = next(iter(rows[-1]))
-    return int(rows[-1][unit]), unit.replace("env_", "environment ").replace("_", " ")
+    return int(rows[-1][unit]), counted_by(unit)
 
 
 def _written(run: Path) -> list[Path]:
