@@ -48,7 +48,8 @@ def standalone(drawn: str) -> str:
     """An SVG of `svg` as a file of its own, light or dark as its reader is."""
     colours = part("page.css").partition("* {")[0]
     head, _, rest = drawn.partition(">")
-    return f"{head}><style>{colours}text {{ fill: var(--ink); }}</style>{rest}"
+    own = "svg { background: var(--card); } text { fill: var(--ink); }"
+    return f"{head}><style>{colours}{own}</style>{rest}"
 
 
 def svg(figure: "Figure", alt: str) -> str:

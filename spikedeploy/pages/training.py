@@ -95,7 +95,7 @@ def _numbers(found: RunScores, settings: Mapping[str, Any]) -> Iterator[Headline
         yield HeadlineNumber("operations of a control step", number, "in the same validation")
     if found.rate is not None:
         yield HeadlineNumber(
-            "spike rate", f"{found.rate:.1%}", "of neurons in each timestep, in mean"
+            "spike rate", f"{found.rate:.1%}", "of neurons in each timestep, on average"
         )
     steps, unit = found.steps
     yield HeadlineNumber("training", f"{found.share:.0%}", f"{steps:,} {unit}")
