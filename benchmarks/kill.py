@@ -7,8 +7,8 @@ half of the kills at a random time, the other at a random one of the file operat
 short and would hardly be met otherwise. Among the kills some are stopped (SIGTERM), which leaves a
 checkpoint where the unbroken run has none. Each chain of them ends with a training that may finish.
 Its run folder must then hold the same files as that of the run that nothing stopped, with the
-same bytes; left out are the columns of metrics.csv that are times, the picture of the curve (its
-title is the folder's name) and TensorBoard's files. Exits with 1 on a difference.
+same bytes; left out are the columns of metrics.csv that are times, what has the folder's name in
+it (curves, card and page) and TensorBoard's files. Exits with 1 on a difference.
 """
 
 import prepare  # isort: skip  # noqa: F401 - before all others

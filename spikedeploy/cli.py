@@ -28,8 +28,8 @@ COMMANDS = {
         "train": "training",
         "tune": "tuning",
         "distill": "distillation",
-        "export": "training",
-        "publish": "training",
+        "export": "exporting",
+        "publish": "exporting",
         "experiment": "experiments",
         "sweep": "sweeps",
         "draw": "windows",
@@ -43,6 +43,7 @@ COMMANDS = {
         "energy": "listings",
         "envs": "listings",
         "recipes": "listings",
+        "runs": "runs",
         "doctor": "checks",
     },
 }

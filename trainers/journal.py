@@ -1,6 +1,6 @@
 """Journal of a run: rows of metrics, to CSV file, TensorBoard and progress bar."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,15 @@ if TYPE_CHECKING:
 class Journal:
     """What an algorithm reports to while it learns."""
 
-    def __init__(self, run: RunFolder, columns: tuple[str, ...], bar: "ProgressBar") -> None:
+    def __init__(
+        self,
+        run: RunFolder,
+        columns: tuple[str, ...],
+        bar: "ProgressBar",
+        watch: Callable[[Path], None] | None = None,
+    ) -> None:
+        """watch: is called with the run folder after each row."""
+        self._path, self._watch = run.path, watch
         self.metrics = Metrics(run.metrics, columns)
         self.board = _TensorBoardLog(run.path)
         self.bar = bar
@@ -30,6 +38,8 @@ class Journal:
         self.metrics.add(known)
         self.board.add(int(row[self.metrics.columns[0]]), known)
         self.bar.show(row)
+        if self._watch is not None:
+            self._watch(self._path)
 
     def rewind(self, step: int) -> None:
         """Drop the rows after a step, on resuming from it."""

@@ -6,6 +6,7 @@
     versions.json        of Python, packages and source tree
     metrics.csv          one row for each logging interval
     curve.png            learning curve
+    report.html, card.md, curve.svg   to look at, and to show: written anew at the end
     replay.safetensors   replay buffer of an unfinished run
     checkpoints/{last,best}.safetensors, each with a .json of its numbers to read
 
@@ -35,13 +36,16 @@ from spikedeploy.trainers.config import C, RunConfig
 from spikedeploy.trainers.policies import Policy, build
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import validated
+from spikedeploy.trainers.run_names import existing_run
 from spikedeploy.trainers.versions import versions
 from spikedeploy.trainers.write_errors import said
 
 _POLICY = "policy."  # prefix of the policy's tensors
 _FOLDERS = ("checkpoints", "pool", "ghosts")  # of training, in a run folder
 # what `replacing` leaves of a file of training when it is killed; exports have other endings
-_UNFINISHED = re.compile(r"\.(.+\.(json|csv|safetensors|npz)|SHA256SUMS|curve\.png)\.\d+(\.part)?")
+_UNFINISHED = re.compile(
+    r"\.(.+\.(json|csv|safetensors|npz)|SHA256SUMS|curve\.(png|svg)|report\.html|card\.md)\.\d+(\.part)?"
+)
 
 
 class RunFolder:
@@ -72,14 +76,13 @@ class RunFolder:
 
     @classmethod
     def find(cls, name: str | Path, runs: str | Path = "runs", recipe: str = "") -> "RunFolder":
-        """Return a run by path or by name in `runs`; "last" is the newest with a checkpoint."""
+        """Return a run by path or by its name in `runs`, or a beginning of it that no other has.
+
+        "last" is the newest with a checkpoint.
+        """
         if str(name) == "last":
             return cls(_newest(Path(runs), recipe))
-        for path in (Path(name), Path(runs) / name):
-            if (path / "config.json").is_file():
-                return cls(path)
-        beside = "" if Path(name).is_absolute() else f", nor in {Path(runs) / name}"
-        raise ConfigError(f"'{name}' is no run folder: no config.json in it{beside}")
+        return cls(existing_run(name, runs))
 
     def settings(self) -> dict[str, Any]:
         """Return the configuration as written, for any algorithm."""

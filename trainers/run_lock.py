@@ -36,6 +36,18 @@ def locked(run: Path) -> Iterator[None]:
         os.close(handle)
 
 
+def in_use(run: Path) -> bool:
+    """Return whether another process trains in a run folder; without taking its lock."""
+    try:
+        handle = os.open(run / _NAME, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        return _alive(_holder(handle))
+    finally:
+        os.close(handle)
+
+
 def _taken(file: Path, run: Path) -> int:
     """Return the open and locked file."""
     while True:

@@ -6,7 +6,7 @@ An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 import json
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 import torch
 
 from spikedeploy import envs
+from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.checksums import write_summed
@@ -26,6 +27,7 @@ from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.resolve import amended, known, resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.run_lock import locked
+from spikedeploy.trainers.run_names import is_beginning
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.budget import with_budget
 from spikedeploy.trainers.write_errors import said
@@ -49,6 +51,7 @@ def train(
     runs: str | Path = "runs",
     quiet: bool = False,
     interrupt: Interrupt | None = None,
+    watch: Callable[[Path], None] | None = None,
 ) -> Path:
     """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
@@ -58,6 +61,7 @@ def train(
     env: environment of a recipe for any; short name, registered id or module:Class
     budget: operations of a control step, of a sparse recipe: "sops=480", "macs=500"
     interrupt: requests a stop, and says afterwards whether there was one
+    watch: is called with the run folder after each row of metrics
     """
     stopped = interrupt or Interrupt()
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
@@ -73,7 +77,7 @@ def train(
         run = RunFolder.find(resume, runs, recipe)
         with locked(run.path):
             runner, config = _resumed(run, kind, recipe, env, config_file, overrides, budget)
-            _learn(runner, config, run, quiet, stopped)
+            _learn(runner, config, run, quiet, stopped, watch)
         return run.path
     config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
     config = config if budget is None else with_budget(config, budget)
@@ -81,7 +85,7 @@ def train(
     config = _by_name(config)
     run = RunFolder.create(runs, config)
     with locked(run.path), _removed_if_refused(run):
-        _learn(kind(config, run), config, run, quiet, stopped)
+        _learn(kind(config, run), config, run, quiet, stopped, watch)
     return run.path
 
 
@@ -132,9 +136,19 @@ def _check_env(config: RunConfig) -> None:
 
 
 def _by_name(config: RunConfig) -> RunConfig:
-    """Return it with the folder of the run that is "last" now: later another one is."""
-    runs = [name for name in ("teacher", "start", "pool") if getattr(config, name, "") == "last"]
-    return config.model_copy(update={name: str(RunFolder.find("last").path) for name in runs})
+    """Return it with the folders of the runs that are meant now; later names may mean others."""
+    names = ((key, str(getattr(config, key, ""))) for key in ("teacher", "start", "pool"))
+    found = {key: str(RunFolder.find(name).path) for key, name in names if _abbreviated(name)}
+    return config.model_copy(update=found)
+
+
+def _abbreviated(name: str) -> bool:
+    """Return whether this is "last", or the beginning of a run's name and nothing else."""
+    if name == "last":
+        return True
+    from spikedeploy.trainers.distill.teachers import shipped
+
+    return shipped(name) is None and not is_target(name) and is_beginning(name)
 
 
 @contextmanager
@@ -171,11 +185,16 @@ def _check_tables(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) ->
 
 
 def _learn(
-    runner: Runner[Any], config: RunConfig, run: RunFolder, quiet: bool, stopped: Interrupt
+    runner: Runner[Any],
+    config: RunConfig,
+    run: RunFolder,
+    quiet: bool,
+    stopped: Interrupt,
+    watch: Callable[[Path], None] | None,
 ) -> None:
     """Run the algorithm under a progress bar until it ends or is stopped, then draw its curve."""
     with ProgressBar(run.path.name, quiet) as bar, stopped.acknowledged(bar, quiet):
-        journal = Journal(run, runner.columns(config), bar)
+        journal = Journal(run, runner.columns(config), bar, watch)
         try:
             runner.learn(journal, stopped)
         finally:

@@ -10,9 +10,11 @@ open_loop    emulate, drift: networks on recorded spikes
 checks       check, verify, doctor
 evidence     reproduce
 interop      interop
-training     train, visualize, export, publish
+training     train, visualize
+exporting    export, publish
+export_formats  export --to c, --to card, --for, --nir-compat
 training_seeds  train --seeds
-exports      export --to c, --for, --nir-compat
+runs         runs
 distillation  distill
 tuning       tune
 experiments  experiment

@@ -14,10 +14,12 @@ from spikedeploy.commands.options import (
     Delay,
     Dt,
     Floor,
+    Force,
     From,
     Integrator,
     Json,
     Like,
+    PageFolder,
     Reset,
     Spikes,
     State,
@@ -54,6 +56,8 @@ def check(
             "recorded, instead of checking chips.",
         ),
     ] = None,
+    output: PageFolder = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Check whether a network fits on chips, rule by rule and node by node.
@@ -62,7 +66,10 @@ def check(
     --against: the float twin equals the recording.
     """
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.design_report import ALL, design_report
+    from spikedeploy.emulation.design_report import ALL, design_report, network_path
+    from spikedeploy.outputs import check_output_folder
+    from spikedeploy.pages.design import design_page
+    from spikedeploy.pages.written import FILES, write_page, written_by
     from spikedeploy.reports.check_tables import print_report
 
     convention = {
@@ -77,12 +84,20 @@ def check(
         "written_by": from_,
     }
     if against is not None:
+        if output:
+            raise typer.BadParameter("-o writes the rules of chips: leave --against out")
         _check_against(file, against, chip, convention, json)
+    if output:
+        check_output_folder("-o", output, FILES, (network_path(file),), force, written_by("check"))
     report = design_report(file, chip or [ALL], **convention)
+    if output:
+        write_page("check", design_page(report), report.as_json(), output)
     if json:
         print_json(report.as_json())
     else:
         print_report(report, rules)
+        if output:
+            typer.echo(f"wrote {output / 'report.html'}")
     raise typer.Exit(0 if report.passed else 1)
 
 

@@ -135,7 +135,7 @@ def experiment(
     output = output or Path(f"runs/{name}-quick" if quick else "results")
     page = f"{name}.md"
     check_output_folder(
-        "-o", output, (page,), (), force, lambda at: marked(at / page, "spikedeploy")
+        "-o", output, (page, f"{name}.html"), (), force, lambda at: marked(at / page, "spikedeploy")
     )
     outcome = run(design, only or (), jobs, output, train)
     if json:

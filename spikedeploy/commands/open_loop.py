@@ -19,6 +19,7 @@ from spikedeploy.commands.options import (
     Json,
     Like,
     LimitsOption,
+    PageFolder,
     Quantise,
     Reset,
     Rounding,
@@ -161,6 +162,8 @@ def drift(
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the tables as Markdown.")
     ] = False,
+    output: PageFolder = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Compare a chip with the float twin spike by spike, and attribute differences to roundings."""
@@ -168,12 +171,17 @@ def drift(
     from spikedeploy.emulation.drift_inputs import choose_inputs, path_of
     from spikedeploy.emulation.drift_report import drift_report
     from spikedeploy.make_env import parse_options
+    from spikedeploy.outputs import check_output_folder
+    from spikedeploy.pages.drift import drift_page
+    from spikedeploy.pages.written import FILES, write_page, written_by
     from spikedeploy.reports import drift_tables
     from spikedeploy.reports.terminal import print_drift
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
 
     path = path_of(file)
+    if output:
+        check_output_folder("-o", output, FILES, (path, input_), force, written_by("drift"))
     artifact = load(
         path,
         dt=dt,
@@ -200,9 +208,13 @@ def drift(
         tau,
         limits == "on",
     )
+    if output:
+        write_page("drift", drift_page(report), report.as_json(), output)
     if json:
         print_json(report.as_json())
     elif markdown:
         typer.echo(drift_tables.markdown(report))
     else:
         print_drift(report)
+        if output:
+            typer.echo(f"wrote {output / 'report.html'}")

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -37,6 +38,10 @@ Json = Annotated[
 ]
 Force = Annotated[
     bool, typer.Option("--force", help="Replace files that this command did not write.")
+]
+PageFolder = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", help="Folder for report.html and report.json."),
 ]
 Seed = Annotated[
     int, typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000.")

@@ -55,13 +55,15 @@ def sweep(
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.sweeps.backends import backend_called
     from spikedeploy.sweeps.grid import read_grid
-    from spikedeploy.sweeps.page import NUMBERS, PAGE, print_sweep
+    from spikedeploy.sweeps.page import NUMBERS, PAGE, SHOWN, print_sweep
     from spikedeploy.sweeps.store import is_sweep
     from spikedeploy.sweeps.sweep import look_at_sweep, run_sweep
 
     grid = read_grid(spec)
     folder = output or Path("runs/sweeps") / grid.name
-    check_output_folder("-o", folder, (PAGE, NUMBERS, "journal.csv"), (spec,), force, is_sweep)
+    check_output_folder(
+        "-o", folder, (PAGE, SHOWN, NUMBERS, "journal.csv"), (spec,), force, is_sweep
+    )
     chosen = backend_called(backend, workers, address)
     outcome = run_sweep(grid, folder, chosen, retry) if run else look_at_sweep(grid, folder)
     state = outcome.state

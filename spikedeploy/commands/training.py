@@ -1,4 +1,4 @@
-"""`train`, `visualize`, `export` and `publish`: from a recipe to a shipped policy."""
+"""`train` and `visualize`: from a recipe to a run folder, and its curve."""
 
 import shlex
 from collections.abc import Callable
@@ -9,28 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.exports import export_c, export_for
-from spikedeploy.commands.options import (
-    Dt,
-    For,
-    Force,
-    From,
-    Json,
-    NirCompat,
-    Reset,
-    States,
-    Workers,
-)
+from spikedeploy.commands.options import Force, Json
 from spikedeploy.commands.training_seeds import run_seeds
-
-Checkpoint = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Checkpoint of the run, such as last or ops-480.",
-        show_default="best, else last",
-    ),
-]
 
 _RUNS = Path("runs")
 TrainingSeed = Annotated[
@@ -135,12 +115,14 @@ def run_training(
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.console import print_json, say
+    from spikedeploy.pages.training import LivePage
     from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.trainers.interrupt import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
-    run = learn(recipe, quiet=json, interrupt=interrupt, **more)
+    run = learn(recipe, quiet=json, interrupt=interrupt, watch=LivePage(), **more)
+    _show_run(run)
     if json:
         print_json({"run": str(run)})
     if interrupt.share is not None:
@@ -152,122 +134,27 @@ def run_training(
     if not json:
         env = trained_in(str(run))
         again = shlex.join(["spikedeploy", "compare", str(env), str(run)])
-        typer.echo(f"trained: {run}\n{remark(run)}next: {again}")
+        typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
 
 
-def export(
-    run: Annotated[
-        str,
-        typer.Argument(
-            metavar="RUN", help="Run folder, its name under runs/, or 'last'; FILE.nir."
-        ),
-    ],
-    to: Annotated[
-        str | None,
-        typer.Option(
-            help="Format: nir or c for spiking policies, onnx for float ones, or for one step of "
-            "a spiking one.",
-            show_default="as -o ends, else as the policy is",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="File to write; for c the folder.",
-            show_default="in the run folder",
-        ),
-    ] = None,
-    observations: Annotated[
-        int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
-    ] = 1000,
-    chip: Annotated[str, typer.Option(help="Chip whose integers are written; c only.")] = "loihi1",
-    prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
-    state: Annotated[
-        States | None,
-        typer.Option(
-            help="Membranes at an inference: reset, or kept; nir only.", show_default="as trained"
-        ),
-    ] = None,
-    checkpoint: Checkpoint = None,
-    for_: For = None,
-    nir_compat: NirCompat = None,
-    from_: From = None,
-    dt: Dt = None,
-    reset: Reset = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99."""
-    given = {"written_by": from_, "dt": dt, "reset": reset}
-    if for_ or nir_compat:
-        options = {**given, "state": state}
-        export_for(run, to, output, for_, nir_compat, observations, options, force, json)
-        return
-    if any(value is not None for value in given.values()):
-        raise typer.BadParameter("--from, --dt and --reset go with --for or --nir-compat")
-    if to == "c":
-        export_c(run, chip, output, observations, prefix, force, json)
-        return
-    from spikedeploy.console import print_json, say
-    from spikedeploy.reports.terminal import print_checks
-    from spikedeploy.shipping.export_onnx import export_onnx, is_file
-    from spikedeploy.shipping.export_run import export_run
+def _show_run(run: Path) -> None:
+    """Write page, card and curves; where that fails, the training is none the worse."""
+    from spikedeploy.console import say
+    from spikedeploy.runtime.errors import SpikedeployError
+    from spikedeploy.shipping.run_card import write_run_files
+    from spikedeploy.user_errors import one_line
 
-    if to == "onnx" and is_file(run):
-        written = export_onnx(run, output, observations, force)
-    else:
-        written = export_run(
-            run, to, output, observations, state=state, checkpoint=checkpoint, force=force
-        )
-    if json:
-        checks = [vars(check) for check in written.checks]
-        print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
-    else:
-        print_checks(written.checks)
-        typer.echo(f"wrote {written.path}")
-        if written.unfinished:
-            say(f"its training is unfinished: stopped at {written.unfinished}")
-    raise typer.Exit(0 if written.passed else 1)
-
-
-def publish(
-    run: Annotated[
-        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
-    ],
-    name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
-    note: Annotated[str, typer.Option(help="Note for the card.")] = "",
-    control: Annotated[
-        bool, typer.Option("--control", help="Comparisons show it as a control.")
-    ] = False,
-    checkpoint: Checkpoint = None,
-    workers: Workers = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder of the zoo.", show_default="the package's own"),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
-    from spikedeploy import zoo
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping.publish_run import publish_run
-
-    folder = output or zoo.FOLDER
-    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)
-    if json:
-        print_json({"files": [str(file) for file in files]})
-    else:
-        typer.echo("wrote " + ", ".join(str(file) for file in files))
+    try:
+        write_run_files(run)
+    except (OSError, SpikedeployError) as error:
+        with suppress(OSError):  # of a terminal that was closed
+            say(f"page and card are not written: {one_line(error) or error}")
 
 
 def visualize(
     runs: Annotated[
-        list[Path],
-        typer.Argument(exists=True, file_okay=False, help="Run folders.", metavar="RUN…"),
+        list[str],
+        typer.Argument(help="Run folders, or their names under runs/.", metavar="RUN…"),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path(
         "reports/curves.png"
@@ -280,10 +167,12 @@ def visualize(
     from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.reports.curves import curve
     from spikedeploy.reports.plots import draw_curves
+    from spikedeploy.trainers.run_names import existing_run
 
     own = mark("visualize")
-    check_output("-o", output, runs, force, lambda path: marked(path, own))
-    curves = [curve(run / "metrics.csv", run.resolve().name) for run in runs]
+    folders = [Path(run) if Path(run).is_dir() else existing_run(run) for run in runs]
+    check_output("-o", output, folders, force, lambda path: marked(path, own))
+    curves = [curve(run / "metrics.csv", run.resolve().name) for run in folders]
     picture = draw_curves(curves, output, own)
     if json:
         print_json({"path": str(picture), "curves": [vars(each) for each in curves]})

@@ -72,7 +72,7 @@ def tune(
     """Search for the settings of a recipe with Optuna; go on where it stopped."""
     from spikedeploy.console import print_json, say
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.tuning.page import PAGE, is_study
+    from spikedeploy.tuning.page import PAGE, SHOWN, is_study
     from spikedeploy.tuning.plan import TuningPlan
     from spikedeploy.tuning.tune import tune as find
 
@@ -83,7 +83,7 @@ def tune(
     )  # fmt: skip
     where = folder or Path("runs/tune") / "-".join(filter(None, (recipe, plan.title)))
     # a study goes on; other people's files of these names stay
-    check_output_folder("--folder", where, (PAGE, "journal.log"), (), False, is_study)
+    check_output_folder("--folder", where, (PAGE, SHOWN, "journal.log"), (), False, is_study)
     found = find(plan, where, trials, jobs, storage, (lambda line: None) if json else say)
     if json:
         print_json(

@@ -200,7 +200,7 @@ class Instrument {
     });
     addEventListener("resize", () => this.episode && this.paint());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.episode && this.paint());
-    addEventListener("beforeprint", () => { document.querySelectorAll("details").forEach((each) => { each.open = true; }); if (this.episode) this.paint(); });
+    addEventListener("beforeprint", () => { if (this.episode) this.paint(); });
   }
 }
 

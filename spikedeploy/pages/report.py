@@ -13,7 +13,7 @@ from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances.disturbed import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
-from spikedeploy.pages.html import html
+from spikedeploy.pages.comparison import comparison_page
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.recordings.recorded import of_comparison
 from spikedeploy.reports.columns import COST, Row, markdown, tables
@@ -134,7 +134,7 @@ def write(
     if COST in shown:
         pictures[COST] = draw_energy(rows, folder / "energy.png")
     numbers = write_text(folder / "report.json", as_text(document))
-    text = html(document, _facts(document), _stepped(document), episodes, video)
+    text = comparison_page(document, _facts(document), _stepped(document), episodes, video)
     page = write_text(folder / "report.html", text)
     plain = write_text(folder / "report.md", _page_of_text(document))
     return [page, numbers, plain, *pictures.values(), *([video] if video else [])]

@@ -13,6 +13,9 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.checksums import check_summed
 from spikedeploy.trainers.versions import own
 
+# kinds of policies that are exported as NIR
+SPIKING = ("popsan", "spiking-mlp", "delta-snn", "delta-mlp")
+
 
 def settings(run: Path) -> dict[str, Any]:
     """The resolved configuration of a run."""
@@ -23,7 +26,7 @@ def settings(run: Path) -> dict[str, Any]:
 def env_of(run: Path) -> str | None:
     """Id of the environment that a run was trained in."""
     config = settings(run)
-    with _whole(run / "config.json"):
+    with whole(run / "config.json"):
         return env_id(config["env"]["name"])
 
 
@@ -49,8 +52,14 @@ def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
     path = run / "checkpoints" / f"{deployed(run, checkpoint)}.json"
     record = _read(path)
     unit = "environment steps" if "env_steps" in record else "updates"
-    with _whole(path):
+    with whole(path):
         return int(record.get("env_steps", record.get("updates", 0))), unit
+
+
+def checkpoint_record(run: Path, checkpoint: str) -> dict[str, Any]:
+    """The numbers to read of a checkpoint; none where there is none yet."""
+    file = run / "checkpoints" / f"{checkpoint}.json"
+    return _read(file) if file.is_file() else {}
 
 
 def unfinished(run: Path) -> str:
@@ -58,17 +67,16 @@ def unfinished(run: Path) -> str:
 
     Also empty for runs from before this was written down.
     """
-    file = run / "checkpoints" / "last.json"
-    state = _read(file) if file.is_file() else {}
+    state = checkpoint_record(run, "last")
     ended = state.get("finished", True) or "share" not in state
-    with _whole(file):
+    with whole(run / "checkpoints" / "last.json"):
         return "" if ended else f"{100 * state['share']:.0f} %"
 
 
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     """The provenance of the policy of a checkpoint, for an exported file."""
     config, name = settings(run), deployed(run, checkpoint)
-    with _whole(run / "config.json"):
+    with whole(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
     return Provenance(
         env=env_of(run) or "",
@@ -82,7 +90,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[None]:
+def whole(path: Path) -> Iterator[None]:
     """Refuse the record in a file where a field that is taken is missing, or no such value."""
     try:
         yield

@@ -1,6 +1,7 @@
 """The tables of a design report: rules by chip, or layers and rules of one chip."""
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 from spikedeploy.console import print_table, print_text
 from spikedeploy.emulation.design_report import DesignReport, statuses, worst
@@ -9,58 +10,62 @@ from spikedeploy.runtime.compiler.compile import DesignCheck
 from spikedeploy.runtime.design_rules.mapping import Placement, of_mapping, of_placement
 from spikedeploy.runtime.design_rules.rule import RuleResult, text
 
+# heads, and rows of cells
+Cells: TypeAlias = tuple[Sequence[str], list[tuple[str, ...]]]
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
-_LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
+LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 # chips side by side in a table
 _PER_TABLE = 8
 
 
-def print_report(report: DesignReport, rules: bool = True) -> None:
-    """Print the verdicts and the broken rules; with `rules` the tables of all rules too."""
+def print_report(report: DesignReport, everything: bool = True) -> None:
+    """Print the verdicts and the broken rules; with `everything` all rules too."""
     print_text(f"{report.file}: {report.artifact.convention.describe()}\n")
     alone = len(report.checks) == 1
-    if rules and alone:
+    if everything and alone:
         _print_chip(report.checks[0])
-    elif rules:
+    elif everything:
         _print_chips(report.checks)
     if alone:
-        _print_broken(report.checks[0])
+        for line in broken(report.checks[0]):
+            print(f"✗ {line}")
     for each in report.checks:
         mark = _MARKS["pass" if each.passed else "fail"]
-        print(f"{mark} {each.chip.name}: {_summary(each, alone)}")
-    if not rules:
+        print(f"{mark} {each.chip.name}: {summary(each, alone)}")
+    if not everything:
         print("All rules: --rules")
 
 
 def _print_chips(checks: Sequence[DesignCheck]) -> None:
     for first in range(0, len(checks), _PER_TABLE):
         part = checks[first : first + _PER_TABLE]
-        columns = [statuses(each) for each in part]
-        rows = [(rule, *(_MARKS[column[rule]] for column in columns)) for rule in columns[0]]
-        heads = [each.chip.name.replace("-", "-\n") for each in part]
-        print_table("Rules", ("rule", *heads), rows)
-    print(_LEGEND)
+        print_table("Rules", *rules_by_chip(part, "-\n"))
+    print(LEGEND)
 
 
-def _print_broken(found: DesignCheck) -> None:
-    """Print a line for each broken rule."""
-    for ruling in _broken(found):
-        print(f"✗ {ruling.describe(found.chip.name)}")
+def rules_by_chip(checks: Sequence[DesignCheck], dash: str = "-") -> Cells:
+    """Every rule, and its status on each chip.
+
+    dash  in the names of chips; with a line break names are narrow
+    """
+    columns = [statuses(each) for each in checks]
+    rows = [(rule, *(_MARKS[column[rule]] for column in columns)) for rule in columns[0]]
+    return ("rule", *(each.chip.name.replace("-", dash) for each in checks)), rows
 
 
-def _broken(found: DesignCheck) -> list[RuleResult]:
-    """The worst result of each broken rule."""
+def broken(found: DesignCheck) -> list[str]:
+    """A line for each broken rule, of its worst result."""
     worsts = [worst(found.of(rule)) for rule in statuses(found)]
-    return [ruling for ruling in worsts if ruling.failed]
+    return [ruling.describe(found.chip.name) for ruling in worsts if ruling.failed]
 
 
-def _summary(found: DesignCheck, alone: bool) -> str:
+def summary(found: DesignCheck, alone: bool) -> str:
     """The broken rules, and the first in full unless it stands above; or the number of cores."""
     if not found.passed:
         first = next(ruling for ruling in found.rulings if ruling.failed)
-        rules = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
+        names = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
         told = "" if alone else f". First {first.describe(found.chip.name)}"
-        return f"breaks {', '.join(rules)}{told}"
+        return f"breaks {', '.join(names)}{told}"
     if found.chip.limits is None:
         return "no limits"
     return f"{found.mapping.cores} cores" if found.mapping.cores else "fits"
@@ -69,17 +74,30 @@ def _summary(found: DesignCheck, alone: bool) -> str:
 def _print_chip(found: DesignCheck) -> None:
     limits = found.chip.limits
     if limits is not None:
-        _print_layers(found, limits)
+        title = f"Layers on {found.chip.name}; per core and shares: the fullest core"
+        print_table(title, *layers(found, limits), numbers=True)
+    print_table(f"Rules of {found.chip.name}", *rules(found))
+    print(LEGEND)
+    for note in notes(found):
+        print(f"  {note}")
+
+
+def rules(found: DesignCheck) -> Cells:
+    """Every rule of a chip: its status, what was found, the limit, where."""
     rows = [_rule(found, rule) for rule in statuses(found)]
-    print_table(f"Rules of {found.chip.name}", ("rule", "", "found", "limit", "node"), rows)
-    print(_LEGEND)
-    for rule in statuses(found):
-        ruling = worst(found.of(rule))
-        if ruling.note and not ruling.failed:
-            print(f"  {rule}: {ruling.note}")
+    return ("rule", "", "found", "limit", "node"), rows
 
 
-def _print_layers(found: DesignCheck, limits: Limits) -> None:
+def notes(found: DesignCheck) -> list[str]:
+    """What a reader must know to judge rules that are kept."""
+    worsts = {rule: worst(found.of(rule)) for rule in statuses(found)}
+    return [
+        f"{rule}: {each.note}" for rule, each in worsts.items() if each.note and not each.failed
+    ]
+
+
+def layers(found: DesignCheck, limits: Limits) -> Cells:
+    """Every layer: its sizes, its cores, and what it takes of the fullest one."""
     heads = ("layer", "neurons", "fan-in", "fan-out", "synapses", "cores", "per core")
     used = ("neurons", "memory", "axons in", "axons out")
     rows = [_layer(placement, limits) for placement in found.mapping.placements]
@@ -90,8 +108,7 @@ def _print_layers(found: DesignCheck, limits: Limits) -> None:
         neurons = sum(placement.neurons for placement in found.mapping.placements)
         total = (f"{neurons:,}", "", "", f"{synapses:,}", f"{found.mapping.cores:,}", "")
         rows.append(("total", *total, *map(_percent, whole)))
-    title = f"Layers on {found.chip.name}; per core and shares: the fullest core"
-    print_table(title, (*heads, *used), rows, numbers=True)
+    return (*heads, *used), rows
 
 
 def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:

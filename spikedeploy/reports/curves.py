@@ -38,9 +38,10 @@ def curve(metrics: Path, name: str) -> Curve:
         points = [(row[unit], row[column]) for row in rows if column in row]
         if points:
             steps, returns = zip(*points, strict=True)
-            return Curve(name, _words(unit), signal, steps, returns)
+            return Curve(name, counted_by(unit), signal, steps, returns)
     raise ConfigError(f"{metrics} has no returns yet: train on")
 
 
-def _words(column: str) -> str:
+def counted_by(column: str) -> str:
+    """What the first column of metrics counts, in words."""
     return column.replace("env_", "environment ").replace("_", " ")

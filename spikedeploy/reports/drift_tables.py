@@ -28,7 +28,7 @@ def tables(report: DriftReport) -> Iterator[Table]:
     if drift.ablation:
         yield (
             "Which rounding costs what",
-            ("rounding", *_names(drift), _unit(drift.output)),
+            ("rounding", *_names(drift), output_name(drift.output)),
             [
                 (
                     ABLATION_STEPS[step.name],
@@ -93,7 +93,7 @@ def _summary(report: DriftReport) -> list[tuple[str, str]]:
         ("inputs", report.inputs),
         ("inferences that differ", f"{drift.diverged} of {drift.inferences}"),
         ("first difference", where),
-        (_unit(drift.output), _size(drift.output)),
+        (output_name(drift.output), _size(drift.output)),
         *_fullest(drift),
         ("distance", f"van Rossum, {drift.tau:g} timesteps; a spike more or less is 0.5"),
     ]
@@ -132,7 +132,8 @@ def _names(drift: Drift) -> list[str]:
     return [layer.name for layer in drift.layers]
 
 
-def _unit(output: OutputDrift) -> str:
+def output_name(output: OutputDrift) -> str:
+    """What is said of the outputs: action error, other choices, output error."""
     return {"action": "action error", "choice": "other choices", "output": "output error"}[
         output.kind
     ]

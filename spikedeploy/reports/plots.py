@@ -155,11 +155,15 @@ def _figure(lines: int) -> "tuple[Figure, Axes]":
 
 def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
     """Label the lines from top to bottom."""
-    # a dollar sign would begin a formula
-    names = [label(row).replace("$", r"\$") for row in rows]
+    names = [plain(label(row)) for row in rows]
     axes.set_yticks(range(len(rows)), names)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.tick_params(length=0)
+
+
+def plain(name: str) -> str:
+    """A name in which no dollar sign begins a formula."""
+    return name.replace("$", r"\$")
 
 
 def _spread(values: NDArray[np.float64], place: int) -> NDArray[np.float64]:

@@ -51,7 +51,7 @@ def head(name: str, record: Mapping[str, Any]) -> list[str]:
     facts = {
         "what": KINDS[record["kind"]],
         "environment": record["env"],
-        "made by": ", then ".join(f"`{_command(r)}`" for r in [*record["before"], record]),
+        "made by": ", then ".join(f"`{training_command(r)}`" for r in [*record["before"], record]),
         "checkpoint": _checkpoint(record["checkpoint"]),
         record["steps_unit"]: _steps(record),
         "commit": record["commit"] or "unknown",
@@ -61,7 +61,7 @@ def head(name: str, record: Mapping[str, Any]) -> list[str]:
     return [f"# {name}", "", *(f"- {key}: {value}" for key, value in facts.items())]
 
 
-def _command(record: Mapping[str, Any]) -> str:
+def training_command(record: Mapping[str, Any]) -> str:
     """The command that trained the policy."""
     changes = dict(change.partition("=")[::2] for change in record["overrides"])
     what = record["recipe"]

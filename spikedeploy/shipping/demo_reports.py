@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
-from string import Template
 from typing import Any
 
 from spikedeploy import zoo
@@ -12,9 +11,9 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import say
 from spikedeploy.files import write_text
 from spikedeploy.pages import report
-from spikedeploy.pages.html import figures, part
+from spikedeploy.pages.page import big_numbers, page, said
 from spikedeploy.policies.interface import DEFAULT_CHIP
-from spikedeploy.reports.headline import verdict
+from spikedeploy.reports.headline import headline, verdict
 from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.seeds import EVALUATION
 
@@ -59,25 +58,14 @@ def _compared(env: str, episodes: int, folder: Path) -> dict[str, Any]:
 
 def _index(documents: list[dict[str, Any]]) -> str:
     """A page that leads to those of the tasks."""
-    return Template(part("report.html")).substitute(
-        title=_TITLE,
-        style=part("report.css"),
-        verdict="Each page replays recorded episodes beside the spikes, membranes and energy of "
-        "the network on the chip.",
-        figures="",
-        instrument="".join(_card(document) for document in documents),
-        video="",
-        table="",
-        said="",
-        folded="",
-        data="",
+    lead = (
+        "Each page replays recorded episodes beside the spikes, membranes and energy of the "
+        "network on the chip."
     )
+    return page(_TITLE, lead, map(_card, documents))
 
 
 def _card(document: Mapping[str, Any]) -> str:
     env = escape(document["env"])
-    first = escape(verdict(document)[0])
-    return (
-        f'<h2><a href="{env}/report.html">{env}</a></h2>'
-        f'<p class="more">{first}</p>{figures(document["rows"], document["env_id"])}'
-    )
+    numbers = big_numbers(headline(document["rows"], document["env_id"]))
+    return f'<h2><a href="{env}/report.html">{env}</a></h2>{said(verdict(document)[0])}{numbers}'

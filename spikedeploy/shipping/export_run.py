@@ -16,6 +16,7 @@ from spikedeploy.exporters.parity import check
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.run import TorchController, policy_of
+from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metadata import Provenance
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from spikedeploy.trainers.policies import Policy
 
 _OBSERVATIONS = 1000
-# kinds of policies that are exported as NIR
-SPIKING = ("popsan", "spiking-mlp", "delta-snn", "delta-mlp")
 
 
 @dataclass(frozen=True)

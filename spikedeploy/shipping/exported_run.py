@@ -7,23 +7,23 @@ from spikedeploy.console import say
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.run_names import run_named
 
 # What reads run folders needs torch, and is imported where one is named: files are run without.
 
 
 def runnable(reference: str) -> str:
-    """The reference of a policy; a run folder, its name under runs/ or "last" as its file.
+    """The reference of a policy; a run folder, a name of one, or "last" as its file.
 
     The file has the name of the run, and is written anew where a checkpoint is newer.
     """
     if reference in BUILT_IN or not _is_run(reference):
         return reference
-    from spikedeploy.shipping.export_run import SPIKING
     from spikedeploy.trainers.run_folder import RunFolder
 
     run = RunFolder.find(reference).path
     kind = run_record.settings(run)["policy"]["kind"]
-    to = "nir" if kind in SPIKING else "onnx"
+    to = "nir" if kind in run_record.SPIKING else "onnx"
     checkpoint = run / "checkpoints" / f"{run_record.deployed(run)}.safetensors"
     if not checkpoint.is_file():
         raise ConfigError(f"{run} has no checkpoint yet: train it further, --resume {run.name}")
@@ -46,7 +46,7 @@ def _is_run(reference: str) -> bool:
     if reference == "last":
         return True
     place = zoo.resolve(reference)
-    return place.is_dir() if place else (Path("runs") / reference / "config.json").is_file()
+    return place.is_dir() if place else run_named(reference) is not None
 
 
 def _export(run: Path, to: str, file: Path) -> None:

@@ -17,12 +17,13 @@ from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
 from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.policies.registry import find
+from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.card_page import evaluated, markdown
-from spikedeploy.shipping.export_run import SPIKING, ExportedPolicy, export_run
+from spikedeploy.shipping.export_run import ExportedPolicy, export_run
 from spikedeploy.trainers.resolve import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse_ppo.start import find_start
@@ -96,7 +97,7 @@ def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) ->
         "sha256": zoo.sha256(exported.path),
         "kind": exported.kind,
         "env": origin.env,
-        **_training(source, checkpoint),
+        **training_of(source, checkpoint),
         "before": list(_before(source)),
         "commit": run_record.versions(source)["commit"],
         "created": origin.created,
@@ -106,7 +107,7 @@ def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) ->
     }
 
 
-def _training(source: Path, checkpoint: str | None = None) -> dict[str, Any]:
+def training_of(source: Path, checkpoint: str | None = None) -> dict[str, Any]:
     """How a run was made, and how far it was at a checkpoint."""
     settings = run_record.settings(source)
     steps, unit = run_record.steps(source, checkpoint)
@@ -128,7 +129,7 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
         return
     run = find_start(settings[setting], source.parent).path
     yield from _before(run)
-    yield _training(run, settings.get("start_checkpoint")) | {"run": run.name, "gives": setting}
+    yield training_of(run, settings.get("start_checkpoint")) | {"run": run.name, "gives": setting}
 
 
 def _overrides(source: Path) -> list[str]:

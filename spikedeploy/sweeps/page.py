@@ -1,4 +1,4 @@
-"""What a sweep shows: a table of its cells, every job as CSV, and a page in Markdown."""
+"""What a sweep shows: a table of its cells, every job as CSV, and a page in Markdown and HTML."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from typing import Any
 from spikedeploy.comparison.metrics import drives
 from spikedeploy.console import print_table
 from spikedeploy.experiments.csv_rows import write_rows
-from spikedeploy.files import write_text
 from spikedeploy.outputs import mark
+from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.cells import ABSENT, Column, number
 from spikedeploy.reports.columns import asked_for, difference, finished, interval
 from spikedeploy.reports.markdown import markdown_table
@@ -19,7 +19,7 @@ from spikedeploy.sweeps.grid import SweepGrid
 from spikedeploy.sweeps.specification import JobSpecification
 
 Record = dict[str, Any]
-PAGE, NUMBERS = "sweep.md", "sweep.csv"
+PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
 _COLUMNS = (
     "key", "env", "policy", "kind", "chip", "bits", "disturb", "fault", "specimen", "seed",
     "episodes", "status", "return_mean", "success_rate", "spikes_per_inference",
@@ -96,7 +96,8 @@ def write_sweep(state: SweepState, folder: Path) -> list[Path]:
     numbers = write_rows(
         (_line(state, job, table) for job in state.jobs), _COLUMNS, folder / NUMBERS
     )
-    return [write_text(folder / PAGE, "\n".join(_page(state))), numbers]
+    page, shown = write_beside(folder / PAGE, "\n".join(_page(state)), {})
+    return [page, numbers, shown]
 
 
 def _page(state: SweepState) -> list[str]:

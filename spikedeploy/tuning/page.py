@@ -1,21 +1,22 @@
-"""The page of a study, tune.md: the best settings, pictures and all trials."""
+"""The page of a study, tune.md and tune.html: the best settings, pictures and all trials."""
 
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spikedeploy.files import write_text
 from spikedeploy.outputs import marked
+from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.plots import save
 from spikedeploy.tuning.evaluation import FIRST_SEED
 from spikedeploy.tuning.outcomes import TrialOutcome, best, outcomes
 from spikedeploy.tuning.plan import TuningPlan
-from spikedeploy.tuning.plots import draw_front, draw_history, draw_importances
+from spikedeploy.tuning.plots import front_figure, history_figure, importances_figure
 
 if TYPE_CHECKING:
     import optuna
 
-PAGE = "tune.md"
+PAGE, SHOWN = "tune.md", "tune.html"
 _ENOUGH = 4  # trials, below which nothing can be said of importance
 _DASH = "–"
 
@@ -32,13 +33,15 @@ def is_study(folder: Path) -> bool:
 def write_page(plan: TuningPlan, study: "optuna.Study", folder: Path) -> list[Path]:
     """Write page and pictures of what is known so far; their paths, the page first."""
     found = outcomes(plan, study)
-    pictures = [draw_history(plan, found, folder / "history.png")]
+    drawn = {"history.png": history_figure(plan, found)}
     if shares := importances(plan, study):
-        pictures.append(draw_importances(shares, folder / "importances.png"))
+        drawn["importances.png"] = importances_figure(shares)
     if plan.counts and any(each.sops is not None for each in found):
-        pictures.append(draw_front(plan, found, folder / "front.png"))
+        drawn["front.png"] = front_figure(plan, found)
+    pictures = [save(figure, folder / name) for name, figure in drawn.items()]
     text = "\n".join([*_head(plan, found), *_shown(pictures), *_table(plan, found)])
-    return [write_text(folder / PAGE, text + "\n"), *pictures]
+    page, shown = write_beside(folder / PAGE, text + "\n", drawn)
+    return [page, *pictures, shown]
 
 
 def importances(plan: TuningPlan, study: "optuna.Study") -> dict[str, Mapping[str, float]]:

@@ -1,12 +1,11 @@
 """Pictures of a study: returns along the trials, what mattered, and the Pareto front."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.plots import BLUE, VERMILION
 from spikedeploy.tuning.outcomes import TrialOutcome, best
 from spikedeploy.tuning.plan import TuningPlan
 
@@ -17,7 +16,7 @@ _GREY = "#8A939E"
 _MOST = 16  # bars
 
 
-def draw_history(plan: TuningPlan, found: Sequence[TrialOutcome], path: Path) -> Path:
+def history_figure(plan: TuningPlan, found: Sequence[TrialOutcome]) -> "Figure":
     """Return of each trial, and the best so far."""
     figure, axes = _figure()
     ended = [each for each in found if each.earned is not None]
@@ -38,10 +37,10 @@ def draw_history(plan: TuningPlan, found: Sequence[TrialOutcome], path: Path) ->
     axes.set_ylabel("return")
     if ended:
         axes.legend(frameon=False)
-    return save(figure, path)
+    return figure
 
 
-def draw_importances(shares: Mapping[str, Mapping[str, float]], path: Path) -> Path:
+def importances_figure(shares: Mapping[str, Mapping[str, float]]) -> "Figure":
     """Share of each setting in the differences, a group of bars for each objective."""
     names = sorted({name for each in shares.values() for name in each}, key=lambda name: max(
         each.get(name, 0.0) for each in shares.values()
@@ -57,10 +56,10 @@ def draw_importances(shares: Mapping[str, Mapping[str, float]], path: Path) -> P
     axes.set_xlabel("importance (PED-ANOVA)")
     if len(shares) > 1:
         axes.legend(frameon=False)
-    return save(figure, path)
+    return figure
 
 
-def draw_front(plan: TuningPlan, found: Sequence[TrialOutcome], path: Path) -> Path:
+def front_figure(plan: TuningPlan, found: Sequence[TrialOutcome]) -> "Figure":
     """Return against SOPs: the front as a line among all trials."""
     figure, axes = _figure()
     ended = [each for each in found if each.earned is not None and each.sops is not None]
@@ -73,7 +72,7 @@ def draw_front(plan: TuningPlan, found: Sequence[TrialOutcome], path: Path) -> P
     axes.set_xlabel("SOPs a control step")
     axes.set_ylabel("return")
     axes.legend(frameon=False)
-    return save(figure, path)
+    return figure
 
 
 def _figure(height: float = 3.6) -> "tuple[Figure, Any]":

@@ -289,10 +289,10 @@ COMPARISONS = [
         high(row("hexapod", "sparse"), "return") >= low(row("hexapod", "popsan"), "return")),
     ("the cheapest sparse walker costs less than the cheapest MLP in operations alone", lambda:
         max(cheapest("Operations alone")) < 1),
-    ("The sparse kart drivers cost more than linear ones", lambda:
+    ("Sparse kart drivers cost more than linear ones", lambda:
         all(row(kart, "sparse")["energy_total_j"]["horowitz45-int8"]
             > row(kart, "linear")["energy_total_j"]["horowitz45-int8"] for kart in KARTS)),
-    ("earn what sac does; on", lambda:
+    ("earn what sac does, and", lambda:
         all(high(row("hexapod", p), "return") >= low(row("hexapod", "sac"), "return")
             for p in ("linear", "mlp-8"))),
     ("mlp-32 (2,853) earns more than any spiking policy", lambda:
@@ -312,7 +312,7 @@ COMPARISONS = [
         > high(row("hexapod-command", "sac"), "return")
         and row("hexapod-command", "sparse")["success_rate"]
         < row("hexapod-command", "sac")["success_rate"]),
-    ("and the dense spiking walker more than the float network", lambda:
+    ("linear ones, the dense walker more than sac", lambda:
         all(joules(env, "popsan") > joules(env, "sac") > skipping(env) for env in WALKS)),
     ("smooth, which earns more than sac", lambda:
         returns("hexapod-command", "smooth") > returns("hexapod-command", "sac")),

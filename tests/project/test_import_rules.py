@@ -45,7 +45,7 @@ LIBRARIES = {
     "exporters": {"numpy", "torch", "nir", "onnx", "onnxruntime"},
     "spikedeploy": {
         "numpy", "typer", "rich", "matplotlib", "onnxruntime", "av", "PIL", "gymnasium", "torch",
-        "pygame", "optuna", "ray", "sqlalchemy", "tomli", "zmq",
+        "pygame", "optuna", "ray", "sqlalchemy", "tomli", "zmq", "markdown_it",
     },
 }  # fmt: skip
 

@@ -1,5 +1,8 @@
 """A reader who follows a tutorial from top to bottom sees what it shows."""
 
+import os
+import shutil
+import subprocess
 import sys
 
 import pytest
@@ -7,7 +10,7 @@ import pytest
 from spikedeploy.runtime import CHIPS
 from tests.paths import ROOT
 from tests.project.test_docs import checkout  # noqa: F401  the folder of the reader
-from tests.project.tutorials import PAGES, commands, fails, missing, parts, short
+from tests.project.tutorials import PAGES, commands, fails, missing, parts, programs, short
 
 
 @pytest.fixture
@@ -29,13 +32,15 @@ def test_a_tutorial_does_what_it_says(page, reader, command, capsys):
     names, printed = {}, ""
     for part in parts(page):
         if part.kind == "sh":
-            printed = "".join(ran(line, command) for line in commands(part))
-        elif part.kind == "python" and part.title:
+            printed = called(programs(part), reader)
+            if printed is not None:
+                printed += "".join(ran(line, command) for line in commands(part))
+        elif part.kind in ("python", "c") and part.title:
             (reader / part.title).write_text(part.text, encoding="utf-8")
         elif part.kind == "python":
             exec(compile(part.text, page.name, "exec"), names)
             printed = capsys.readouterr().out
-        elif part.kind == "text" and not part.title:
+        elif part.kind == "text" and not part.title and printed is not None:
             assert missing(part.text, printed) is None, printed
 
 
@@ -48,6 +53,29 @@ def ran(line, command):
     return out + err
 
 
+def called(lines, folder):
+    """What other programs print; None where one of them, or what it needs, is not installed."""
+    printed = ""
+    for words in lines:
+        program = str(folder / words[0]) if "/" in words[0] else shutil.which(words[0])
+        if program is None or shutil.which("cc") is None or not has_library(words[0]):
+            return None
+        done = subprocess.run([program, *words[1:]], cwd=folder, capture_output=True, text=True,
+                              check=False, stdin=subprocess.DEVNULL, timeout=100)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        printed += done.stdout + done.stderr  # qemu writes what a board says to the second
+    return printed
+
+
+def has_library(program):
+    """Whether a cross compiler has picolibc, with which the page builds; also of its programs."""
+    if "arm" not in program:
+        return True
+    compiler = shutil.which("arm-none-eabi-gcc")
+    words = [compiler, "--specs=picolibc.specs", "-E", "-x", "c", os.devnull]
+    return bool(compiler) and subprocess.run(words, capture_output=True).returncode == 0
+
+
 def test_lines_are_found_in_their_order_and_numbers_nearly():
     assert missing("a 1,000\nb 2", "x a 1,020 y\n z b   2.0") is None
     assert missing("a 1,000", "a 1,200 a 999") is None
@@ -56,5 +84,5 @@ def test_lines_are_found_in_their_order_and_numbers_nearly():
 
 
 def test_every_tutorial_is_run():
-    assert len(PAGES) >= 7
+    assert len(PAGES) >= 8
     assert all((ROOT / "docs/tutorials" / page.name).exists() for page in PAGES)

@@ -2,7 +2,8 @@
 
 A block of `text` behind another shows lines of what that one prints: all in their order, maybe not
 all that there are, white space aside and numbers within 5 %. With a title it is only shown: of a
-training that tests cut short. A block of Python with a title is a file.
+training that tests cut short. A block of Python or C with a title is a file. Compilers and other
+programs run where they are installed; elsewhere what stands behind them is passed over.
 """
 
 import re
@@ -15,6 +16,7 @@ FOLDER = ROOT / "docs/tutorials"
 PAGES = sorted(FOLDER.glob("*.md"))
 NOTEBOOKS = ("first-chip-run", "own-network", "own-robot")
 
+TOOLS = ("make", "cc", "arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm")
 _BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.M | re.S)
 _NUMBER = r"-?\d[\d,]*\.?\d*"
 _VALIDATION = ["validation.episodes=1", "validation.limit=40"]
@@ -68,8 +70,18 @@ def parts(page):
 
 def commands(block):
     """Lines of a shell block with a command of this tool."""
-    lines = block.text.replace("\\\n", " ").splitlines()
-    return [line for line in lines if line.startswith("spikedeploy ")]
+    return [line for line in _lines(block) if line.startswith("spikedeploy ")]
+
+
+def programs(block):
+    """The words of its other lines, if they are of programs that a reader of C has; else none."""
+    lines = [shlex.split(line) for line in _lines(block) if line and not line.startswith("#")]
+    known = [words for words in lines if words[0] in TOOLS or words[0].startswith("kart/")]
+    return known if len(known) + len(commands(block)) == len(lines) else []
+
+
+def _lines(block):
+    return block.text.replace("\\\n", " ").splitlines()
 
 
 def fails(line):

@@ -28,6 +28,7 @@ OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
     ("experiment", "output"), ("play", "record"), ("replay", "video"),
+    ("check", "output"), ("drift", "output"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",

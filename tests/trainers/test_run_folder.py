@@ -372,3 +372,14 @@ def test_a_picture_of_damaged_metrics_is_refused_by_name(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match=r"metrics\.csv is no table of numbers"):
             read(path)
+
+
+def test_a_page_that_is_written_meanwhile_changes_nothing_that_is_learned(tmp_path, world):
+    watched = []
+    runs = [
+        train("smoke", overrides=TINY, runs=tmp_path / name, seed=7, quiet=True, watch=watch)
+        for name, watch in (("alone", None), ("watched", watched.append))
+    ]
+    assert set(watched) == {runs[1]}
+    states = [(run / "checkpoints/last.safetensors").read_bytes() for run in runs]
+    assert states[0] == states[1]

@@ -47,7 +47,7 @@ def teacher(
             ".onnx, .nir or Stable-Baselines3 .zip file, my_module:function, or a shipped policy "
             "such as hexapod/sac"
         )
-    path = str(_shipped(path) or path)
+    path = str(shipped(path) or path)
 
     def spaces() -> OwnSpaces:
         return OwnSpaces.of(env, options or {})
@@ -79,7 +79,7 @@ def _read(path: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Te
     return _from_nir(path) if suffix == ".nir" else _from_run(path)
 
 
-def _shipped(name: str) -> Path | None:
+def shipped(name: str) -> Path | None:
     """Return the file of a shipped policy; None where a path is meant."""
     return None if Path(name).exists() else _zoo().get(name)
 
@@ -93,7 +93,7 @@ def _zoo() -> dict[str, Path]:
 
 def same_teacher(one: str, other: str) -> bool:
     """Return whether two settings name the same teacher: equal words, paths or files."""
-    first, second = (Path(_shipped(each) or each) for each in (one, other))
+    first, second = (Path(shipped(each) or each) for each in (one, other))
     if one == other or first.resolve() == second.resolve():
         return True
     both = first.is_file() and second.is_file()

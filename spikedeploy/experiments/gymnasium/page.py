@@ -13,12 +13,14 @@ from spikedeploy.experiments.csv_rows import Record
 from spikedeploy.experiments.gymnasium import records, tables
 from spikedeploy.experiments.gymnasium.design import DENSE, RIVAL, SPARSE, TUNED, GymnasiumDesign
 from spikedeploy.experiments.gymnasium.evaluation import all_rows, missing
-from spikedeploy.experiments.gymnasium.plot import draw
+from spikedeploy.experiments.gymnasium.plot import tasks_figure
 from spikedeploy.experiments.gymnasium.points import points, rate_of_trained
 from spikedeploy.experiments.gymnasium.published import published
 from spikedeploy.experiments.gymnasium.tasks import RATE, TASKS, TIMESTEPS
 from spikedeploy.experiments.gymnasium.training import TaskTraining
 from spikedeploy.files import as_text, write_text
+from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.plots import save
 from spikedeploy.trainers.versions import installed, own
 
 _PACKAGES = ("torch", "numpy", "gymnasium", "mujoco")
@@ -44,7 +46,7 @@ episodes. There is one teacher seed, whose chance no interval covers. "% of teac
 its return; where that is negative, of the way from random actions to the teacher. `ideal` is
 float64 without a chip."""
 
-
+_PICTURE = "gymnasium.png"
 _VERDICTS = """\
 ✓: the whole interval of the return is good enough; ✗: none of it is, or the operations are too
 many; ≈: the interval is on both sides."""
@@ -60,9 +62,11 @@ def write(design: GymnasiumDesign, results: Path) -> list[Path]:
     # as they stand in the table, so that the page can be written again from it
     by_task = _by_task(records.read(table))
     found = {env: points(of) for env, of in by_task.items()}
-    picture = draw(found, design.chip, results / "gymnasium.png")
-    write_text(page, text(by_task, json.loads(made.read_text(encoding="utf-8"))))
-    return [page, table, made, picture]
+    drawn = tasks_figure(found, design.chip)
+    picture = save(drawn, results / _PICTURE)
+    written = text(by_task, json.loads(made.read_text(encoding="utf-8")))
+    _, shown = write_beside(page, written, {_PICTURE: drawn})
+    return [page, table, made, picture, shown]
 
 
 def _merged(new: Sequence[Record], old: Sequence[Record]) -> list[Record]:
@@ -88,7 +92,7 @@ def text(by_task: dict[str, list[Record]], made: Record) -> str:
         "## Verdicts",
         _VERDICTS,
         "\n".join(tables.verdict(env, rows, chip, rate) for env, rows in by_task.items()),
-        "![% of the teacher's return against operations](gymnasium.png)",
+        f"![% of the teacher's return against operations]({_PICTURE})",
         "Dashed: 1 % of the dense PopSAN's SOPs. Dotted: 95 % of the teacher.",
     ]
     for env, rows in by_task.items():

@@ -1,17 +1,17 @@
 """Return in % of the teacher against operations, a panel a task."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.experiments.gymnasium.design import DENSE, RIVAL, SPARSE, TEACHER, TUNED
 from spikedeploy.experiments.gymnasium.points import TaskPoint, reference
 from spikedeploy.experiments.gymnasium.tables import ENOUGH, FEW, LABELS
 from spikedeploy.experiments.gymnasium.tasks import TASKS
-from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.plots import BLUE, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Okabe and Ito 2008; markers differ too
 _LOOKS = {
@@ -26,8 +26,8 @@ _LOWEST = -5.0  # [%]
 _HIGHEST = 108  # at least: markers at 100 are whole
 
 
-def draw(found: Mapping[str, Sequence[TaskPoint]], chip: str, path: Path) -> Path:
-    """Write the picture of the points of each task."""
+def tasks_figure(found: Mapping[str, Sequence[TaskPoint]], chip: str) -> "Figure":
+    """The points of each task."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 3.4), layout="constrained")
@@ -41,7 +41,7 @@ def draw(found: Mapping[str, Sequence[TaskPoint]], chip: str, path: Path) -> Pat
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
     figure.supxlabel("operations a control step: SOPs, or MACs")
     panels[0].set_ylabel("% of the teacher's return")
-    return save(figure, path)
+    return figure
 
 
 def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> None:

@@ -17,7 +17,7 @@ from spikedeploy.experiments.kart.design import (
 )
 from spikedeploy.experiments.kart.heldout import UNSEEN
 from spikedeploy.experiments.kart.heldout_table import heldout_table
-from spikedeploy.experiments.kart.plot import draw
+from spikedeploy.experiments.kart.plot import finishes_figure
 from spikedeploy.experiments.kart.records import Record, driving, heldout, learning, write_csv
 from spikedeploy.experiments.kart.tables import chip_table, driving_table, learning_table
 from spikedeploy.experiments.kart.verdicts import (
@@ -26,9 +26,12 @@ from spikedeploy.experiments.kart.verdicts import (
     learning_verdicts,
 )
 from spikedeploy.experiments.trial import Trial
-from spikedeploy.files import write_text
+from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.plots import save
 from spikedeploy.trainers.ppo.config import HOLDS
 from spikedeploy.trainers.versions import own
+
+_PICTURE = "kart/finishes.png"
 
 
 def write(design: ExperimentDesign, results: Path) -> list[Path]:
@@ -40,9 +43,11 @@ def write(design: ExperimentDesign, results: Path) -> list[Path]:
         write_csv(driven, folder / "driving.csv"),
         write_csv(tracks, folder / "tracks.csv"),
         write_csv(_finishes(design), folder / "finishes.csv"),
-        draw(design, folder / "finishes.png"),
+        save(drawn := finishes_figure(design), folder / "finishes.png"),
     ]
-    return [write_text(results / "kart.md", _page(design, learned, driven, tracks)), *files]
+    text = _page(design, learned, driven, tracks)
+    page, shown = write_beside(results / "kart.md", text, {_PICTURE: drawn})
+    return [page, *files, shown]
 
 
 def _finishes(design: ExperimentDesign) -> list[Record]:
@@ -106,10 +111,10 @@ def _page(
     parts += _missing(design)
     said = [*learning_verdicts(learned), *chip_verdicts(driven), *heldout_verdicts(tracks)]
     parts += ["\n".join(said), "## How soon they finish", _LEARNING]
+    parts += [f"![finishes against environment steps]({_PICTURE})"]
     for preset in LEARNING:
         own = [row for row in learned if row["preset"] == preset]
         parts += [f"### {preset} preset", _PRESETS[preset], "\n".join(learning_table(own))]
-    parts += ["![finishes against environment steps](kart/finishes.png)"]
     parts += ["## How well they drive", _DRIVING.format(**vars(design))]
     for preset in LEARNING:
         own = [row for row in driven if row["preset"] == preset]

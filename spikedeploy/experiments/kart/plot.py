@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,18 +17,19 @@ from spikedeploy.experiments.kart.design import (
     ExperimentDesign,
     recipe,
 )
-from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.plots import BLUE, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _COLOURS = dict(zip(NETWORKS, (BLUE, VERMILION), strict=True))
 _NAMES = {"ann": "float ANN", "snn": "SNN"}
 _POINTS = 400  # of a line
 
 
-def draw(design: ExperimentDesign, path: Path) -> Path:
-    """Write the picture of all complete trainings of the two networks."""
+def finishes_figure(design: ExperimentDesign) -> "Figure":
+    """All complete trainings of the two networks."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 7.0), layout="constrained")
@@ -42,7 +42,7 @@ def draw(design: ExperimentDesign, path: Path) -> Path:
     figure.legend(
         named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
     )
-    return save(figure, path)
+    return figure
 
 
 def _panel(axes: "Axes", design: ExperimentDesign, preset: str, world: str) -> None:

@@ -14,6 +14,7 @@ from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies import run_record
 from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
@@ -21,7 +22,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.shipping.export_run import SPIKING, kind_of
+from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.pruned import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder

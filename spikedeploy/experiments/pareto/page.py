@@ -15,8 +15,10 @@ from spikedeploy.experiments.pareto.evaluation import all_rows
 from spikedeploy.experiments.pareto.fronts import Record, baseline, points
 from spikedeploy.experiments.pareto.levels import level_table, return_table
 from spikedeploy.experiments.pareto.overview import overview
-from spikedeploy.experiments.pareto.plot import draw
+from spikedeploy.experiments.pareto.plot import front_figure
 from spikedeploy.files import as_text, write_text
+from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.trainers.versions import installed, own
 
@@ -90,10 +92,17 @@ def write(design: ParetoDesign, results: Path) -> list[Path]:
     if found or not table.is_file():
         records.write(found, table)
         write_text(table.with_suffix(".json"), as_text(_made(design)))
-    files = [draw(env, points(records.read(csv)), csv.with_suffix(".png")) for env, csv in
-             _tables(folder) if env == design.env]  # fmt: skip
-    page = write_text(results / "pareto.md", text(folder))
-    return [page, table, *files]
+    drawn = {
+        _picture(env): front_figure(env, points(records.read(csv))) for env, csv in _tables(folder)
+    }
+    pictures = [save(drawn[_picture(design.env)], table.with_suffix(".png"))]
+    page, shown = write_beside(results / "pareto.md", text(folder), drawn)
+    return [page, table, *pictures, shown]
+
+
+def _picture(env: str) -> str:
+    """Its address on the page."""
+    return f"pareto/{env}.png"
 
 
 def _tables(folder: Path) -> list[tuple[str, Path]]:
@@ -122,7 +131,7 @@ def _section(env: str, rows: list[Record], made: Record) -> list[str]:
         *head,
         made["missing"],
         "\n".join(tables.sentences(found)),
-        f"![return against operations and energy](pareto/{env}.png)",
+        f"![return against operations and energy]({_picture(env)})",
         "### Every level",
         level_table(rows, found),
         "### Returns over training seeds and episodes",

@@ -4,16 +4,16 @@ Levels of imitation are joined by a line; a policy that was trained on with rewa
 """
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spikedeploy.experiments.pareto.costs import INT8, total
 from spikedeploy.experiments.pareto.design import LABELS, STUDENTS
 from spikedeploy.experiments.pareto.fronts import Point, Record
-from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.plots import BLUE, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # distinguishable with colour blindness (Okabe and Ito 2008); markers differ too
 _COLOURS = dict(zip(STUDENTS, (VERMILION, "#E69F00", "#CC79A7", BLUE, "#009E73"), strict=True))
@@ -25,8 +25,8 @@ _RING: dict[str, Any] = {"markersize": 9, "markeredgecolor": "#222222", "markere
 _Cost = Callable[[Record], float]
 
 
-def draw(env: str, found: Sequence[Point], path: Path) -> Path:
-    """Write the picture of an environment's points."""
+def front_figure(env: str, found: Sequence[Point]) -> "Figure":
+    """An environment's points."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4.4), layout="constrained")
@@ -38,7 +38,7 @@ def draw(env: str, found: Sequence[Point], path: Path) -> Path:
     left.set_ylabel("% of the teacher's finishes" if "kart" in env else "% of the teacher's return")
     artists, names = left.get_legend_handles_labels()
     figure.legend(artists, names, loc="outside upper center", ncols=len(names), frameon=False)
-    return save(figure, path)
+    return figure
 
 
 def _panel(axes: "Axes", found: Sequence[Point], cost: _Cost) -> None:

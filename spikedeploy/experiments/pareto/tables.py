@@ -146,7 +146,7 @@ def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
 
 
 def _mark(pair: Pairing, span: Span) -> str:
-    """✓ where the spiking point is cheaper wherever in the intervals scores are, ✗ never, else ≈."""
+    """✓ where the spiking point is cheaper wherever in its interval a score is, ✗ never; or ≈."""
     least, largest = span
     if largest is not None and largest <= 1:
         return "✓"

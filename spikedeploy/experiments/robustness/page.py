@@ -19,8 +19,10 @@ from spikedeploy.experiments.robustness.design import (
     file_name,
 )
 from spikedeploy.experiments.robustness.evaluation import all_rows, missing
-from spikedeploy.experiments.robustness.plot import draw
+from spikedeploy.experiments.robustness.plot import levels_figure
 from spikedeploy.files import as_text, write_text
+from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.plots import save
 from spikedeploy.trainers.versions import installed, own
 
 _PACKAGES = ("numpy", "mujoco", "pymunk")
@@ -49,20 +51,30 @@ def write(design: RobustnessDesign, results: Path) -> list[Path]:
     if found or not table.is_file():
         records.write(found, table)
         write_text(table.with_suffix(".json"), as_text(_made(design)))
-    picture = draw(records.read(table), table.with_suffix(".png"))
-    page = write_text(results / "robustness.md", text(folder))
-    return [page, table, picture]
+    drawn = {_picture(csv.stem): levels_figure(records.read(csv)) for csv in _tables(folder)}
+    picture = save(drawn[_picture(table.stem)], table.with_suffix(".png"))
+    page, shown = write_beside(results / "robustness.md", text(folder), drawn)
+    return [page, table, picture, shown]
+
+
+def _picture(env: str) -> str:
+    """Its address on the page."""
+    return f"robustness/{env}.png"
+
+
+def _tables(folder: Path) -> list[Path]:
+    """The tables of the environments that were run: ours, then others."""
+    others = sorted(path.stem for path in folder.glob("*.csv") if path.stem not in ENVS)
+    found = (folder / f"{env}.csv" for env in (*ENVS, *others))
+    return [path for path in found if path.is_file()]
 
 
 def text(folder: Path) -> str:
     """The page, of the tables in the folder."""
     parts = ["# Robustness", _INTRODUCTION]
-    others = sorted(path.stem for path in folder.glob("*.csv") if path.stem not in ENVS)
-    for env in (*ENVS, *others):
-        path = folder / f"{env}.csv"
-        if path.is_file():
-            made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-            parts += _section(env, records.read(path), made)
+    for path in _tables(folder):
+        made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        parts += _section(path.stem, records.read(path), made)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -76,7 +88,7 @@ def _section(env: str, rows: list[dict[str, Any]], made: dict[str, Any]) -> list
         *head,
         "\n".join(tables.sentences(rows)),
         "Returns below 0 have no shares: their cells are mean returns." if loses else "",
-        f"![% of the undisturbed return against the level](robustness/{env}.png)",
+        f"![% of the undisturbed return against the level]({_picture(env)})",
         "### Undisturbed",
         tables.undisturbed_table(rows),
         "### Disturbances of the world" if disturbances else "",

@@ -1,15 +1,15 @@
 """Curves of the robustness experiment: a panel for each disturbance and fault."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.experiments.robustness.design import UNDISTURBED
 from spikedeploy.experiments.robustness.tables import ENOUGH, Record, policies
-from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.plots import BLUE, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _COLUMNS = 5
 _FLOATS = (BLUE, "#56B4E9", "#009E73", "#8A939E", "#000000")  # Okabe and Ito 2008
@@ -17,8 +17,8 @@ _SPIKING = (VERMILION, "#E69F00", "#CC79A7", "#F0E442")
 _MARKERS = "os^Dv"
 
 
-def draw(rows: Sequence[Record], path: Path) -> Path:
-    """Write the picture: % of the undisturbed return against the level."""
+def levels_figure(rows: Sequence[Record]) -> "Figure":
+    """% of the undisturbed return against the level."""
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(row["name"] for row in rows if row["part"] != UNDISTURBED))
@@ -37,7 +37,7 @@ def draw(rows: Sequence[Record], path: Path) -> Path:
     figure.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False)
     figure.supxlabel("level")
     figure.supylabel("% of the undisturbed return")
-    return save(figure, path)
+    return figure
 
 
 def _looks(rows: Sequence[Record]) -> dict[str, tuple[str, str]]:

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -225,7 +226,10 @@ def test_train_writes_a_run_folder_and_prints_it(command, tmp_path):
     words = ("train", "smoke", "--set", "steps=120", "--set", "validation.every=120")
     code, out, _ = command(*words, "--seed", 2, "--runs", tmp_path / "runs", "--json")
     assert code == 0
-    assert "smoke-s2-" in json.loads(out)["run"]
+    run = Path(json.loads(out)["run"])
+    assert run.name.startswith("smoke-s2-")
+    assert {"report.html", "card.md", "curve.svg"} <= {path.name for path in run.iterdir()}
+    assert 'http-equiv="refresh"' not in (run / "report.html").read_text()
 
 
 def test_a_resumed_run_keeps_its_seed(command):

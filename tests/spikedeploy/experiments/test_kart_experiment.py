@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from spikedeploy import cli
 from spikedeploy.experiments import workers
@@ -15,13 +16,14 @@ from spikedeploy.experiments.kart.design import WORLDS, ExperimentDesign
 from spikedeploy.experiments.kart.experiment import experiment
 from spikedeploy.experiments.kart.heldout import TRACKS, TrackEvaluation
 from spikedeploy.experiments.kart.heldout_table import finish_share, heldout_table, ratio_of_means
-from spikedeploy.experiments.kart.plot import counted, draw
+from spikedeploy.experiments.kart.plot import counted, finishes_figure
 from spikedeploy.experiments.kart.records import HELD, NTH, learning
 from spikedeploy.experiments.kart.tables import learning_table, percent_of_ann, steps
 from spikedeploy.experiments.kart.verdicts import heldout_verdicts, learning_verdicts
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import JobEnd
 from spikedeploy.files import write_text
+from spikedeploy.reports.plots import save
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_race_env
 
@@ -45,7 +47,7 @@ def design(tmp_path):
 def pretend(monkeypatch):
     """Let every job leave at once what it would after hours; the names of those that ran."""
     ran = []
-    monkeypatch.setattr(kart_page, "draw", lambda design, path: write_text(path, "picture"))
+    monkeypatch.setattr(kart_page, "finishes_figure", lambda design: Figure(figsize=(1, 1)))
 
     def run(jobs, count, ended, look=None):
         for job in jobs:
@@ -352,7 +354,9 @@ def test_a_training_that_never_came_so_far_counts_as_longer_than_it_was():
 
 def test_the_picture_has_a_panel_for_each_world(design, pretend, tmp_path):
     experiment(design, ["kart-grid"], 1, tmp_path)  # the other panels have nothing to show yet
-    assert draw(design, tmp_path / "finishes.png").read_bytes().startswith(b"\x89PNG")
+    assert (
+        save(finishes_figure(design), tmp_path / "finishes.png").read_bytes().startswith(b"\x89PNG")
+    )
 
 
 def test_what_is_not_trained_to_its_end_is_not_counted(design, pretend, tmp_path):

@@ -234,7 +234,7 @@ def test_cells_keep_the_bounds_of_energies(grid, serial):
 def test_metrics_that_were_asked_for_stand_on_the_page(tmp_path):
     spec = tmp_path / "small.toml"
     spec.write_text(f'env = "{ENV}"\npolicy = "random"\nmetrics = ["error:mean"]\nepisodes = 2\n')
-    page, numbers = run_sweep(read_grid(spec), tmp_path / "out", SerialBackend()).files
+    page, numbers, _ = run_sweep(read_grid(spec), tmp_path / "out", SerialBackend()).files
     assert "| error mean |" in page.read_text(encoding="utf-8")
     (line,) = csv.DictReader(numbers.read_text(encoding="utf-8").splitlines())
     assert "error:mean" in line["measured"]

@@ -112,10 +112,11 @@ def test_the_page_has_the_command_the_pictures_and_every_trial(page, tmp_path):
     study.set_user_attr("reason 5", "out | over")
     study.tell(study.ask(), state=optuna.trial.TrialState.FAIL)
     assert "out \\| over" in write_page(PLAN, study, tmp_path)[0].read_text()
-    assert [path.name for path in found.files] == ["tune.md", "history.png", "importances.png"]
+    names = ["tune.md", "history.png", "importances.png", "tune.html"]
+    assert [path.name for path in found.files] == names
     text = found.files[0].read_text()
     assert PLAN.command(found.best[0].settings) in text
-    assert all(path.name in text for path in found.files[1:])
+    assert all(path.name in text for path in found.files[1:-1])
     text = found.files[0].read_text()
     assert sum(line.startswith("| ") and "complete" in line for line in text.splitlines()) == 5
 
@@ -218,7 +219,7 @@ def test_of_two_objectives_the_pareto_front_is_found_and_drawn(trainings, tmp_pa
     for earned, sops in points:
         beaten = any(e >= earned and s <= sops and (e, s) != (earned, sops) for e, s in points)
         assert ((earned, sops) in front) != beaten
-    pictures = write_page(plan, opened(plan, journal(tmp_path)), tmp_path)[1:]
+    pictures = write_page(plan, opened(plan, journal(tmp_path)), tmp_path)[1:-1]
     assert [path.stem for path in pictures] == ["history", "importances", "front"]
 
 

@@ -1,4 +1,4 @@
-"""Of `export`: C99 of a chip, and NIR as other tools and releases of `nir` open it."""
+"""Of `export`: C99 of a chip, cards, and NIR as other tools and releases of `nir` open it."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -57,3 +57,19 @@ def export_for(
             say(remark)
         typer.echo(f"wrote {written.path}")
     raise typer.Exit(0 if written.passed else 1)
+
+
+def export_card(
+    run: str, output: Path | None, checkpoint: str | None, film: bool, force: bool, json: bool
+) -> None:
+    """Write what shows a run beside its policy into its folder, and say what."""
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping import run_card
+
+    if output is not None or checkpoint is not None:
+        raise typer.BadParameter("--to card is of the run folder: leave -o and --checkpoint out")
+    files = run_card.export_card(run, film, force)
+    if json:
+        print_json({"files": [str(file) for file in files]})
+    else:
+        typer.echo("wrote " + ", ".join(str(file) for file in files))

@@ -1,0 +1,148 @@
+"""`export` and `publish`: from a run folder to a file, a card, or a shipped policy."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spikedeploy.commands.export_formats import export_c, export_card, export_for
+from spikedeploy.commands.options import (
+    Dt,
+    For,
+    Force,
+    From,
+    Json,
+    NirCompat,
+    Reset,
+    States,
+    Workers,
+)
+
+Checkpoint = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Checkpoint of the run, such as last or ops-480.",
+        show_default="best, else last",
+    ),
+]
+
+
+def export(
+    run: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN", help="Run folder, its name under runs/, or 'last'; FILE.nir."
+        ),
+    ],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="Format: nir or c for spiking policies, onnx for float ones, or for one step of "
+            "a spiking one; or card.",
+            show_default="as -o ends, else as the policy is",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="File to write; for c the folder.",
+            show_default="in the run folder",
+        ),
+    ] = None,
+    observations: Annotated[
+        int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
+    ] = 1000,
+    chip: Annotated[str, typer.Option(help="Chip whose integers are written; c only.")] = "loihi1",
+    prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
+    state: Annotated[
+        States | None,
+        typer.Option(
+            help="Membranes at an inference: reset, or kept; nir only.", show_default="as trained"
+        ),
+    ] = None,
+    checkpoint: Checkpoint = None,
+    film: Annotated[
+        bool, typer.Option("--film", help="With --to card: replay.mp4 of one greedy episode.")
+    ] = False,
+    for_: For = None,
+    nir_compat: NirCompat = None,
+    from_: From = None,
+    dt: Dt = None,
+    reset: Reset = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99.
+
+    --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
+    """
+    if film and to != "card":
+        raise typer.BadParameter("--film goes with --to card")
+    given = {"written_by": from_, "dt": dt, "reset": reset}
+    if for_ or nir_compat:
+        options = {**given, "state": state}
+        export_for(run, to, output, for_, nir_compat, observations, options, force, json)
+        return
+    if any(value is not None for value in given.values()):
+        raise typer.BadParameter("--from, --dt and --reset go with --for or --nir-compat")
+    if to == "c":
+        export_c(run, chip, output, observations, prefix, force, json)
+        return
+    if to == "card":
+        export_card(run, output, checkpoint, film, force, json)
+        return
+    from spikedeploy.console import print_json, say
+    from spikedeploy.reports.terminal import print_checks
+    from spikedeploy.shipping.export_onnx import export_onnx, is_file
+    from spikedeploy.shipping.export_run import export_run
+
+    if to == "onnx" and is_file(run):
+        written = export_onnx(run, output, observations, force)
+    else:
+        written = export_run(
+            run, to, output, observations, state=state, checkpoint=checkpoint, force=force
+        )
+    if json:
+        checks = [vars(check) for check in written.checks]
+        print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
+    else:
+        print_checks(written.checks)
+        typer.echo(f"wrote {written.path}")
+        if written.unfinished:
+            say(f"its training is unfinished: stopped at {written.unfinished}")
+    raise typer.Exit(0 if written.passed else 1)
+
+
+def publish(
+    run: Annotated[
+        str, typer.Argument(metavar="RUN", help="Run folder, its name under runs/, or 'last'.")
+    ],
+    name: Annotated[str, typer.Option(help="Name in the zoo, such as popsan.")],
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the card's evaluation.")] = 100,
+    note: Annotated[str, typer.Option(help="Note for the card.")] = "",
+    control: Annotated[
+        bool, typer.Option("--control", help="Comparisons show it as a control.")
+    ] = False,
+    checkpoint: Checkpoint = None,
+    workers: Workers = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder of the zoo.", show_default="the package's own"),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
+    from spikedeploy import zoo
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping.publish_run import publish_run
+
+    folder = output or zoo.FOLDER
+    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)
+    if json:
+        print_json({"files": [str(file) for file in files]})
+    else:
+        typer.echo("wrote " + ", ".join(str(file) for file in files))

@@ -1,0 +1,38 @@
+"""`runs`: the training runs in a folder, and what they earned."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from spikedeploy.commands.options import Json
+
+# fields of RunScores; a test holds them together
+SortKey = Literal["return", "success", "operations", "share", "age", "name"]
+
+
+def runs(
+    folder: Annotated[
+        Path, typer.Option("--runs", help="Folder with the run folders; also those below it.")
+    ] = Path("runs"),
+    sort: Annotated[
+        SortKey, typer.Option(help="Column to sort by; the best, newest or first are on top.")
+    ] = "age",
+    env: Annotated[
+        str | None, typer.Option(help="Only of this environment.", show_default="all")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """List training runs: validation return, success, operations, how far each came, age."""
+    from spikedeploy.console import print_json, print_table
+    from spikedeploy.reports.run_table import HEADS, cells, found_runs
+
+    rows, damaged = found_runs(folder, env, sort)
+    if json:
+        print_json([row.as_json() for row in rows])
+    elif rows:
+        print_table(f"Runs in {folder}", HEADS, [cells(row, folder) for row in rows], numbers=True)
+    else:
+        typer.echo(f"no runs in {folder}: `spikedeploy train RECIPE` makes one")
+    for line in damaged:
+        typer.echo(f"left out: {line}", err=True)

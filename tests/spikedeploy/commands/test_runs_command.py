@@ -1,0 +1,104 @@
+"""`runs`, and the beginnings of names by which every command knows a run."""
+
+import json
+import os
+
+import pytest
+
+from spikedeploy.commands.runs import SortKey
+from spikedeploy.reports.run_table import SORTS
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.exported_run import runnable, trained_in
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.run_names import is_beginning, run_named
+from tests import toy_stroll_env
+
+
+@pytest.fixture
+def two(stroll):
+    """Two runs below runs/: `walk-a`, older and worse, and `walk-b`."""
+    for name, earned, policy in (
+        ("walk-a", 1.5, MlpConfig(hidden=(4,))),
+        ("walk-b", 7.5, PopsanConfig(hidden=(6,), populations=3)),
+    ):
+        made = toy_stroll_env.run_folder(stroll / "made", policy)
+        run = made.rename(stroll / "made" / name)
+        file = run / "checkpoints/best.json"
+        numbers = {"eval_return": earned, "eval_finish": 0.5, "eval_operations": 12.0}
+        file.write_text(json.dumps({**json.loads(file.read_text()), **numbers}))
+        for path in (run / "config.json", run / "metrics.csv", file):
+            os.utime(path, (1e9 + earned, 1e9 + earned))
+    (stroll / "made").rename(stroll / "runs")
+    return stroll / "runs"
+
+
+def test_runs_are_listed_with_their_scores_the_newest_first(two, command):
+    code, out, _ = command("runs", "--json")
+    rows = json.loads(out)
+    assert (code, [row["name"] for row in rows]) == (0, ["walk-b", "walk-a"])
+    assert [(row["earned"], row["success"], row["operations"]) for row in rows] == [
+        (7.5, 0.5, 12.0),
+        (1.5, 0.5, 12.0),
+    ]
+    assert [row["share"] for row in rows] == [0.0, 0.0]  # there is no checkpoint last
+    _, out, _ = command("runs")
+    assert "12 SOPs" in out
+    assert "12 MACs" in out
+
+
+@pytest.mark.parametrize(("sort", "first"), [("return", "walk-b"), ("name", "walk-a")])
+def test_runs_are_sorted_by_a_column(two, command, sort, first):
+    _, out, _ = command("runs", "--sort", sort, "--json")
+    assert json.loads(out)[0]["name"] == first
+
+
+def test_every_column_that_sorts_is_one_that_the_command_takes():
+    assert set(SortKey.__args__) == set(SORTS)
+
+
+def test_a_damaged_run_is_left_out_and_said(two, command):
+    (two / "walk-a/config.json").write_text("{")
+    code, out, err = command("runs", "--json")
+    assert (code, [row["name"] for row in json.loads(out)]) == (0, ["walk-b"])
+    assert "left out" in err
+    assert "walk-a" in err
+
+
+def test_a_folder_without_runs_says_how_to_make_one(stroll, command):
+    code, out, _ = command("runs")
+    assert (code, "spikedeploy train" in out) == (0, True)
+
+
+def test_the_beginning_of_a_name_means_the_one_run_that_has_it(two):
+    (two / "walk-b").rename(two / "trot-b")
+    assert run_named("wal").name == "walk-a"
+    assert run_named("runs/tr").name == "trot-b"
+    assert RunFolder.find("tr").path.name == "trot-b"
+    assert runnable("tr").endswith("trot-b.nir")
+    assert trained_in("tr") == "stroll"
+    assert run_named("x") is run_named("") is None
+
+
+def test_a_name_is_not_taken_for_the_beginning_of_another(two):
+    (two / "walk-b").rename(two / "walk-a-1")
+    assert run_named("walk-a").name == "walk-a"
+    assert not is_beginning("walk-a")
+    assert is_beginning("walk-a-")
+    (two / "walk").mkdir()
+    assert run_named("walk") is None  # a folder that is there is meant itself
+
+
+def test_an_ambiguous_beginning_lists_the_runs(two, command):
+    with pytest.raises(ConfigError, match="beginning of 2 runs: runs/walk-a, runs/walk-b"):
+        run_named("walk")
+    asked = ("export walk", "run walk", "compare stroll walk", "train --resume walk",
+             "visualize walk", "publish walk --name x")  # fmt: skip
+    for words in asked:
+        code, _, err = command(*words.split())
+        assert (code, "runs/walk-a, runs/walk-b" in err) == (2, True), words
+
+
+def test_a_shipped_policy_and_a_file_come_before_runs(two):
+    (two / "walk-a").rename(two / "stroll")
+    assert runnable("stroll/sac") == "stroll/sac"

@@ -1,0 +1,84 @@
+"""The card of a run: what the hub reads of it, what people read, and who may replace it."""
+
+import json
+
+import pytest
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.run_card import export_card, write_run_files
+from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from tests import toy_stroll_env
+
+SPIKING = PopsanConfig(hidden=(6,), populations=3)
+
+
+@pytest.fixture(autouse=True)
+def _stroll(monkeypatch):
+    toy_stroll_env.install(monkeypatch)
+
+
+@pytest.fixture
+def run(tmp_path):
+    return toy_stroll_env.run_folder(tmp_path / "runs", SPIKING)
+
+
+def head(card):
+    """The YAML of a card, whose values are JSON or words."""
+    _, lines, _ = card.split("---\n", 2)
+    fields = dict(line.split(": ", 1) for line in lines.splitlines())
+    return {k: json.loads(v) if v[0] in "[{" else v for k, v in fields.items()}
+
+
+def test_the_head_of_a_card_has_what_the_hub_reads(run):
+    card = write_run_files(run)[-1].read_text()
+    found = head(card)
+    assert found["library_name"] == "spikedeploy"
+    assert {"reinforcement-learning", "nir", toy_stroll_env.ID} <= set(found["tags"])
+    (model,) = found["model-index"]
+    (metric,) = model["results"][0]["metrics"]
+    assert (metric["type"], metric["value"]) == ("mean_reward", 3.0)
+
+
+def test_a_card_says_how_the_policy_was_trained_and_what_it_cannot(run):
+    card = write_run_files(run)[-1].read_text()
+    assert "`spikedeploy train smoke --seed 0" in card
+    assert "- checkpoint best, after 5 environment steps" in card
+    assert "![Return, success, spike rate and operations over the training](curve.svg)" in card
+    for title in ("Environment", "Training", "Results", "How to use it", "Limits"):
+        assert f"\n## {title}\n" in card
+
+
+def test_the_curve_has_the_colours_of_its_reader(run):
+    drawn = (run / "curve.svg") if write_run_files(run) else None
+    text = drawn.read_text()
+    assert text.startswith("<svg")
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_a_card_that_a_person_took_over_is_kept(run):
+    write_run_files(run)
+    (run / "card.md").write_text("mine")
+    assert [path.name for path in write_run_files(run)] == ["report.html", "curve.svg"]
+    with pytest.raises(ConfigError, match="written by hand"):
+        export_card(str(run))
+    assert (run / "card.md").read_text() == "mine"
+    export_card(str(run), force=True)
+    assert (run / "card.md").read_text().startswith("---\n")
+
+
+def test_a_run_that_is_ready_to_be_uploaded_has_policy_card_curve_page_and_film(run):
+    files = export_card(str(run), film=True)
+    policy, film, *others = files
+    assert policy.suffix == ".nir"
+    assert film.read_bytes()[4:8] == b"ftyp"
+    assert [path.name for path in others] == ["report.html", "curve.svg", "card.md"]
+    assert "(replay.mp4)" in (run / "card.md").read_text()
+    assert export_card(str(run), film=True) == files
+
+
+def test_a_float_policy_is_not_said_to_spike(tmp_path):
+    run = toy_stroll_env.run_folder(tmp_path / "runs", MlpConfig(hidden=(4,)))
+    card = write_run_files(run)[-1].read_text()
+    assert "float network" in card
+    assert "--to c" not in card
+    assert "neuromorphic" not in card
