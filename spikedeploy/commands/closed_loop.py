@@ -98,6 +98,7 @@ def run(
     rate: Rate = None,
     deadline: Deadline = None,
     lasting: Lasting = None,
+    shown: Tables = "one",
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -114,7 +115,7 @@ def run(
     from spikedeploy.policies.adopted import adopted
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.realtime.pacing import pacing
-    from spikedeploy.reports.terminal import print_comparison, print_real_time, print_verdict
+    from spikedeploy.reports.terminal import print_run
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
@@ -173,14 +174,11 @@ def run(
     if json:
         print_json(document)
     else:
-        print_comparison(document)
         if video:
             typer.echo(f"wrote {video}")
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
-        if loop:
-            print_real_time(document["real_time"])
-        print_verdict(document)
+        print_run(document, shown == "all")
 
 
 def compare(

@@ -60,13 +60,14 @@ def energy_hint(rows: Sequence[Row]) -> str:
 
 
 def verdict(document: Mapping[str, Any]) -> str:
-    """The row of a run in one line: return, success, operations, energy."""
+    """The row of a run in one line: return, success, metrics asked for, operations, energy."""
     (row,) = document["rows"]
     of = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
     done = "finished" if drives(row) else "succeeded"
     said = [
         f"return {interval(row)} in {of}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
+        *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
         *(f"{each} a control step" for each in [operations(row)] if each != ABSENT),
     ]
     table = quoted_table([row])

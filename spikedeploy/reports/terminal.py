@@ -35,9 +35,7 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
     everything  else one table of at most 80 columns and the summary
     """
     rows = document["rows"]
-    print_text(f"{document['env_id']}, episodes of each policy: {rows[0]['episodes']}\n")
-    if said := disturbed(document):
-        print_text(f"Disturbed by {said}.\n")
+    _print_head(document)
     if not everything:
         _print_short(document)
         return
@@ -51,6 +49,13 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
     for sentence in (document["meaning"], document.get("env_remark", "")):
         if sentence:
             print_text(sentence)
+
+
+def _print_head(document: Mapping[str, Any]) -> None:
+    episodes = document["rows"][0]["episodes"]
+    print_text(f"{document['env_id']}, episodes of each policy: {episodes}\n")
+    if said := disturbed(document):
+        print_text(f"Disturbed by {said}.\n")
 
 
 def print_headline(document: Mapping[str, Any]) -> None:
@@ -68,11 +73,23 @@ def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
         print_text(hint)
 
 
-def print_verdict(document: Mapping[str, Any]) -> None:
-    """Print a run in one line, and which of its energies to quote."""
+def print_run(document: Mapping[str, Any], everything: bool = False) -> None:
+    """Print a run in one line, and which of its energies to quote; or all tables before that."""
+    if everything:
+        print_comparison(document)
+    else:
+        _print_head(document)
+        for remarks in document["remarks"].values():
+            for remark in remarks:
+                if remark.startswith("fault "):  # what was asked for; the rest is in the tables
+                    print_text(remark)
     if hint := energy_hint(document["rows"]):
         print_text(hint)
+    if "real_time" in document:
+        print_real_time(document["real_time"])
     print_text(verdict(document))
+    if not everything:
+        print_text("Sizes, operations, other energies, remarks: --tables all")
 
 
 def print_real_time(found: Mapping[str, Any]) -> None:

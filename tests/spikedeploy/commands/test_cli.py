@@ -115,13 +115,18 @@ def test_compare_first_shows_one_table_of_80_columns(command, stroll):
     assert "sanafe" not in out
 
 
-def test_run_ends_with_one_line_of_verdict(command, stroll):
+def test_run_prints_one_line_of_verdict_and_all_tables_when_asked(command, stroll):
     _, out, _ = command("run", "stroll/popsan", "--episodes", 2)
-    last = out.splitlines()[-1]
-    assert last.startswith("popsan · loihi1: return ")
-    assert "in 2 episodes, " in last
-    assert "SOPs a control step" in last
-    assert last.endswith("by horowitz45-int8.")
+    said, hint = out.splitlines()[-2:]
+    assert said.startswith("popsan · loihi1: return ")
+    assert "in 2 episodes, " in said
+    assert "SOPs a control step" in said
+    assert said.endswith("by horowitz45-int8.")
+    assert hint.endswith("--tables all")
+    assert "What does an inference cost?" not in out
+    _, out, _ = command("run", "stroll/popsan", "--episodes", 2, "--tables", "all")
+    assert "What does an inference cost?" in out
+    assert out.splitlines()[-1] == said
 
 
 def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
