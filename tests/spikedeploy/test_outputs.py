@@ -13,6 +13,7 @@ import pytest
 
 from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
 from spikedeploy.files import write_text
+from spikedeploy.interop.written import check_written
 from spikedeploy.outputs import check_output, check_output_folder, mark, marked
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.export_run import export_run
@@ -21,14 +22,18 @@ from tests.paths import ROOT
 
 NET = ROOT / "examples" / "net.nir"
 RASTER = ROOT / "examples" / "raster.npy"
-# the guards of export and publish, which find the name of the file themselves
-SHIPPING = inspect.getsource(export_run) + inspect.getsource(publish_run)
+# of commands that find the names of their files elsewhere
+GUARDS = {
+    "export": inspect.getsource(export_run),
+    "publish": inspect.getsource(publish_run),
+    "interop": inspect.getsource(check_written),
+}
 # options and arguments that name a file or folder to write, by command
 OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
     ("experiment", "output"), ("play", "record"), ("replay", "video"),
-    ("check", "output"), ("drift", "output"),
+    ("check", "output"), ("drift", "output"), ("interop", "output"), ("interop", "records"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
@@ -43,7 +48,7 @@ def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():
         paths = {key for key, kind in hints.items() if Path in (kind, *get_args(kind))}
         found |= {(name[0], key) for key in paths - OTHERS}
         assert not paths - OTHERS or "force" in hints, name
-        inside = SHIPPING if name[0] in ("export", "publish") else inspect.getsource(function)
+        inside = GUARDS.get(name[0]) or inspect.getsource(function)
         assert not paths - OTHERS or "check_output" in inside, name
     assert found == OUTPUTS
 

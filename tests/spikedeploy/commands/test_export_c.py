@@ -39,9 +39,9 @@ def test_it_writes_every_file_and_says_what_they_take(command, file, tmp_path):
 
 def test_a_run_is_played_in_its_own_environment(file, monkeypatch):
     artifact = load(file)
-    assert export_c._world(file, artifact) == ""  # what a file names is not imported
+    assert export_c.world_of(file, artifact) == ""  # what a file names is not imported
     monkeypatch.setattr(exported_run, "trained_in", lambda policy: "own_module:Env")
-    assert export_c._world("last", artifact) == "own_module:Env"
+    assert export_c.world_of("last", artifact) == "own_module:Env"
 
 
 def test_the_same_policy_is_written_again_and_other_files_are_not(command, file, tmp_path):
