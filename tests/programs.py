@@ -85,7 +85,7 @@ def _random_layer(rng, name, size, wires, start):
         name=name,
         synapses=tuple(synapses),
         bias=rng.integers(-top, top + 1, size) * rng.integers(0, 2),
-        voltage_bias=rng.integers(-5000, 5001, size) * rng.integers(0, 2),
+        voltage_bias=rng.integers(-5000, 5001, size) * rng.integers(0, 2, rng.choice([1, size])),
         threshold=rng.integers(0, 40 * top, size) << 6,
         current_decay=_keeps(rng, size) * rng.integers(0, 2),
         membrane_decay=_keeps(rng, size),

@@ -209,7 +209,6 @@ class LayerKernel:
             before = self.states[0]
             self._prepare(np.dtype(np.float64))
             self.states[-1] = before
-            self.states[0] = before
             return self.run(presynaptic)
         self.interpreted = True
         if self._fixed is not None:

@@ -8,12 +8,15 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses, starting
+from spikedeploy.runtime.compiler import linear
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from tests.networks import chain, cuba, graph, lif, popsan
+from tests.programs import layer
 
 CONVENTION = Convention(1e-3)
 
@@ -92,6 +95,26 @@ def raster(program, batch=3, timesteps=12):
 )
 def test_the_ideal_chip_equals_the_float_graph(build, convention):
     check_against_float(changed(build(), **convention))
+
+
+def test_the_interpreter_equals_the_float_graph_on_the_ideal_chip():
+    artifact = with_gains()
+    program = compile_program(artifact, chip("ideal"))
+    machine = Machine(program, 3, trace=True, backend="interpreter")
+    given = raster(program)
+    machine.infer(given)
+    spikes = machine.recordings[program.output].spikes
+    np.testing.assert_array_equal(spikes, FloatGraph(artifact).run(given)[program.output])
+    assert 0 < spikes.mean() < 1
+
+
+def test_layers_that_only_wait_for_each_other_start_at_once():
+    fixed, weight = chip("loihi1").arithmetic, np.ones((1, 1), np.int16)
+    loop = [
+        layer(fixed, name, weight, (Synapses(source, weight, 1),), decays=(0, 0), threshold=64)
+        for name, source in (("a", "b"), ("b", "a"))
+    ]
+    assert [each.start for each in starting(loop, "input", 1, stagger=True)] == [0, 0]
 
 
 def test_spikes_may_go_into_neurons_without_weights():
@@ -237,3 +260,31 @@ def test_a_reset_that_the_chip_lacks_is_refused():
 def test_more_delay_than_the_chip_has_is_refused():
     with pytest.raises(RuleError, match="need a delay of 2 timesteps; loihi1 has at most 1"):
         compile_program(skipping(), chip("loihi1", delay_max=1))
+
+
+def test_matrices_may_take_exactly_so_many_bytes(monkeypatch):
+    two = chain(affine(8, 6), cuba(6), affine(6, 5), cuba(5), width=8, act=5)
+    took = 8 * (8 * 6 + 6 * 5 + 5 * 5)  # the last onto the output
+    monkeypatch.setattr(linear, "_LARGEST", took)
+    compile_program(Artifact(two, None, CONVENTION), chip("loihi1"))
+    monkeypatch.setattr(linear, "_LARGEST", took - 1)
+    with pytest.raises(RuleError, match=f"the weights take {took} bytes by here"):
+        compile_program(Artifact(two, None, CONVENTION), chip("loihi1"))
+
+
+def test_weights_of_zero_behind_delays_keep_the_shortest():
+    late = nir.Delay(np.array([0.0, 0.001, 0.002, 0.0]))
+    nodes = [late, nir.Linear(np.zeros((3, 4))), cuba(3)]
+    artifact = Artifact(chain(*nodes, width=4, act=3), None, CONVENTION)
+    (only,) = compile_program(artifact, chip("ideal")).layers
+    assert [synapses.delay for synapses in only.synapses] == [0]
+
+
+def test_what_trains_with_another_reset_is_told_how_snntorch_says_it():
+    late = replace(CONVENTION, reset="subtract-delayed")
+    artifact = Artifact(chain(affine(8, 6), cuba(6), width=8, act=6), None, late)
+    with pytest.raises(RuleError, match=r"reset_mechanism, and reset_delay=False"):
+        compile_program(artifact, chip("loihi1"))
+    zero = Artifact(chain(affine(8, 6), lif(6), width=8, act=6), None, CONVENTION)
+    with pytest.raises(RuleError, match=r"with that reset, give it as an option"):
+        compile_program(zero, chip("xylo-a2"))

@@ -9,6 +9,7 @@ import pytest
 
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
@@ -16,6 +17,7 @@ from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.families.cuba.neurons import sigma_delta
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.metrics.energy import energy, energy_table
 from spikedeploy.runtime.metrics.host_work import host_work
@@ -232,3 +234,15 @@ def test_graded_spikes_are_multiply_accumulates_for_neurobench():
 def test_drift_says_that_it_does_not_compare_graded_spikes():
     with pytest.raises(ConfigError, match=r"sd1.*graded.*spikedeploy compare"):
         drift(one_neuron(), chip("loihi2"), INPUT)
+
+
+def test_graded_spikes_beyond_their_bits_are_clipped_and_counted_on_loihi2():
+    registers = chip("loihi2").arithmetic
+    layer = compile_program(one_neuron(), chip("loihi2")).layers[0]
+    most = (1 << (registers.graded_bits - 1)) - 1
+    layer = replace(layer, threshold=np.ones(1, np.int64), voltage_bias=np.zeros(1, np.int64))
+    state = LayerState(*np.zeros((3, 1, 1), np.int64), sent=np.array([[-10]]))
+    state.membrane = np.array([[most]])
+    found = sigma_delta(registers, registers.graded_bits, layer, np.zeros((1, 1), np.int64), state)
+    assert found.spikes.tolist() == [[most]]
+    assert found.overflows.tolist() == [[1]]

@@ -145,7 +145,24 @@ def test_float32_is_not_for_thresholds_that_it_cannot_hold():
         ({"voltage_bias": np.array([16])}, 2),
         ({"threshold": np.array([65])}, 0),
         ({"current_decay": np.array([0]), "membrane_decay": np.array([4096])}, 100),
+        ({"current_decay": np.array([0]), "membrane_decay": np.array([0])}, 100),
     ],
 )
 def test_decays_of_few_bits_round_nothing_for_some_timesteps(fields, ticks):
     assert exact_ticks(the_layer(**fields), WIDE.arithmetic) == ticks
+
+
+def test_the_bound_of_what_arrives_is_that_of_the_neuron_that_receives_most():
+    weight = np.array([[3, 200]], np.int16)
+    axons = (Synapses("input", weight, delay=1),)
+    both = layer(WIDE.arithmetic, "n", weight.T, axons, decays=(0, 0), threshold=64, start=1)
+    program = Program(WIDE, Convention(1e-3), "input", 1, (both,), "n", None)
+    assert bounds(program, both, WIDE.arithmetic, 4).partial == 200
+
+
+@pytest.mark.parametrize(("bias", "below"), [(0, 0.0), (-1, np.inf)])
+def test_a_membrane_without_a_leak_is_bounded_below_only_if_nothing_pulls_it_down(bias, below):
+    program = one_neuron([200], decays=(0, 0))
+    kept = {"membrane_decay": np.array([4096]), "voltage_bias": np.array([bias])}
+    pushed = replace(program.layers[0], **kept)
+    assert bounds(program, pushed, WIDE.arithmetic, None).below == below

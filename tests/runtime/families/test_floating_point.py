@@ -12,6 +12,8 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.families.cuba.floating_point import CubaFloat32
+from spikedeploy.runtime.families.cuba.neurons import arriving
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from tests.networks import chain, lif, popsan
 
@@ -97,3 +99,21 @@ def test_what_float32_cannot_hold_is_refused_by_layer(weight, threshold, message
     artifact = Artifact(chain(*nodes, width=1, act=1), None, Convention(1e-3))
     with pytest.raises(RuleError, match=message):
         compile_program(artifact, CHIP, limits=False)
+
+
+def test_weights_have_two_to_sixteen_bits():
+    assert [CubaFloat32(bits).weight_max for bits in (2, 16)] == [1, 32767]
+    for bits in (1, 17):
+        with pytest.raises(ChipError, match=f"weight_bits is {bits}; choose 2 to 16"):
+            CubaFloat32(bits)
+
+
+def test_what_arrives_is_added_up_in_float32():
+    layer = compile_program(popsan(), CHIP).layers[0]
+    rng = np.random.default_rng(0)
+    weight = rng.normal(size=(4000, layer.size)).astype(np.float32)
+    wide = replace(layer, synapses=(replace(layer.synapses[0], weight=weight),))
+    spikes = np.ones((1, len(weight)), np.uint8)
+    expected = layer.bias + spikes.astype(np.float32) @ weight
+    np.testing.assert_array_equal(arriving(wide, [spikes]), expected)
+    assert (expected != (layer.bias + weight.astype(float).sum(axis=0)).astype(np.float32)).any()

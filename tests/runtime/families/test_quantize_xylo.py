@@ -321,3 +321,20 @@ def test_choices_that_a_chip_does_not_have_are_refused(name, choice, message):
     artifact = replace(two_layers([[1], [1]], [[1, 1]]), convention=ONCE)
     with pytest.raises(ConfigError, match=message):
         compile_program(artifact, chip(name), choice)
+
+
+def test_a_layer_without_weights_is_no_layer_that_lost_them():
+    hidden, output = compiled(two_layers([[0.5], [-0.125]], [[0, 0]])).layers
+    assert hidden.synapses[0].weight.any()
+    assert not output.synapses[0].weight.any()
+
+
+def test_weights_that_all_become_0_are_named_with_the_largest():
+    with pytest.raises(RuleError, match=r"every weight becomes 0. The largest, 0\.001,"):
+        compiled(two_layers([[0.0005], [0.0005]], [[2, 1]], bias=(1, 1)))
+
+
+def test_a_threshold_of_one_is_none_that_is_lost():
+    # 1 becomes 127, and so 0.01 becomes 1.27
+    layers = compiled(two_layers([[0.5], [0.5]], [[0.5, 0.5]], threshold=0.01)).layers
+    assert [layer.threshold.tolist() for layer in layers] == [[1, 1], [1]]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.quantise import levelled
@@ -69,3 +69,12 @@ def test_levels_need_scales_of_neurons():
         Quantisation(thresholds=16)
     with pytest.raises(ConfigError, match="thresholds is 0"):
         Quantisation("channel", thresholds=0)
+
+
+def test_choices_are_said_in_words():
+    assert PLAIN.describe() == ("a scale for each layer, the chip's own rounding, headroom 'none'")
+    said = Quantisation("channel", rounding="truncate", thresholds=4, weight_shift=2).describe()
+    assert said == (
+        "a scale for each channel with at most 4 thresholds, rounding 'truncate', headroom 'none', "
+        "weights shifted by 2 bits"
+    )
