@@ -1,8 +1,8 @@
 """The design of the pareto experiment: which policies are trained, where they are evaluated.
 
 Within a seed the spiking network is trained first; its rivals take over its walks and are trained
-with as many updates. A rival is pruned by the same ranking to the same numbers of operations. Then
-each of them goes on with reward from its best policy, with as many episodes.
+with as many updates a level. A rival is pruned by the same ranking, to levels of its own. Then each
+of them goes on with reward from its best policy, with as many episodes.
 """
 
 from collections.abc import Mapping, Sequence

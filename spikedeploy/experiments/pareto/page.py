@@ -26,14 +26,16 @@ _PICO = 1e12
 _PACKAGES = ("torch", "numpy", "mujoco")
 
 _INTRODUCTION = f"""\
-Sparse policies and their float rivals: all imitate the same teacher on the same walks with as many
-updates, and are pruned by the same ranking, each to levels of its own, in operations of a control
-step.
+Sparse policies and their float rivals: all imitate the same teacher on the same walks and are pruned
+by the same ranking, each to levels of its own, in operations of a control step. Updates of a level
+are as many for all; at their last level policies are polished once or more, and LIF walkers have
+about a tenth more updates in all.
 `LIF` is a delta encoder, a layer of spiking neurons and integrating readouts; `delta-linear` sends
 the encoder's events straight into the readouts; `delta network` has sigma-delta ReLU neurons in
 between, whose graded spikes only loihi2 and ideal have; `float MLP` and `float linear` multiply.
 The last level of each, delta networks apart, is then trained on with reward, by PPO with as many
-episodes of each student: "with reward"; MLPs from an earlier level too. Masks and budget stay.
+episodes of each student: "with reward"; MLPs from one earlier level too, and from no other: what
+reward would do for the MLPs in between was not tried. Masks and budget stay.
 "Reference" is the policy shipped before, where the teacher is another one.
 
 Operations are synaptic operations of spiking policies, and multiply-accumulates with an input that
