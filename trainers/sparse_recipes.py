@@ -79,7 +79,7 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
             "sparse": {"budget": 28, "levels": [45, 35], "policy": {"integrated": True}},
             "sparse-linear": {"budget": 10, "levels": [20, 14]},
             "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
-            "small-linear": {"budget": 15, "levels": [60, 40, 30, 20]},
+            "small-linear": {"budget": 30, "levels": [60, 40]},
             "delta-mlp": {
                 "budget": 25,
                 "levels": [60, 40, 32],
