@@ -1,7 +1,9 @@
 """`run`, `compare` and `demo`: policies that act in their environments."""
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -38,6 +40,11 @@ from spikedeploy.commands.options import (
     Workers,
     quantisation,
 )
+
+if TYPE_CHECKING:
+    from spikedeploy.realtime.paced_loop import PacedLoop
+
+_BROWSER = 5.0  # [s] that a browser has to open before the first episode begins
 
 
 def run(
@@ -98,6 +105,18 @@ def run(
     rate: Rate = None,
     deadline: Deadline = None,
     lasting: Lasting = None,
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch", help="Show robot, spikes, energy, deadlines in a browser of this machine."
+        ),
+    ] = False,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="With --watch: TCP port.", show_default="one that is free"
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -112,8 +131,6 @@ def run(
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted
-    from spikedeploy.realtime.paced_loop import PacedLoop
-    from spikedeploy.realtime.pacing import pacing
     from spikedeploy.reports.terminal import print_comparison, print_real_time, print_verdict
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -131,12 +148,13 @@ def run(
         check_output_folder("-o", output, report.FILES, (policy,), force, report.is_report)
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
-    pace = pacing(rate, deadline, lasting)
-    if pace and video:
-        raise typer.BadParameter("--rate is by the clock, and a film is not: leave --video out")
-    if pace and pace.duration and episodes > 1:
+    if video and (rate or watch):
+        by = "--watch" if watch else "--rate"
+        raise typer.BadParameter(f"{by} is by the clock, and a film is not: leave --video out")
+    if lasting and episodes > 1:
         raise typer.BadParameter("--duration plays as many episodes as fit: leave --episodes out")
-    loop = PacedLoop(pace) if pace else None
+    if port is not None and not watch:
+        raise typer.BadParameter("--port goes with --watch")
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     convention = {"dt": dt, "reset": reset, "delay": delay, "spikes": spikes, "floor": floor}
@@ -149,21 +167,22 @@ def run(
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     options = parse_options(set_ or (), disturb or (), success)
-    comparison = run_policy(
-        runnable(policy),
-        env or trained_in(policy),
-        chip,
-        numbers,
-        video,
-        sampled,
-        options,
-        limits == "on",
-        rounded,
-        faults(fault or (), specimen),
-        metrics,
-        loop,
-        backend,
-    )
+    with _paced(watch, port, rate, deadline, lasting, tables) as loop:
+        comparison = run_policy(
+            runnable(policy),
+            env or trained_in(policy),
+            chip,
+            numbers,
+            video,
+            sampled,
+            options,
+            limits == "on",
+            rounded,
+            faults(fault or (), specimen),
+            metrics,
+            loop,
+            backend,
+        )
     document = report.document(replace(comparison, tables=tables))
     if loop:
         document["real_time"] = loop.measured().as_json()
@@ -181,6 +200,39 @@ def run(
         if loop:
             print_real_time(document["real_time"])
         print_verdict(document)
+
+
+@contextmanager
+def _paced(
+    watch: bool,
+    port: int | None,
+    rate: float | None,
+    deadline: str | None,
+    lasting: str | None,
+    tables: Sequence[str],
+) -> Iterator["PacedLoop | None"]:
+    """The loop that --rate or --watch asks for; None without."""
+    from spikedeploy.realtime.paced_loop import PacedLoop
+    from spikedeploy.realtime.pacing import pacing
+
+    if not watch:
+        pace = pacing(rate, deadline, lasting)
+        yield PacedLoop(pace) if pace else None
+        return
+    from spikedeploy.console import say
+    from spikedeploy.live.view import LiveView
+    from spikedeploy.live.watched_loop import WatchedLoop
+    from spikedeploy.play.display import has_desktop
+
+    view = LiveView(port or 0)
+    try:
+        loop = WatchedLoop(view, rate, deadline, lasting, tables)
+        say(f"watch at {view.address}")
+        if has_desktop() and not typer.launch(view.address):
+            view.wait(_BROWSER)
+        yield loop
+    finally:
+        view.close()
 
 
 def compare(
