@@ -5,6 +5,7 @@ from typing import Any
 
 import gymnasium
 
+from spikedeploy import envs
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.live.steps import WatchedInference, WatchedStep
 from spikedeploy.live.view import LiveView
@@ -80,7 +81,7 @@ class WatchedLoop(PacedLoop):
             {
                 "label": self._label,
                 "kind": self._kind,
-                "env": env.spec.id if env.spec else "",
+                "env": envs.spec(env.spec.id).short if env.spec else "",
                 "episode": self._episode,
                 "seed": seed,
                 "period": self._period,

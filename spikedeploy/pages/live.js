@@ -48,7 +48,7 @@ class Live extends Instrument {
   constructor() {
     super([]);
     this.span = 10; this.playing = true; this.told = Promise.resolve();
-    this.drawn = this.listed = 0;
+    this.drawn = this.listed = this.rest = 0;
     const events = new EventSource("/events");
     // arrays are unpacked asynchronously, so one after the other
     const on = (kind, react) => events.addEventListener(kind, ({ data }) => {
@@ -126,6 +126,7 @@ class Live extends Instrument {
     episode.steps -= rows;
     episode.origin += rows;
     this.step = Math.max(0, this.step - rows);
+    this.marked = -1;
   }
 
   _show(episode) {
@@ -134,6 +135,7 @@ class Live extends Instrument {
     $("left-out").textContent = left.length ? `Not shown, as they are large: ${left.join(", ")}.` : "";
     $("play").textContent = this.playing ? "Pause" : "Follow";
     this.step = episode.steps - 1;
+    this.marked = -1;
     this.paint();
     document.documentElement.dataset.ready = String(episode.episode);
   }
@@ -150,7 +152,7 @@ class Live extends Instrument {
     if (network && network.sops) $("operations").textContent = `${recent(network.sops, 1)} SOPs`;
     if (network && network.energy) {
       $("energy").textContent = `${recent(network.energy, 1e9)} nJ`;
-      $("table").textContent = `likewise, by ${episode.table}`;
+      $("table").textContent = `mean of the last second, by ${episode.table}`;
     }
     const limit = episode.deadline, use = Number(recent(player.tracks[0].values, 1).replaceAll(",", ""));
     $("policy").textContent = `${short(use / 100 * limit * 1e3)} ms`;
@@ -175,18 +177,21 @@ class Live extends Instrument {
   _frame(now) {
     requestAnimationFrame((then) => this._frame(then));
     const { episode } = this, before = this.before || now;
-    this.before = now;
-    if (!episode || !this.playing) return;
+    if (!episode || !this.playing || now < this.rest) return;
     const last = episode.steps - 1;
-    if (this.step === last) return;
+    this.before = now;
+    if (this.step === last && this.marked === last) return;
     const next = this.step + (now - before) / 1000 / this.period * 1.02;
     this.step = Math.min(last, Math.max(next, last - LAG / this.period));
     this.drawScene();
-    if (now - this.drawn < 100 && this.step < last) return;
-    this.drawn = now;
-    if (now - this.listed > 1000) this._measure(now);
-    this.drawStrips();
-    this.mark();
+    if (now > this.drawn) {
+      if (now - this.listed > 1000) this._measure(now);
+      this.drawStrips();
+      this.mark();
+      this.marked = this.step;
+      this.drawn = now + Math.max(100, 4 * (performance.now() - now));
+    }
+    this.rest = 2 * performance.now() - now;  // half of the time is for what comes in
   }
 
   // new ranges of the axes, and counts
