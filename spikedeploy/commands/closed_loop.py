@@ -148,7 +148,7 @@ def run(
         check_output_folder("-o", output, report.FILES, (policy,), force, report.is_report)
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
-    if video and (rate or watch):
+    if video and (watch or rate is not None):
         by = "--watch" if watch else "--rate"
         raise typer.BadParameter(f"{by} is by the clock, and a film is not: leave --video out")
     if lasting and episodes > 1:

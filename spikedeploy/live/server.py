@@ -44,6 +44,7 @@ class LiveServer(ThreadingMixIn, TCPServer):
 
     daemon_threads = True
     allow_reuse_address = True
+    request_queue_size = _CONNECTIONS
 
     def __init__(self, listeners: Listeners, port: int = 0) -> None:
         self.listeners = listeners

@@ -87,14 +87,14 @@ def told(batch: Sequence[WatchedStep], table: str, deadline: float) -> Message:
     table     of the energy
     deadline  [s] of the policy
     """
-    last = batch[-1]
+    last, poses = batch[-1], [step.pose for step in batch if step.pose is not None]
     data = {
         "first": batch[0].number,
         "steps": len(batch),
         "total": last.total,
         "missed": last.missed,
         "skipped": last.skipped,
-        "poses": None if last.pose is None else packed([step.pose for step in batch]),
+        "poses": packed(poses) if poses else None,
         "reward": packed([step.reward for step in batch]),
         "actions": packed([step.action.reshape(-1) for step in batch]),
         "tracks": [_use(batch, deadline), *_curves(batch)],

@@ -13,7 +13,7 @@ from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.interface import Candidate, Player
 from spikedeploy.policies.nir import NirController
 from spikedeploy.realtime.paced_loop import TIMES, PacedLoop
-from spikedeploy.realtime.pacing import pacing
+from spikedeploy.realtime.pacing import paced
 from spikedeploy.recordings.episode import spikes_and_membranes, traced
 from spikedeploy.recordings.scenes import scene_of
 from spikedeploy.reports.short_table import quoted_among
@@ -40,7 +40,7 @@ class WatchedLoop(PacedLoop):
         lasting: str | None,
         tables: Sequence[str] = (),
     ) -> None:
-        super().__init__(pacing(rate or _RATE, deadline, lasting))
+        super().__init__(paced(_RATE if rate is None else rate, deadline, lasting))
         self._view, self._tables = view, tables
         self._given = rate, deadline, lasting
         self._episode, self._missed = 0, 0
@@ -55,7 +55,8 @@ class WatchedLoop(PacedLoop):
         """The policy, whose network keeps its spikes; the rate is now known."""
         rate, deadline, lasting = self._given
         period = getattr(env.unwrapped, "CONTROL_DT", None)
-        self._pace(pacing(rate or (1 / period if period else _RATE), deadline, lasting))
+        own = 1 / period if period else _RATE
+        self._pace(paced(own if rate is None else rate, deadline, lasting))
         self._label = candidate.name if chip is None else f"{candidate.name} · {chip}"
         self._kind, self._period = candidate.kind, period
         player = traced(candidate, chip, env, "total", sampled)

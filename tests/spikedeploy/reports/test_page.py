@@ -1,7 +1,5 @@
 """The page of a comparison: what it leads with, and how it behaves in a browser."""
 
-import shutil
-
 import pytest
 
 from spikedeploy.comparison.lineup import line_up
@@ -9,8 +7,6 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.pages import report
 from spikedeploy.reports.headline import headline, main_row
 from tests import toy_stroll_env
-
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 
 
 def row(policy, kind, chip=None, earned=3000.0, sops=None, macs=None, joules=None, **changes):
@@ -100,21 +96,6 @@ def test_plots_have_the_colours_of_the_page(page):
     drawn = text.split("<figure>", 1)[1].split("</figure>")[0]
     assert "var(--chip)" in drawn
     assert "#d55e00" not in drawn.lower()
-
-
-@pytest.fixture
-def browser():
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium")
-    if not (CHROMIUM and DRIVER):
-        pytest.skip("needs chromium and chromedriver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for each in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,1000"):
-        options.add_argument(each)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
 
 
 def ready(browser, episode="0"):
