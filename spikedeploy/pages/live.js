@@ -48,14 +48,16 @@ class Live extends Instrument {
   constructor() {
     super([]);
     this.span = 10; this.playing = true; this.told = Promise.resolve();
-    this.drawn = this.listed = this.rest = 0;
+    this.drawn = this.listed = this.rest = this.behind = 0;
     const events = new EventSource("/events");
-    // arrays are unpacked asynchronously, so one after the other
-    const on = (kind, react) => events.addEventListener(kind, ({ data }) => {
-      this.told = this.told.then(() => react(JSON.parse(data)));
+    // unpacked side by side, and taken one after the other
+    const on = (kind, react, unpacked = () => null) => events.addEventListener(kind, ({ data }) => {
+      const told = JSON.parse(data), more = unpacked(told);
+      this.behind++;
+      this.told = this.told.then(async () => react(told, await more)).finally(() => { this.behind--; });
     });
     on("begin", (begun) => this._begin(begun));
-    on("steps", (batch) => this._steps(batch));
+    on("steps", (batch, found) => this._steps(batch, found), unpackPlayer);
     on("over", (outcome) => this._over(outcome));
     on("end", () => this._state("ended", "ended"));
     events.addEventListener("end", () => events.close());
@@ -72,8 +74,7 @@ class Live extends Instrument {
     this._state("live", "live");
   }
 
-  async _steps(batch) {
-    const found = await unpackPlayer({ ...batch, label: this.begun.label, kind: this.begun.kind });
+  async _steps(batch, found) {
     if (!this.growing) await this._first(found, batch.first);
     const episode = this.growing;
     const missing = batch.first - episode.origin - episode.steps;
@@ -81,7 +82,7 @@ class Live extends Instrument {
     if (missing + batch.steps + episode.steps > 2 * this.most) this._drop(episode.steps - Math.max(1, Math.min(episode.steps, this.most)));
     if (missing > this.most / 2) {  // too much to go on: the picture begins anew
       this.growing = null;
-      return this._steps(batch);
+      return this._steps(batch, found);
     }
     const row = episode.steps + missing;
     for (const [own, more] of pairs(episode.players[0], found)) own.grow(more, missing);
@@ -111,7 +112,7 @@ class Live extends Instrument {
       ...this.begun, origin, steps: 0, distance: null, first_spike: null,
       heights: scene && scene.ground && (await numbers(scene.ground.heights)),
       players: [{
-        ...found, every: 1, total: 0, poses: room(found.poses), reward: room(found.reward), actions: room(found.actions),
+        ...found, label: this.begun.label, kind: this.begun.kind, every: 1, total: 0, poses: room(found.poses), reward: room(found.reward), actions: room(found.actions),
         tracks: found.tracks.map((track) => ({ ...track, values: room(track.values), wanted: room(track.wanted) })),
         network: found.network && { ...found.network, layers: this.layers, sops: room(found.network.sops), energy: room(found.network.energy) },
       }],
@@ -191,7 +192,8 @@ class Live extends Instrument {
       this.marked = this.step;
       this.drawn = now + Math.max(100, 4 * (performance.now() - now));
     }
-    this.rest = 2 * performance.now() - now;  // half of the time is for what comes in
+    // half of the time is for what comes in, and more where it waits
+    this.rest = 2 * performance.now() - now + (this.behind > 9 ? 500 : 0);
   }
 
   // new ranges of the axes, and counts
