@@ -1,9 +1,7 @@
 """`run`, `compare` and `demo`: policies that act in their environments."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -36,15 +34,12 @@ from spikedeploy.commands.options import (
     Success,
     Tables,
     Thresholds,
+    Watch,
+    WatchPort,
     WeightShift,
     Workers,
     quantisation,
 )
-
-if TYPE_CHECKING:
-    from spikedeploy.realtime.paced_loop import PacedLoop
-
-_BROWSER = 5.0  # [s] that a browser has to open before the first episode begins
 
 
 def run(
@@ -105,18 +100,8 @@ def run(
     rate: Rate = None,
     deadline: Deadline = None,
     lasting: Lasting = None,
-    watch: Annotated[
-        bool,
-        typer.Option(
-            "--watch", help="Show robot, spikes, energy, deadlines in a browser of this machine."
-        ),
-    ] = False,
-    port: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=65535, help="With --watch: TCP port.", show_default="one that is free"
-        ),
-    ] = None,
+    watch: Watch = False,
+    port: WatchPort = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -127,6 +112,7 @@ def run(
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.envs import spec
+    from spikedeploy.live.watched_loop import loop_of_run
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
@@ -167,7 +153,7 @@ def run(
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     options = parse_options(set_ or (), disturb or (), success)
-    with _paced(watch, port, rate, deadline, lasting, tables) as loop:
+    with loop_of_run(watch, port, rate, deadline, lasting, tables) as loop:
         comparison = run_policy(
             runnable(policy),
             env or trained_in(policy),
@@ -200,39 +186,6 @@ def run(
         if loop:
             print_real_time(document["real_time"])
         print_verdict(document)
-
-
-@contextmanager
-def _paced(
-    watch: bool,
-    port: int | None,
-    rate: float | None,
-    deadline: str | None,
-    lasting: str | None,
-    tables: Sequence[str],
-) -> Iterator["PacedLoop | None"]:
-    """The loop that --rate or --watch asks for; None without."""
-    from spikedeploy.realtime.paced_loop import PacedLoop
-    from spikedeploy.realtime.pacing import pacing
-
-    if not watch:
-        pace = pacing(rate, deadline, lasting)
-        yield PacedLoop(pace) if pace else None
-        return
-    from spikedeploy.console import say
-    from spikedeploy.live.view import LiveView
-    from spikedeploy.live.watched_loop import WatchedLoop
-    from spikedeploy.play.display import has_desktop
-
-    view = LiveView(port or 0)
-    try:
-        loop = WatchedLoop(view, rate, deadline, lasting, tables)
-        say(f"watch at {view.address}")
-        if has_desktop() and not typer.launch(view.address):
-            view.wait(_BROWSER)
-        yield loop
-    finally:
-        view.close()
 
 
 def compare(

@@ -1,25 +1,30 @@
 """The paced loop whose episodes are watched."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium
+import typer
 
 from spikedeploy import envs
+from spikedeploy.console import say
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.live.steps import WatchedInference, WatchedStep
 from spikedeploy.live.view import LiveView
+from spikedeploy.play.display import has_desktop
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.interface import Candidate, Player
 from spikedeploy.policies.nir import NirController
 from spikedeploy.realtime.paced_loop import TIMES, PacedLoop
-from spikedeploy.realtime.pacing import paced
+from spikedeploy.realtime.pacing import paced, pacing
 from spikedeploy.recordings.episode import spikes_and_membranes, traced
 from spikedeploy.recordings.scenes import scene_of
 from spikedeploy.reports.short_table import quoted_among
 from spikedeploy.runtime.errors import RuleError
 
 _RATE = 30.0  # [Hz] where neither the user nor the environment says one
+_BROWSER = 5.0  # [s] that a browser has to open before the first episode begins
 _POLICY = TIMES.index("policy")
 
 
@@ -124,3 +129,28 @@ class WatchedLoop(PacedLoop):
             return player.controller.ledger if isinstance(player, NirController) else None
         except RuleError:
             return None
+
+
+@contextmanager
+def loop_of_run(
+    watch: bool,
+    port: int | None,
+    rate: float | None,
+    deadline: str | None,
+    lasting: str | None,
+    tables: Sequence[str],
+) -> Iterator[PacedLoop | None]:
+    """The loop that `run` plays in: by --watch, by --rate, or None; arguments as of WatchedLoop."""
+    if not watch:
+        pace = pacing(rate, deadline, lasting)
+        yield PacedLoop(pace) if pace else None
+        return
+    view = LiveView(port or 0)
+    try:
+        loop = WatchedLoop(view, rate, deadline, lasting, tables)
+        say(f"watch at {view.address}")
+        if has_desktop() and not typer.launch(view.address):
+            view.wait(_BROWSER)
+        yield loop
+    finally:
+        view.close()

@@ -127,7 +127,7 @@ class KeyboardDriver:
     """A person who chooses discrete actions with keys."""
 
     name = "you"
-    network = None
+    network: DrivingNetwork | None = None
 
     def __init__(self, actions: tuple[str, ...]) -> None:
         self.keys = Keys(actions)
