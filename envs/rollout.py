@@ -166,6 +166,16 @@ class EpisodeRecorder:
         return self._rewards[-1]
 
     @property
+    def action(self) -> NDArray[Any]:
+        """Of the latest step."""
+        return self._actions[-1]
+
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """Of the latest step's info."""
+        return self._infos[-1]
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended."""
         return self._terminated or self._truncated

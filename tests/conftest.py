@@ -1,6 +1,7 @@
 """One thread for each process of the suite: more only wait for each other on small matrices."""
 
 import os
+import shutil
 import sys
 
 import pytest
@@ -32,3 +33,30 @@ def stroll(monkeypatch, tmp_path):
     toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """One Chromium without a window for all tests, whose console is read; or they are skipped."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium")
+    binary, service = shutil.which("chromium"), shutil.which("chromedriver")
+    if not (binary and service):
+        pytest.skip("needs chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for each in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,1000"):
+        options.add_argument(each)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(service))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def browser(chromium):
+    """The browser as it began: an empty page of its own size and colours, nothing logged."""
+    chromium.get("about:blank")
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    chromium.get_log("browser")
+    return chromium

@@ -36,8 +36,9 @@ class Journal:
         """Report one row of metrics; values without a column are dropped."""
         known = {name: row[name] for name in self.metrics.columns if name in row}
         self.metrics.add(known)
-        self.board.add(int(row[self.metrics.columns[0]]), known)
-        self.bar.show(row)
+        seen = _seen(row)
+        self.board.add(int(row[self.metrics.columns[0]]), {**known, **seen})
+        self.bar.show({**row, **seen})
         if self._watch is not None:
             self._watch(self._path)
 
@@ -49,6 +50,17 @@ class Journal:
     def close(self) -> None:
         """Close the files."""
         self.board.close()
+
+
+def _seen(row: Mapping[str, float]) -> dict[str, float]:
+    """Success and spike rate of a validation, for TensorBoard and people; the CSV has neither."""
+    seen = {}
+    if success := [row[name] for name in ("eval_success", "eval_finish") if name in row]:
+        seen["eval_success"] = success[0]
+    if layers := [value for name, value in row.items() if name.startswith("sparsity_")]:
+        # mean over layers of the share of neuron timesteps with a spike
+        seen["spike_rate"] = 1.0 - sum(layers) / len(layers)
+    return seen
 
 
 class _TensorBoardLog:

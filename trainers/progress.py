@@ -14,6 +14,8 @@ _SHOWN = {
     "episode_return": "return {:,.0f}",
     "eval_return": "validation {:,.0f}",
     "best": "best {:,.0f}",
+    "eval_success": "success {:.0%}",
+    "spike_rate": "spikes {:.1%}",
     "steps_per_s": "{:,.0f} steps/s",
     "updates_per_s": "{:,.0f} updates/s",
     "phase": "phase {:.0f}",

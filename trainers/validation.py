@@ -48,7 +48,7 @@ class Validator:
 
     @torch.no_grad()
     def __call__(self, policy: Policy) -> dict[str, float]:
-        """Return the metrics: mean return, speed, cost of transport, falls, errors, sparsity."""
+        """Return means: return, speed, cost of transport, falls, success, errors, sparsity."""
         episodes = [
             _Episode(env, env.reset(seed=self._config.first_seed + k)[0])
             for k, env in enumerate(self._envs)
@@ -83,6 +83,8 @@ def _metrics(episodes: list[_Episode]) -> dict[str, float]:
     for name, column in _LASTS.items():
         if name in ends[0]:
             result[column] = float(np.mean([info[name] for info in ends]))
+    if all("success" in info for info in ends):  # other people's say it at the end alone
+        result["eval_success"] = float(np.mean([info["success"] for info in ends]))
     return result
 
 

@@ -61,6 +61,7 @@ class SpikingController:
     faults: of the chip; the float twin has none.
     trace: whether the network keeps spikes and recordings of the last call.
     encoded: spikes (B, T, M) of the last call.
+    output: (B, T, act) of the last call.
     options: for compile_program.
     """
 
@@ -86,6 +87,7 @@ class SpikingController:
         on_chip = {"backend": backend, "faults": faults, **options} if chip else {}
         self.network = running(artifact, chip, ledger, trace, **on_chip)
         self.encoded: NDArray[Any] = np.zeros((0, 0, 0), np.uint8)
+        self.output = np.zeros((0, 0, 0))
         pool = self.network if isinstance(self.network, MachinePool) else None
         self._upset = pool is not None and pool.program.upsets is not None
         self._calls = SerialCalls()
@@ -131,10 +133,10 @@ class SpikingController:
         """
         with self._calls.lock:
             self.encoded = self.codec.encode(observations, self._state)
-            output = self.network.infer(self.encoded)
+            self.output = self.network.infer(self.encoded)
             if self._sampler is not None:
-                return self._sampler(self.codec.scores(output))
-            return self.codec.decode(output)
+                return self._sampler(self.codec.scores(self.output))
+            return self.codec.decode(self.output)
 
     @property
     def ledger(self) -> Ledger:

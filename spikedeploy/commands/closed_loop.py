@@ -34,6 +34,8 @@ from spikedeploy.commands.options import (
     Success,
     Tables,
     Thresholds,
+    Watch,
+    WatchPort,
     WeightShift,
     Workers,
     quantisation,
@@ -99,6 +101,8 @@ def run(
     deadline: Deadline = None,
     lasting: Lasting = None,
     shown: Tables = "one",
+    watch: Watch = False,
+    port: WatchPort = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -109,12 +113,11 @@ def run(
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.envs import spec
+    from spikedeploy.live.watched_loop import loop_of_run
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted
-    from spikedeploy.realtime.paced_loop import PacedLoop
-    from spikedeploy.realtime.pacing import pacing
     from spikedeploy.reports.terminal import print_run
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -132,12 +135,13 @@ def run(
         check_output_folder("-o", output, report.FILES, (policy,), force, report.is_report)
     tables = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
-    pace = pacing(rate, deadline, lasting)
-    if pace and video:
-        raise typer.BadParameter("--rate is by the clock, and a film is not: leave --video out")
-    if pace and pace.duration and episodes > 1:
+    if video and (watch or rate is not None):
+        by = "--watch" if watch else "--rate"
+        raise typer.BadParameter(f"{by} is by the clock, and a film is not: leave --video out")
+    if lasting and episodes > 1:
         raise typer.BadParameter("--duration plays as many episodes as fit: leave --episodes out")
-    loop = PacedLoop(pace) if pace else None
+    if port is not None and not watch:
+        raise typer.BadParameter("--port goes with --watch")
     numbers = range(seed, seed + episodes)
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     convention = {"dt": dt, "reset": reset, "delay": delay, "spikes": spikes, "floor": floor}
@@ -150,21 +154,22 @@ def run(
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     options = parse_options(set_ or (), disturb or (), success)
-    comparison = run_policy(
-        runnable(policy),
-        env or trained_in(policy),
-        chip,
-        numbers,
-        video,
-        sampled,
-        options,
-        limits == "on",
-        rounded,
-        faults(fault or (), specimen),
-        metrics,
-        loop,
-        backend,
-    )
+    with loop_of_run(watch, port, rate, deadline, lasting, tables) as loop:
+        comparison = run_policy(
+            runnable(policy),
+            env or trained_in(policy),
+            chip,
+            numbers,
+            video,
+            sampled,
+            options,
+            limits == "on",
+            rounded,
+            faults(fault or (), specimen),
+            metrics,
+            loop,
+            backend,
+        )
     document = report.document(replace(comparison, tables=tables))
     if loop:
         document["real_time"] = loop.measured().as_json()

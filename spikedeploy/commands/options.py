@@ -141,6 +141,17 @@ Lasting = Annotated[
     ),
 ]
 
+Watch = Annotated[
+    bool,
+    typer.Option(
+        "--watch", help="Show robot, spikes, energy, deadlines in a browser of this machine."
+    ),
+]
+WatchPort = Annotated[
+    int | None,
+    typer.Option(min=1, max=65535, help="With --watch: TCP port.", show_default="one that is free"),
+]
+
 # what NIR leaves open: these take precedence over the file
 FROM_FILE = "from the file"
 Dt = Annotated[float | None, typer.Option(help=r"Timestep \[s].", show_default=FROM_FILE)]

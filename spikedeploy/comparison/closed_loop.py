@@ -71,7 +71,7 @@ def run_policy(
     name = env or _made_for(candidate)
     foreign = envs.spec(name).foreign
     world: Any = make_env(name, options, render_mode=mode)
-    player = open_policy(candidate, entry.chip, world, sampled)
+    player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
     period = world.unwrapped.CONTROL_DT
     pace = Pace.of(period or _UNKNOWN)
     episodes = []

@@ -23,7 +23,7 @@ from spikedeploy.reports.columns import COST, Column, Row, label, tables
 from spikedeploy.reports.headline import headline, verdict
 from spikedeploy.reports.short_table import energy_hint, short_columns, short_label
 
-_SCRIPTS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
+SCRIPTS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
 _LEGEND = (
     "Spikes, membranes, actions and operations are those of the last policy in the list above the "
     "curves; the others are drawn as ghosts. Colours of maps: orange positive, blue negative."
@@ -126,7 +126,7 @@ def _renamed(
 def _data(episodes: Sequence[Mapping[str, Any]]) -> str:
     # "</script>" in a name would end the element
     text = json.dumps(episodes, allow_nan=False).replace("<", "\\u003c")
-    scripts = "\n".join(part(name) for name in _SCRIPTS)
+    scripts = "\n".join(part(name) for name in SCRIPTS)
     return (
         f'<script type="application/json" id="episodes-data">{text}</script>'
         f'<script type="module">\n{scripts}</script>'

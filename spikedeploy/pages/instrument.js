@@ -13,7 +13,14 @@ class Instrument {
 
   async open(number) {
     this.number = number;
-    this.episode = await unpackEpisode(this.episodes[number]);
+    this._take(await unpackEpisode(this.episodes[number]));
+    this._jumps();
+    this.paint();
+    document.documentElement.dataset.ready = String(number);
+  }
+
+  _take(episode) {
+    this.episode = episode;
     this.period = this.episode.period || UNKNOWN;
     const kind = this.episode.scene && this.episode.scene.kind;
     this.view = kind === "bodies" ? new BodiesView(this.episode) : kind === "track" ? new TrackView(this.episode) : null;
@@ -21,9 +28,6 @@ class Instrument {
     this.step = 0;
     $("time").max = this.episode.steps - 1;
     this._list();
-    this._jumps();
-    this.paint();
-    document.documentElement.dataset.ready = String(number);
   }
 
   // colours of the page as they are now, light or dark
@@ -38,15 +42,19 @@ class Instrument {
       series: [of("--chip"), of("--ann"), of("--snn"), of("--control")],
       positive: [213, 94, 0], negative: [0, 114, 178],
     };
-    $("who").replaceChildren(...this.episode.players.map((player) => {
-      const item = document.createElement("li");
-      item.style.setProperty("--dot", colour(player));
-      item.textContent = `${player.label}: ${player.total.toLocaleString("en", { maximumFractionDigits: 1 })}`;
-      return item;
-    }));
+    this._who();
     this.drawStrips();
     this.drawScene();
     this.mark();
+  }
+
+  _who() {
+    $("who").replaceChildren(...this.episode.players.map((player) => {
+      const item = document.createElement("li");
+      item.style.setProperty("--dot", this.colours.of(player));
+      item.textContent = `${player.label}: ${player.total.toLocaleString("en", { maximumFractionDigits: 1 })}`;
+      return item;
+    }));
   }
 
   seek(step) {
@@ -79,7 +87,7 @@ class Instrument {
   }
 
   drawStrips() {
-    const [from, to] = this._window();
+    const [from, to] = this._window(), { origin = 0 } = this.episode;  // steps before the first that is kept
     this.from = from;
     for (const { strip, sheet } of this.strips) {
       const [context, width, height] = canvas(sheet);
@@ -89,7 +97,7 @@ class Instrument {
     for (const sheet of document.querySelectorAll(".axis canvas")) {
       const [context, width, height] = canvas(sheet);
       context.clearRect(0, 0, width, height);
-      drawAxis(context, width, height, from, to, this.episode.period, this.colours);
+      drawAxis(context, width, height, from + origin, to + origin, this.episode.period, this.colours);
     }
   }
 
@@ -164,18 +172,25 @@ class Instrument {
       button.onclick = () => { this.toggle(false); this.open(number); };
       return button;
     }));
-    $("spans").replaceChildren(...SPANS.map(([name, seconds]) => {
+    this._wireSpans(SPANS, Infinity);
+    this._wireStage();
+  }
+
+  _wireSpans(spans, chosen) {
+    $("spans").replaceChildren(...spans.map(([name, seconds]) => {
       const button = document.createElement("button");
       button.textContent = name;
-      button.setAttribute("aria-pressed", String(seconds === Infinity));
+      button.setAttribute("aria-pressed", String(seconds === chosen));
       button.onclick = () => {
         this.span = seconds;
         for (const other of $("spans").children) other.setAttribute("aria-pressed", String(other === button));
-        this.drawStrips();
-        this.mark();
+        if (this.episode) { this.drawStrips(); this.mark(); }
       };
       return button;
     }));
+  }
+
+  _wireStage() {
     const stage = $("stage");
     stage.addEventListener("pointerdown", (event) => stage.setPointerCapture(event.pointerId));
     stage.addEventListener("pointermove", (event) => {

@@ -23,9 +23,9 @@ function stripsOf(episode, period) {
   return found;
 }
 
-const one = (player, series, factor = 1) => ({ player, at: (step) => factor * series.at(step), rows: series.rows });
+const one = (player, series, factor = 1) => ({ player, at: (step) => factor * series.at(step), get rows() { return series.rows; } });
 const columns = (player, series) => [...Array(series.width).keys()].map(
-  (column) => ({ player, at: (step) => series.at(step, column), rows: series.rows }));
+  (column) => ({ player, at: (step) => series.at(step, column), get rows() { return series.rows; } }));
 
 class LinesStrip {
   constructor(title, lines, unit) {
@@ -90,15 +90,38 @@ class RasterStrip {
   draw(context, width, height, from, to, paint) {
     const { spikes, timesteps } = this.layer;
     const first = firstFrom(spikes.times, from * timesteps), last = firstFrom(spikes.times, to * timesteps);
+    if (last - first > 20000) return this._density(context, width, height, from, to, paint, first, last);
     const tall = Math.max(1.2, height / spikes.neurons - 0.5);
     const wide = Math.max(1.2, width / ((to - from) * timesteps) - 0.5);
     context.fillStyle = paint.spike;
-    context.globalAlpha = last - first > 20000 ? 0.5 : 0.9;
+    context.globalAlpha = 0.9;
     for (let k = first; k < last; k++) {
       const x = (spikes.times[k] / timesteps - from) / (to - from) * width;
       context.fillRect(x, spikes.indices[k] / spikes.neurons * height, wide, tall);
     }
     context.globalAlpha = 1;
+  }
+
+  // too many to be drawn one by one: the share of neurons and timesteps of a pixel with a spike
+  _density(context, width, height, from, to, paint, first, last) {
+    const { spikes, timesteps } = this.layer;
+    const columns = Math.max(1, Math.min(Math.round(width), Math.ceil((to - from) * timesteps)));
+    const rows = Math.max(1, Math.min(Math.round(height), spikes.neurons));
+    const counts = new Uint32Array(columns * rows);
+    for (let k = first; k < last; k++) {
+      const x = Math.floor((spikes.times[k] / timesteps - from) / (to - from) * columns);
+      counts[Math.floor(spikes.indices[k] / spikes.neurons * rows) * columns + Math.min(columns - 1, Math.max(0, x))]++;
+    }
+    const most = Math.max(1, (to - from) * timesteps / columns) * (spikes.neurons / rows);
+    const picture = new ImageData(columns, rows);
+    counts.forEach((count, k) => { picture.data[4 * k + 3] = 255 * Math.min(1, (count / most) ** 0.6); });
+    const sheet = new OffscreenCanvas(columns, rows), over = sheet.getContext("2d");
+    over.putImageData(picture, 0, 0);
+    over.globalCompositeOperation = "source-in";
+    over.fillStyle = paint.spike;
+    over.fillRect(0, 0, columns, rows);
+    context.imageSmoothingEnabled = false;
+    context.drawImage(sheet, 0, 0, width, height);
   }
 }
 

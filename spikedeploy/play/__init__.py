@@ -8,6 +8,7 @@ theme              colours, fonts, bars, key caps
 env_picture        the picture of an environment
 
 drive_app          `spikedeploy play`
+driving_network    a spiking policy that drives, with its spikes and costs
 session            one driver in one environment, episode after episode, recorded
 drivers            a person at the keys, a policy, or a policy that a person commands
 drive_panel        speed, gates, LIDAR and rewards beside a drive

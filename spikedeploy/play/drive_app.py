@@ -17,11 +17,17 @@ from spikedeploy.play.drivers import (
     KeyboardDriver,
     PolicyDriver,
 )
+from spikedeploy.play.driving_network import DrivingNetwork
 from spikedeploy.play.env_picture import env_picture, is_kart
+from spikedeploy.play.replay_views import action_names
 from spikedeploy.play.session import Session
-from spikedeploy.play.theme import GREEN, RED, banner
+from spikedeploy.play.spike_panel import WIDTH as SPIKES_WIDTH
+from spikedeploy.play.spike_panel import draw_inference
+from spikedeploy.play.theme import GREEN, PANEL, RED, banner
 from spikedeploy.policies.interface import DEFAULT_CHIP, Candidate
-from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.policies.nir import NirController
+from spikedeploy.policies.registry import find
+from spikedeploy.recordings.episode import traced
 from spikedeploy.runtime.errors import ConfigError
 
 _HEIGHT = 800
@@ -60,14 +66,27 @@ class DriveApp:
     def draw(self) -> pygame.Surface:
         """The environment, the panel, and a banner at the end of an episode."""
         width, height = self._size
-        surface = pygame.Surface((width + WIDTH, height))
+        spikes = SPIKES_WIDTH if self.session.driver.network else 0
+        surface = pygame.Surface((width + spikes + WIDTH, height))
         seen = surface.blit(env_picture(self.session.world, self._size), (0, 0))
-        draw_drive_panel(surface, pygame.Rect(width, 0, WIDTH, height), self.session, self._heading)
+        if spikes:
+            self._draw_spikes(surface, pygame.Rect(width, 0, spikes, height))
+        place = pygame.Rect(width + spikes, 0, WIDTH, height)
+        draw_drive_panel(surface, place, self.session, self._heading)
         if self.session.waiting:
             outcome = self.session.outcomes[-1]
             time = "" if outcome.seconds is None else f"  {outcome.seconds:.2f} s"
             banner(surface, seen, outcome.word + time, GREEN if outcome.good else RED)
         return surface
+
+    def _draw_spikes(self, surface: pygame.Surface, place: pygame.Rect) -> None:
+        driver = self.session.driver
+        trace = driver.network.trace if driver.network else None
+        if trace is None:
+            pygame.draw.rect(surface, PANEL, place)
+            return
+        names = action_names(self.session.world, trace.scores.shape[1])
+        draw_inference(surface, place, driver.name, trace, len(trace.scores) - 1, names, None)
 
 
 def open_session(
@@ -99,7 +118,9 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
         return _person(world)
     candidate = _shipped(env) if policy is None else find(policy)
     chip = chip or (DEFAULT_CHIP if candidate.kind == "snn" else None)
-    player = open_policy(candidate, chip, world)
+    player = traced(candidate, chip, world, "total")
+    if isinstance(player, NirController):
+        player = DrivingNetwork(player)
     name = f"{candidate.name} on {chip}" if chip else candidate.name
     if hasattr(world.unwrapped, "steer"):
         return CommandedPolicyDriver(player, name, world.unwrapped)

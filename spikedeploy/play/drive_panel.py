@@ -6,6 +6,7 @@ import numpy as np
 import pygame
 
 from spikedeploy.envs.adapted import AdaptedEnv
+from spikedeploy.play.driving_network import MEAN, DrivingNetwork
 from spikedeploy.play.env_picture import is_kart
 from spikedeploy.play.session import Session
 from spikedeploy.play.theme import (
@@ -43,6 +44,8 @@ def draw_drive_panel(
     if is_kart(session.world):
         y = _gates(surface, inner, y + 24, session.world)
         y = _lidar(surface, inner, y + 24, session.world)
+    if session.driver.network is not None:
+        y = _network(surface, inner, y + 24, session.driver.network, session.period)
     _rewards(surface, inner, y + 24, session)
     legend = [*session.driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
     keycaps(surface, legend, (inner.left, inner.bottom - 50), inner.width)
@@ -81,6 +84,25 @@ def _times(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session
         text = "–" if seconds is None else f"{seconds:.2f} s"
         write(surface, text, (x, y + 17), 19, colour if seconds else DIM, "bold")
     return y + 42
+
+
+def _network(
+    surface: pygame.Surface, inner: pygame.Rect, y: int, network: DrivingNetwork, period: float
+) -> int:
+    """Operations and energy of a control step, and how much of it the policy took."""
+    share = network.seconds / period
+    cells = [
+        ("SOPs", "–" if network.sops is None else f"{network.sops:,.0f}"),
+        ("energy", "–" if network.joules is None else f"{1e9 * network.joules:,.3g} nJ"),
+        ("deadline use", f"{100 * share:.1f} %"),
+    ]
+    for column, (name, text) in enumerate(cells):
+        x = inner.left + column * inner.width // 3
+        heading(surface, name, (x, y))
+        write(surface, text, (x, y + 17), 15, RED if "use" in name and share > 1 else TEXT, "bold")
+    note = f"means of {MEAN} steps · energy by {network.table}"
+    write(surface, note, (inner.left, y + 40), 12, DIM)
+    return y + 54
 
 
 def _gates(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401

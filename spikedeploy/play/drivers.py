@@ -7,6 +7,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from spikedeploy.play.driving_network import DrivingNetwork
 from spikedeploy.policies.interface import Player
 
 _ARROWS = {
@@ -100,11 +101,13 @@ Legend = list[tuple[str, str]]
 class Driver(Protocol):
     """A controller that receives key events.
 
-    name    for people
-    legend  keys and what they do
+    name     for people
+    legend   keys and what they do
+    network  of a spiking policy that drives
     """
 
     name: str
+    network: DrivingNetwork | None
 
     @property
     def legend(self) -> Legend:
@@ -124,6 +127,7 @@ class KeyboardDriver:
     """A person who chooses discrete actions with keys."""
 
     name = "you"
+    network: DrivingNetwork | None = None
 
     def __init__(self, actions: tuple[str, ...]) -> None:
         self.keys = Keys(actions)
@@ -166,6 +170,7 @@ class PolicyDriver:
 
     def __init__(self, player: Player, name: str) -> None:
         self.name, self._player = name, player
+        self.network = player if isinstance(player, DrivingNetwork) else None
         self.legend: Legend = []
 
     def reset(self, seed: int) -> None:

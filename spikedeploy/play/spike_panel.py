@@ -24,7 +24,7 @@ from spikedeploy.play.theme import (
 WIDTH = 400
 _PAD = 24
 _GAP = 14  # between inference and history
-_WINDOW = 120  # control steps of history
+WINDOW = 120  # control steps of history
 _SHARE = 0.3  # of the width for one inference
 
 
@@ -48,7 +48,7 @@ def draw_inference(
     pygame.draw.line(surface, LINE, place.topleft, place.bottomleft)
     inner = place.inflate(-2 * _PAD, -2 * _PAD)
     write(surface, name, inner.topleft, 17, TEXT, "bold")
-    note = f"left: this inference · right: the last {_WINDOW} control steps"
+    note = f"left: this inference · right: the last {WINDOW} control steps"
     write(surface, note, (inner.left, inner.top + 24), 12, DIM)
     below = inner.bottom - 34 - _pitch(actions) * len(actions)
     y = inner.top + 56
@@ -88,9 +88,9 @@ def _layer(
     left = pygame.Rect(body.topleft, (round(body.width * _SHARE), body.height))
     right = pygame.Rect(left.right + _GAP, body.top, body.right - left.right - _GAP, body.height)
     _image(surface, left, raster[step].T.astype(np.float64), colour)
-    past = np.zeros((raster.shape[2], _WINDOW))
-    recent = raster[max(0, step + 1 - _WINDOW) : step + 1].mean(axis=1).T
-    past[:, _WINDOW - recent.shape[1] :] = recent
+    past = np.zeros((raster.shape[2], WINDOW))
+    recent = raster[max(0, step + 1 - WINDOW) : step + 1].mean(axis=1).T
+    past[:, WINDOW - recent.shape[1] :] = recent
     _image(surface, right, past, colour)
 
 

@@ -26,7 +26,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.faults.request import NONE, Faults
@@ -58,6 +58,7 @@ class NirController:
         quantisation: Quantisation = PLAIN,
         faults: Faults = NONE,
         trace: bool = False,
+        rows: Rows = "total",
         backend: BackendName = "numpy",
     ) -> None:
         artifact = load(path)
@@ -68,7 +69,7 @@ class NirController:
         self.controller = SpikingController(
             artifact,
             self.chip,
-            "each" if trace else "total",
+            rows,
             sampled,
             backend,
             faults=faults,

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.policies.interface import Player
+from spikedeploy.policies.interface import Candidate, Player
+from spikedeploy.policies.registry import open_policy
 from spikedeploy.realtime.pacing import Metronome, Pacing, without_collections
 
 TIMES = ("late", "policy", "policy_cpu", "step")
@@ -70,10 +71,19 @@ class PacedLoop:
     """Plays episodes at a rate; the times of all of them are kept."""
 
     def __init__(self, pacing: Pacing) -> None:
-        self._pacing = pacing
+        self._pace(pacing)
         self._times = {name: array("d") for name in TIMES}
-        self._metronome = Metronome(pacing.period)
         self._seconds = 0.0
+
+    def open(
+        self,
+        candidate: Candidate,
+        chip: str | None,
+        env: gymnasium.Env[Any, Any],
+        sampled: bool,
+    ) -> Player:
+        """The policy that it plays; arguments as of registry.open_policy."""
+        return open_policy(candidate, chip, env, sampled)
 
     def seeds(self, given: Sequence[int]) -> Iterable[int]:
         """The seeds to play: those given, or from the first on for as long as was asked."""
@@ -92,6 +102,7 @@ class PacedLoop:
         if not self._seconds:  # the first inference takes its memory, and may compile
             player.act(recorder.observation)
             player.reset(seed)
+        self._begun(recorder, env, player, seed)
         with without_collections():
             self._metronome.start()
             begin = time.perf_counter()
@@ -105,6 +116,19 @@ class PacedLoop:
         times = {name: np.array(values) for name, values in self._times.items()}
         return RealTime(self._pacing, self._seconds, times, self._metronome.skipped)
 
+    # What a loop adds that shows its episodes.
+
+    def _begun(
+        self, recorder: EpisodeRecorder, env: gymnasium.Env[Any, Any], player: Player, seed: int
+    ) -> None:
+        """An episode begins."""
+
+    def _stepped(self, recorder: EpisodeRecorder, player: Player, times: Sequence[float]) -> None:
+        """A control step was taken; times as TIMES names them."""
+
+    def _pace(self, pacing: Pacing) -> None:
+        self._pacing, self._metronome = pacing, Metronome(pacing.period)
+
     def _step(self, recorder: EpisodeRecorder, player: Player) -> None:
         woke = self._metronome.wait()
         computed = time.thread_time()
@@ -112,7 +136,7 @@ class PacedLoop:
         acted, computed = time.perf_counter(), time.thread_time() - computed
         recorder.step(action)
         stepped, due = time.perf_counter(), self._metronome.due
-        for name, value in zip(
-            TIMES, (woke - due, acted - woke, computed, stepped - due), strict=True
-        ):
+        times = (woke - due, acted - woke, computed, stepped - due)
+        for name, value in zip(TIMES, times, strict=True):
             self._times[name].append(value)
+        self._stepped(recorder, player, times)

@@ -57,6 +57,11 @@ def pacing(rate: float | None, deadline: str | None, lasting: str | None) -> Pac
             if given is not None:
                 raise ConfigError(f"{option} goes with --rate, which paces the loop by the clock.")
         return None
+    return paced(rate, deadline, lasting)
+
+
+def paced(rate: float, deadline: str | None, lasting: str | None) -> Pacing:
+    """A rate [Hz] with what the other options ask for."""
     if not (math.isfinite(rate) and _LOWEST <= rate <= _HIGHEST):
         raise ConfigError(f"--rate {rate:g}: it must be from {_LOWEST:g} to {_HIGHEST:,.0f} Hz.")
     return Pacing(

@@ -12,7 +12,7 @@ from spikedeploy.policies.interface import FLOAT, Candidate, Player, check_fit
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import open_policy
 from spikedeploy.recordings.scenes import Floats, scene_of
-from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table
 
@@ -72,7 +72,8 @@ def record(
     chip   or "float"; None for what does not spike
     table  of the energy
     """
-    player, tracer = _traced(candidate, chip, env)
+    player = traced(candidate, chip, env, "each")
+    tracer = _Tracer(player) if isinstance(player, NirController) else None
     period = getattr(env.unwrapped, "CONTROL_DT", None)
     every = max(1, round(1 / (_FPS * (period or _PERIOD))))
     episode, scene = EpisodeRecorder(env, seed), scene_of(env)
@@ -92,23 +93,44 @@ def record(
     )
 
 
-def _traced(
+def traced(
     candidate: Candidate,
     chip: str | None,
     env: Any,  # noqa: ANN401
-) -> "tuple[Player, _Tracer | None]":
+    rows: Rows,
+    sampled: bool = False,
+) -> Player:
+    """The player of a candidate; where it spikes, its network keeps those of the last step.
+
+    rows  of its ledger
+    """
     if candidate.format != ".nir":
-        return open_policy(candidate, chip, env), None
+        return open_policy(candidate, chip, env, sampled)
     check_fit(candidate, env)
-    player = NirController(
+    return NirController(
         candidate.path,
         chip or FLOAT,
-        limits=candidate.limits,
-        quantisation=candidate.quantisation,
-        faults=candidate.faults,
+        sampled,
+        candidate.limits,
+        candidate.quantisation,
+        candidate.faults,
         trace=True,
+        rows=rows,
+        backend=candidate.backend,
     )
-    return player, _Tracer(player)
+
+
+def spikes_and_membranes(
+    player: NirController,
+) -> tuple[dict[str, NDArray[Any]], dict[str, Floats]]:
+    """Spikes (T, N) and membranes (N,) of the last inference, as a NetworkTrace names them."""
+    network = player.controller.network
+    spikes = {"input": player.controller.encoded, **network.spikes}
+    rasters = {name: each[0].reshape(len(each[0]), -1) for name, each in spikes.items()}
+    if player.chip is None:
+        return rasters, {}
+    last = {each.name: network.recordings[each.name].membrane for each in player.program.spiking}
+    return rasters, {name: np.array(each[0, -1], np.float64) for name, each in last.items()}
 
 
 class _Tracer:
@@ -121,14 +143,11 @@ class _Tracer:
 
     def keep(self) -> None:
         """Keep the last inference."""
-        controller = self._player.controller
-        network, encoded = controller.network, controller.encoded
-        for name, spikes in {"input": encoded, **network.spikes}.items():
-            self._rasters.setdefault(name, []).append(spikes[0].reshape(len(spikes[0]), -1))
-        if self._player.chip is not None:
-            for layer in self._player.program.spiking:
-                last = network.recordings[layer.name].membrane[0, -1]
-                self._membranes.setdefault(layer.name, []).append(np.asarray(last, np.float64))
+        spikes, membranes = spikes_and_membranes(self._player)
+        for name, raster in spikes.items():
+            self._rasters.setdefault(name, []).append(raster)
+        for name, last in membranes.items():
+            self._membranes.setdefault(name, []).append(last)
 
     def trace(self, table: str) -> NetworkTrace:
         """Everything that was kept."""
@@ -145,12 +164,12 @@ class _Tracer:
             ledger = self._player.controller.ledger
         except RuleError:  # a graph that no chip can hold runs in float, uncounted
             return None, None
-        sops = ledger.counts[:, :, EVENTS.index("sop")].sum(axis=1).astype(np.float64)
-        return sops, _each(ledger, table)
+        return costs_of_each(ledger, table)
 
 
-def _each(ledger: Ledger, table: str) -> Floats:
-    """Energy [J] of each inference."""
+def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:
+    """Synaptic operations (S,) and energy (S,) [J] of each inference of a ledger."""
     prices = energy_table(table)
     rows = (replace(ledger, counts=row[None], inferences=1) for row in ledger.counts)
-    return np.array([energy(row, prices) for row in rows])
+    sops = ledger.counts[:, :, EVENTS.index("sop")].sum(axis=1).astype(np.float64)
+    return sops, np.array([energy(row, prices) for row in rows])

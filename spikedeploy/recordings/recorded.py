@@ -88,12 +88,13 @@ def _player(each: RecordedEpisode, whole: bool) -> dict[str, Any]:
         "poses": packed(each.poses) if len(each.poses) else None,
         "reward": packed(played.reward),
         "actions": packed(actions),
-        "tracks": tracks(played),
-        "network": _network(each.network) if each.network and whole else None,
+        "tracks": tracks(played.info),
+        "network": network(each.network) if each.network and whole else None,
     }
 
 
-def _network(trace: NetworkTrace) -> dict[str, Any]:
+def network(trace: NetworkTrace) -> dict[str, Any]:
+    """Spikes, membranes, operations and energy; what is too large is left out, by name."""
     layers, left_out = [], []
     for name, raster in trace.rasters.items():
         steps, timesteps, neurons = raster.shape

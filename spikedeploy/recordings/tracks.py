@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.rollout import Rollout
 from spikedeploy.recordings.packed import packed
 
 Floats = NDArray[np.float64]
@@ -16,20 +15,20 @@ _KART = {"speed": "px/s", "progress": "of the track"}
 _MOST = 4  # infos of other people's environments
 
 
-def tracks(played: Rollout) -> list[dict[str, Any]]:
-    """Curves of an episode: `title`, `unit`, `values` (S,) and `wanted` (S,) or None."""
-    info = played.info
+def tracks(info: Mapping[str, Floats]) -> list[dict[str, Any]]:
+    """Curves of step infos: `title`, `unit`, `values` (S,) and `wanted` (S,) or None."""
     if "command_turn" in info:
         turn = info["command_turn"] - info["turn_error"]
         return [
-            _track("speed", "m/s", info["speed"], info["command_speed"]),
-            _track("turn rate", "rad/s", turn, info["command_turn"]),
+            track("speed", "m/s", info["speed"], info["command_speed"]),
+            track("turn rate", "rad/s", turn, info["command_turn"]),
         ]
     units = _OWN if "slip" in info else _KART if "gates" in info else _foreign(info)
-    return [_track(name, unit, info[name]) for name, unit in units.items() if name in info]
+    return [track(name, unit, info[name]) for name, unit in units.items() if name in info]
 
 
-def _track(title: str, unit: str, values: Floats, wanted: Floats | None = None) -> dict[str, Any]:
+def track(title: str, unit: str, values: Floats, wanted: Floats | None = None) -> dict[str, Any]:
+    """A curve, and what it should follow."""
     follows = None if wanted is None else packed(wanted)
     title = title if wanted is None else f"{title}, commanded in grey"
     return {"title": title, "unit": unit, "values": packed(values), "wanted": follows}

@@ -1,7 +1,7 @@
 """A comparison in one table of at most 80 columns, and a single row of it in one line."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.comparison.metrics import drives
@@ -47,7 +47,12 @@ def short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
 
 def quoted_table(rows: Sequence[Row]) -> str:
     """The energy table to quote: the one that prices chips and float networks alike, if any."""
-    names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
+    return quoted_among(name for row in rows for name in row["energy_per_inference_j"])
+
+
+def quoted_among(tables: Iterable[str]) -> str:
+    """The one to quote of these energy tables, if any."""
+    names = dict.fromkeys(tables)
     return COMMON_TABLE if COMMON_TABLE in names else next(iter(names), "")
 
 

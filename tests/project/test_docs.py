@@ -41,7 +41,7 @@ NOT_RUN = {
     r"sweep .* --address\b": "needs a cluster",
     r"run walker/libpolicy": "needs a build; test_native.py runs one",
     r"serve\b": "answers until it is stopped; test_server.py asks it",
-    r"run .* --rate\b": "twenty seconds by the clock; test_paced_loop.py runs one",
+    r"run .* --(rate|watch)\b": "twenty seconds by the clock; test_paced_loop.py runs one",
     r"run (policy|kept)\.nir": "needs a policy of the reader's own",
 }
 

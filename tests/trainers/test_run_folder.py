@@ -276,6 +276,28 @@ def test_a_journal_drops_values_without_a_column(tmp_path):
     assert read(run.metrics) == [{"env_steps": 1.0, "loss": 0.5}]
 
 
+@pytest.mark.parametrize(("row", "seen"), [
+    ({"eval_finish": 0.95, "eval_success": 0.9}, "success 90%"),
+    ({"eval_finish": 0.95}, "success 95%"),
+    ({"sparsity_lif1": 0.9, "sparsity_lif2": 0.8}, "spikes 15.0%"),
+])  # fmt: skip
+def test_people_and_tensorboard_see_success_and_spike_rate(
+    tmp_path, monkeypatch, capsys, row, seen
+):
+    monkeypatch.setattr("spikedeploy.trainers.progress.PAUSE", 0.0)
+    with ProgressBar("") as bar:
+        journal = Journal(RunFolder.create(tmp_path, resolve(SacConfig, "smoke")), ("step",), bar)
+        points = []
+        monkeypatch.setattr(journal.board, "add", lambda step, row: points.append((step, row)))
+        journal.add({"step": 5, **row})
+        bar.at(5, 10)
+        journal.close()
+    assert capsys.readouterr().err.strip().endswith(seen)
+    ((step, scalars),) = points
+    assert (step, len(scalars)) == (5, 2)
+    assert read(journal.metrics.path) == [{"step": 5.0}]
+
+
 def test_a_training_that_is_refused_leaves_no_run_folder(tmp_path, world):
     whole = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     for recipe, overrides in (

@@ -7,6 +7,7 @@ import pygame
 import pytest
 
 from spikedeploy import envs
+from spikedeploy.comparison.closed_loop import run_policy
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window
@@ -281,6 +282,24 @@ def test_a_hexapod_walks_as_the_arrows_command():
     driven.tick()
     assert driven.info["command_speed"] == pytest.approx(0.25)
     assert driven.info["command_turn"] == pytest.approx(0.4)
+
+
+def test_a_spiking_policy_shows_its_spikes_and_what_a_step_costs(monkeypatch, tmp_path):
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    driven = open_session("stroll", {}, "stroll/popsan", "loihi1", 10_000)
+    app, network = DriveApp(driven, "stroll"), driven.driver.network
+    empty = pygame.surfarray.array3d(app.draw())
+    for _ in range(19):
+        app.tick()
+    shown = pygame.surfarray.array3d(app.draw())
+    assert shown.shape == empty.shape
+    assert (shown != empty)[-800:-400].any()
+    (row,) = run_policy("stroll/popsan", None, "loihi1", [10_000]).as_json()
+    app.tick()
+    assert network.sops == pytest.approx(row["sops_per_inference"])
+    assert network.joules == pytest.approx(row["energy_per_inference_j"]["horowitz45-int8"])
+    assert network.trace.rasters["input"].shape[0] == len(network.trace.scores) == 20
+    assert driven.outcomes[0].total == row["return_mean"]
 
 
 def test_worlds_that_are_no_karts_show_what_their_camera_sees(monkeypatch, tmp_path):

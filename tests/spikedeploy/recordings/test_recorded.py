@@ -132,7 +132,7 @@ def test_commands_are_drawn_with_what_followed_them():
         line_up("hexapod-command", ("hexapod-command/sparse",), ())[0].candidate,
         None, "x", 10_000, TABLE,
     ).played  # fmt: skip
-    speed, turn = tracks(played)
+    speed, turn = tracks(played.info)
     assert (speed["unit"], turn["unit"]) == ("m/s", "rad/s")
     wanted, step = unpacked(turn["wanted"]), turn["wanted"]["step"]
     assert np.abs(wanted - played.info["command_turn"]).max() <= step

@@ -1,0 +1,160 @@
+"""The page of `run --watch` and its events, over HTTP on 127.0.0.1.
+
+Whoever can open a connection on this machine may look; nothing can be changed. Pages of other
+origins are kept out: by the name of the host, as DNS may lead a name of theirs here, and by what
+browsers say of where a request comes from.
+"""
+
+import re
+import sys
+import threading
+from functools import cached_property
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
+from socket import socket
+from socketserver import TCPServer, ThreadingMixIn
+from typing import Any
+
+from spikedeploy.live.backlog import Listeners
+from spikedeploy.pages.comparison import SCRIPTS
+from spikedeploy.pages.page import part
+from spikedeploy.runtime.errors import ConfigError
+
+_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+    "Connection": "close",
+}
+_CONNECTIONS = 32  # at a time; further ones are closed
+_PATIENCE = 10.0  # [s] for a request to come, and for a browser to take what it is sent
+_SILENCE = 2.0  # [s] after which a comment shows whether the browser is still there
+
+
+class LiveServer(ThreadingMixIn, TCPServer):
+    """Answers in threads from the beginning on; to be closed.
+
+    listeners  the browsers
+    address    of the page
+    """
+
+    daemon_threads = True
+    allow_reuse_address = True
+    request_queue_size = _CONNECTIONS
+
+    def __init__(self, listeners: Listeners, port: int = 0) -> None:
+        self.listeners = listeners
+        self._free = threading.BoundedSemaphore(_CONNECTIONS)
+        try:
+            super().__init__(("127.0.0.1", port), _Handler)
+        except OSError as error:
+            raise ConfigError(
+                f"--port {port}: cannot listen on 127.0.0.1 ({error.strerror}). Give another, or "
+                "leave it out for one that is free."
+            ) from error
+        self.address = f"http://127.0.0.1:{self.server_address[1]}/"
+        threading.Thread(target=self.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.shutdown()
+        self.server_close()
+
+    @cached_property
+    def files(self) -> dict[str, tuple[str, bytes]]:
+        """Path -> type and content: nothing else is there to be read."""
+        script = "\n".join(part(name) for name in (*SCRIPTS, "live.js"))
+        style = part("page.css") + part("live.css")
+        texts = {
+            "/": ("text/html", part("live.html")),
+            "/live.js": ("text/javascript", script),
+            "/live.css": ("text/css", style),
+        }
+        return {path: (kind, text.encode()) for path, (kind, text) in texts.items()}
+
+    def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
+        """Answer in a thread, unless there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
+        """Answer, and make room for another."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: socket | tuple[bytes, socket], client_address: Any) -> None:  # noqa: ANN401
+        """A browser that leaves is no error."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    server: LiveServer
+    server_version, sys_version, protocol_version = "spikedeploy", "", "HTTP/1.1"
+    timeout = _PATIENCE
+
+    def do_GET(self) -> None:
+        """A file, or the events."""
+        if not self._ours():
+            self._refuse(HTTPStatus.FORBIDDEN)
+        elif self.path == "/events":
+            self._events()
+        elif self.path in self.server.files:
+            kind, content = self.server.files[self.path]
+            self._answer(HTTPStatus.OK, f"{kind}; charset=utf-8", content)
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND)
+
+    def do_POST(self) -> None:
+        """Refuse: there is nothing to change."""
+        self._refuse(HTTPStatus.METHOD_NOT_ALLOWED)
+
+    do_HEAD = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_POST  # noqa: N815
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing: the terminal is the run's."""
+
+    def _ours(self) -> bool:
+        """Whether the request is of our page, or of somebody who typed its address."""
+        hosts = self.headers.get_all("Host", [])
+        from_elsewhere = self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
+        if len(hosts) != 1 or not _HOST.fullmatch(hosts[0]):
+            return False
+        return self.path == "/" or not from_elsewhere  # a link may lead to the page
+
+    def _events(self) -> None:
+        """Send what there is to tell, until the end."""
+        self._head(HTTPStatus.OK, "text/event-stream")
+        listeners = self.server.listeners
+        with listeners.one() as backlog:
+            while True:
+                messages = listeners.next(backlog, _SILENCE)
+                self.wfile.write(b"".join(m.text for m in messages) or b": nothing new\n\n")
+                if messages and messages[-1].kind == "end":
+                    return
+
+    def _refuse(self, status: HTTPStatus) -> None:
+        self._answer(status, "text/plain; charset=utf-8", f"{status.phrase}\n".encode())
+
+    def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self._head(status, kind, {"Content-Length": str(len(content))})
+        if self.command != "HEAD":
+            self.wfile.write(content)
+
+    def _head(self, status: HTTPStatus, kind: str, more: dict[str, str] | None = None) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, **_HEADERS, **(more or {})}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.close_connection = True

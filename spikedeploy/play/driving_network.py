@@ -1,0 +1,93 @@
+"""A spiking policy that drives, and what its network did in the last control steps."""
+
+import time
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.play.spike_panel import WINDOW
+from spikedeploy.play.spike_recorder import Floats, InferenceTrace
+from spikedeploy.policies.costs import priced_by
+from spikedeploy.policies.nir import NirController
+from spikedeploy.recordings.episode import costs_of_each, spikes_and_membranes
+from spikedeploy.reports.short_table import quoted_among
+from spikedeploy.runtime.errors import RuleError
+
+MEAN = 30  # control steps of which costs are the mean
+
+
+class DrivingNetwork:
+    """A Player whose network can be looked at.
+
+    table    of the energy
+    seconds  time of the last action [s]
+    """
+
+    def __init__(self, player: NirController) -> None:
+        self._player = player
+        self.table = quoted_among(priced_by(player.chip))
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._player.reset(seed)
+        self._seen: deque[tuple[dict[str, NDArray[Any]], Floats]] = deque(maxlen=WINDOW)
+        self._costs: deque[tuple[float, float]] = deque(maxlen=MEAN)
+        self._before, self.seconds = self._counts(), 0.0
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action, timed."""
+        begin = time.perf_counter()
+        action = self._player.act(observation)
+        self.seconds = time.perf_counter() - begin
+        self._keep()
+        return action
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions for the observations of an episode."""
+        return self._player.replay(observations)
+
+    @property
+    def trace(self) -> InferenceTrace | None:
+        """The last control steps; None before the first."""
+        if not self._seen:
+            return None
+        spikes, scores = zip(*self._seen, strict=True)
+        return InferenceTrace(
+            {name: np.stack([each[name] for each in spikes]) for name in spikes[0]},
+            np.stack(scores),
+        )
+
+    @property
+    def sops(self) -> float | None:
+        """Synaptic operations of a control step, mean of the last ones; None if not counted."""
+        return _mean(sops for sops, _ in self._costs)
+
+    @property
+    def joules(self) -> float | None:
+        """Energy of a control step [J], likewise."""
+        return _mean(joules for _, joules in self._costs)
+
+    def _keep(self) -> None:
+        controller, (spikes, _) = self._player.controller, spikes_and_membranes(self._player)
+        shown = {name: (each != 0).astype(np.uint8) for name, each in spikes.items()}
+        self._seen.append((shown, controller.codec.scores(controller.output)[0]))
+        before, self._before = self._before, self._counts()
+        if before is not None and self._before is not None:
+            sops, joules = costs_of_each(self._before.since(before), self.table)
+            self._costs.append((float(sops[0]), float(joules[0])))
+
+    def _counts(self) -> Any:  # noqa: ANN401
+        """The ledger so far; None of a graph that no chip can hold."""
+        try:
+            return self._player.controller.ledger
+        except RuleError:
+            return None
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    found = list(values)
+    return sum(found) / len(found) if found else None
