@@ -28,7 +28,8 @@ from spikedeploy.commands.options import (
 
 def check(
     file: Annotated[
-        str, typer.Argument(metavar="FILE", help="A .nir file, or the name of a shipped policy.")
+        str,
+        typer.Argument(metavar="FILE", help="A .nir file, a run, or the name of a shipped policy."),
     ],
     chip: Annotated[
         list[str] | None,
@@ -71,7 +72,9 @@ def check(
     from spikedeploy.pages.design import design_page
     from spikedeploy.pages.written import FILES, write_page, written_by
     from spikedeploy.reports.check_tables import print_report
+    from spikedeploy.shipping.exported_run import runnable
 
+    file = runnable(file)
     convention = {
         "dt": dt,
         "reset": reset,

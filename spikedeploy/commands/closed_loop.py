@@ -108,6 +108,7 @@ def run(
 ) -> None:
     """Run one policy in its environment: returns, successes and costs."""
     from dataclasses import replace
+    from functools import partial
 
     from spikedeploy.comparison.closed_loop import run_policy
     from spikedeploy.comparison.metrics import checked_metrics
@@ -117,7 +118,7 @@ def run(
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
-    from spikedeploy.policies.adopted import adopted
+    from spikedeploy.policies.adopted import adopted, fits_on
     from spikedeploy.reports.terminal import print_run
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -150,7 +151,8 @@ def run(
     if from_ is not None:
         if env is not None:
             spec(env)  # refuses an unknown one before a file is written
-        policy = str(adopted(policy, codec, force, written_by=from_, **convention))
+        fits = partial(fits_on, chip, limits == "on", rounded)
+        policy = str(adopted(policy, codec, force, fits, written_by=from_, **convention))
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     options = parse_options(set_ or (), disturb or (), success)

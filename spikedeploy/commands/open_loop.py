@@ -117,7 +117,7 @@ def emulate(
 
 
 def drift(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A .nir file, or shipped name.")],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A .nir file, run, or shipped name.")],
     chip: Annotated[str, typer.Option(help="Chip.")] = "loihi1",
     input_: Annotated[
         Path | None,
@@ -178,8 +178,10 @@ def drift(
     from spikedeploy.reports.terminal import print_drift
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
+    from spikedeploy.shipping.exported_run import runnable, trained_in
 
-    path = path_of(file)
+    env = env or trained_in(file)
+    path = path_of(runnable(file))
     if output:
         check_output_folder("-o", output, FILES, (path, input_), force, written_by("drift"))
     artifact = load(

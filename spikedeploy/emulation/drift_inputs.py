@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spikedeploy import zoo
 from spikedeploy.emulation.rasters import in_batch, read_rasters
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import make_env
+from spikedeploy.make_env import confirm, make_env
 from spikedeploy.policies.interface import FLOAT, Candidate
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -125,6 +125,7 @@ def observed_inputs(
             f"{candidate.path} does not say for which environment: give --env, or a raster with "
             "--input"
         )
+    confirm(where, env, str(candidate.path))
     world = make_env(where, options)
     player = open_policy(candidate, FLOAT, world)
     played = [rollout(world, player, seed) for seed in seeds]

@@ -9,6 +9,7 @@ A codec in JSON does, with the fields of `runtime.codec.codec.Codec`:
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,12 @@ import numpy as np
 
 from spikedeploy.console import say
 from spikedeploy.outputs import check_output
-from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
+from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
 from spikedeploy.runtime.metadata import Provenance, Record
 
@@ -30,12 +35,14 @@ def adopted(
     file: str,
     codec: Path | None,
     force: bool = False,
+    fits: Callable[[Artifact], object] = id,
     **convention: Any,  # noqa: ANN401
 ) -> Path:
     """Write FILE.policy.nir beside a file of another tool, and return it.
 
     codec       JSON file
     force       whether a file that this function did not write is replaced
+    fits        is called with the policy before anything is written, and raises where it is no use
     convention  written_by and options of artifact.load
     """
     path = Path(file)
@@ -48,10 +55,17 @@ def adopted(
     target = path.with_suffix(".policy.nir")
     policy = replace(artifact, codec=read_codec(codec), provenance=_ADOPTED)
     check_output("--from", target, (file, codec), force, _is_adopted)
+    fits(policy)
     save(policy, target)
     say(f"{file}: {artifact.convention.describe()}")
     say(f"wrote {target}: a policy as any other")
     return target
+
+
+def fits_on(chip: str | None, limits: bool, quantisation: Quantisation, policy: Artifact) -> None:
+    """Raise what a chip has against a policy; "float" has nothing."""
+    if chip != FLOAT:
+        compile_program(policy, datasheet(chip or DEFAULT_CHIP), quantisation, limits=limits)
 
 
 def _is_adopted(path: Path) -> bool:

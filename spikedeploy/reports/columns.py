@@ -45,6 +45,8 @@ def _estimate(field: str, between: str, sign: str = "") -> Cell:
             return ABSENT
         low, high = row[between]
         form = f"{sign},.{_digits(row)}f"
+        if row.get("episodes") == 1:  # of which nothing can be drawn
+            return f"{row[field]:{form}}"
         return f"{row[field]:{form}} [{low:{form}}, {high:{form}}]"
 
     return cell

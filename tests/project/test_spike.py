@@ -47,6 +47,7 @@ def test_it_is_a_short_posix_script():
         ("train", "[train]"),
         ("export", "[train]"),
         ("tune", "[tune]"),
+        ("serve", "[serve]"),
         ("test", "[dev]"),
     ],
 )

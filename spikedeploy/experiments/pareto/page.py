@@ -28,8 +28,8 @@ _PACKAGES = ("torch", "numpy", "mujoco")
 _INTRODUCTION = f"""\
 Sparse policies and their float rivals: all imitate the same teacher on the same walks and are
 pruned by the same ranking, each to levels of its own, in operations of a control step. Updates of a
-level are as many for all; at their last level policies are polished once or more, and LIF walkers have
-about a tenth more updates in all.
+level are as many for all; at their last level policies are polished once or more, and LIF walkers
+have about a tenth more updates in all.
 `LIF` is a delta encoder, a layer of spiking neurons and integrating readouts; `delta-linear` sends
 the encoder's events straight into the readouts; `delta network` has sigma-delta ReLU neurons in
 between, whose graded spikes only loihi2 and ideal have; `float MLP` and `float linear` multiply.

@@ -53,6 +53,11 @@ def test_from_an_unregistered_environment_to_a_chip(here, command):
     row = json.loads(out)["rows"][0]
     assert (code, row["chip"], row["success_rate"]) == (0, "loihi1", None)
 
+    assert command("drift", "last", "--steps", 5, "--json")[0] == 0
+    assert command("check", run.name[:12], "--chip", "loihi1", "--json")[0] == 0
+    code, _, err = command("drift", run / f"{run.name}.nir")
+    assert code == 2
+    assert "is not run because a file names it" in err
     code, _, err = command("run", run / f"{run.name}.nir")
     assert code != 0
     assert f"name it yourself, with --env {ENV}" in err.replace("\n", " ").replace("  ", " ")
