@@ -71,6 +71,13 @@ def check_output(
         )
 
 
+def own(path: Path) -> Path:
+    """A file that is always ours, in a folder of ours; refused where it leads elsewhere."""
+    if path.is_symlink():
+        raise ConfigError(f"{path} is a link, through which nothing is written. Remove it.")
+    return path
+
+
 def check_output_folder(
     option: str,
     folder: Path,
@@ -89,7 +96,8 @@ def check_output_folder(
     known = list(inputs)
     earlier = ours is not None and folder.is_dir() and ours(folder)
     for name in names:
-        check_output(option, folder / name, known, force or earlier)
+        path = folder / name  # a mark in one file does not vouch for what another leads to
+        check_output(option, path, known, force or (earlier and not path.is_symlink()))
 
 
 def _check_kind(option: str, path: Path) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _RENAMED = {"hoist": "support_force"}  # columns of version 0.1
 _CURVES = {"episode_return": "training", "eval_return": "validation"}
+_LARGEST = 100_000_000  # [bytes] of a table, of which a training writes a thousandth
 _OPERATIONS = "eval_operations"  # pruning lowers the return, too
 
 
@@ -59,6 +60,8 @@ class Metrics:
 
 def read(path: Path) -> list[dict[str, float]]:
     """Return the rows of a metrics file, without empty values and under present names."""
+    if (size := path.stat().st_size) > _LARGEST:
+        raise ConfigError(f"{path} has {size:,} bytes; at most {_LARGEST:,}. Move it away.")
     try:
         return _rows(path.read_text(encoding="utf-8"))
     except (ValueError, TypeError, csv.Error) as error:  # bytes, words, or more cells than columns

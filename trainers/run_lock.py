@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,6 +16,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _NAME = ".lock"
+_DIGITS = 9  # of the number of a process
 # of file systems without flock, as some of networks are
 _WITHOUT = (errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL)
 
@@ -39,11 +41,12 @@ def locked(run: Path) -> Iterator[None]:
 def in_use(run: Path) -> bool:
     """Return whether another process trains in a run folder; without taking its lock."""
     try:
-        handle = os.open(run / _NAME, os.O_RDONLY)
+        # a FIFO would wait for a writer
+        handle = os.open(run / _NAME, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:
         return False
     try:
-        return _alive(_holder(handle))
+        return stat.S_ISREG(os.fstat(handle).st_mode) and _alive(_holder(handle))
     finally:
         os.close(handle)
 
@@ -94,7 +97,9 @@ def _same(file: Path, handle: int) -> bool:
 def _holder(handle: int) -> tuple[int, str]:
     """Return the process that the file names, and its machine; 0 where it names none."""
     words = os.pread(handle, 300, 0).decode("utf-8", "replace").split()
-    return (int(words[0]), words[1]) if len(words) == 2 and words[0].isdecimal() else (0, "")
+    if len(words) != 2 or not words[0].isdecimal() or len(words[0]) > _DIGITS:
+        return 0, ""
+    return int(words[0]), words[1]
 
 
 def _alive(holder: tuple[int, str]) -> bool:

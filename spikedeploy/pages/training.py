@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.files import write_text
+from spikedeploy.outputs import own
 from spikedeploy.pages.page import big_numbers, commands, facts, figure, folded, heading, page, said
 from spikedeploy.pages.svg import svg
 from spikedeploy.policies import run_record
@@ -45,7 +46,7 @@ def write_run_page(run: Path, live: bool = False) -> Path:
 
     live  whether this process trains in it
     """
-    return write_text(run / PAGE, run_page(scores(run), live))
+    return write_text(own(run / PAGE), run_page(scores(run), live))
 
 
 def run_page(found: RunScores, live: bool = False) -> str:

@@ -70,19 +70,26 @@ def scores(run: Path) -> RunScores:
     best = _best(run, rows)
     last = run_record.checkpoint_record(run, "last")
     with run_record.whole(run / "config.json"):
-        recipe, seed, kind = settings["recipe"], settings["seed"], settings["policy"]["kind"]
+        recipe, seed, kind = settings["recipe"], int(settings["seed"]), settings["policy"]["kind"]
+    with run_record.whole(run / "checkpoints"):
+        share = float(last.get("share", 1.0 if last else 0.0))
+        earned, success, operations = (
+            None if best.get(name) is None else float(best[name])
+            for name in ("eval_return", "eval_finish", "eval_operations")
+        )
+        rate = _rate(best)
     return RunScores(
         path=run,
         recipe=str(recipe),
         env=run_record.env_of(run) or "",
-        seed=int(seed),
+        seed=seed,
         kind=str(kind),
-        earned=best.get("eval_return"),
-        success=best.get("eval_finish"),
-        operations=best.get("eval_operations"),
-        rate=_rate(best),
+        earned=earned,
+        success=success,
+        operations=operations,
+        rate=rate,
         steps=_steps(rows),
-        share=float(last.get("share", 1.0 if last else 0.0)),
+        share=share,
         running=in_use(run),
         changed=max(path.stat().st_mtime for path in (run / "config.json", *_written(run))),
     )

@@ -57,7 +57,7 @@ def _below(folder: Path, deep: int) -> Iterator[Path]:
     yield from runs_in(folder)
     if deep and folder.is_dir():
         for each in sorted(folder.iterdir()):
-            if each.is_dir() and not is_run(each):
+            if each.is_dir() and not each.is_symlink() and not is_run(each):
                 yield from _below(each, deep - 1)
 
 

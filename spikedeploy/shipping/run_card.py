@@ -11,10 +11,11 @@ from typing import Any
 
 from spikedeploy import envs
 from spikedeploy.files import write_text
-from spikedeploy.outputs import check_output, mark, marked
+from spikedeploy.outputs import check_output, mark, marked, own
 from spikedeploy.pages.svg import standalone, svg
 from spikedeploy.pages.training import ALT, flat, write_run_page
 from spikedeploy.policies import run_record
+from spikedeploy.reports.markdown import markdown_name
 from spikedeploy.reports.run_curves import curves_figure
 from spikedeploy.reports.run_scores import RunScores, metrics_of, scores
 from spikedeploy.runtime.errors import ConfigError
@@ -41,8 +42,8 @@ def write_run_files(run: Path) -> list[Path]:
     """
     files = [write_run_page(run)]
     if drawn := curves_figure(metrics_of(run)):
-        files.append(write_text(run / CURVE, standalone(svg(drawn, ALT))))
-    card = run / CARD
+        files.append(write_text(own(run / CURVE), standalone(svg(drawn, ALT))))
+    card = own(run / CARD)
     if not card.exists() or marked(card, _OURS):
         files.append(write_text(card, card_of(run)))
     return files
@@ -62,8 +63,8 @@ def export_card(reference: str, film: bool = False, force: bool = False) -> list
             "replace it with --force"
         )
     if film:
-        own = mark("run")
-        check_output("--film", run / FILM, (), force, lambda path: marked(path, own))
+        written = mark("run")
+        check_output("--film", run / FILM, (), force, lambda path: marked(path, written))
     policy = Path(runnable(str(run)))
     filmed = [_filmed(policy, run)] if film else []
     (run / CARD).unlink(missing_ok=True)
@@ -144,18 +145,18 @@ def _environment(settings: Mapping[str, Any]) -> Iterator[str]:
     world = settings["env"]
     spec = envs.spec(world["name"])
     yield f"- {spec.id}" if spec.foreign else f"- {spec.id}: {spec.summary}"
-    yield from (f"- {key}: {json.dumps(value)}" for key, value in world["options"].items())
+    for key, value in world["options"].items():
+        yield f"- {markdown_name(str(key))}: {markdown_name(json.dumps(value))}"
 
 
 def _training(run: Path, found: RunScores) -> Iterator[str]:
     record, versions = training_of(run), run_record.versions(run)
     yield f"- `{training_command(record)}`"
     yield f"- checkpoint {record['checkpoint']}, after {record['steps']:,} {record['steps_unit']}"
-    yield f"- {found.share:.0%} done, commit {versions.get('commit') or 'unknown'}"
-    told = ", ".join(
-        f"{name} {version}" for name, version in versions.items() if version and name != "commit"
-    )
-    yield f"- {told}"
+    commit = markdown_name(str(versions.get("commit") or "unknown"))
+    yield f"- {found.share:.0%} done, spikedeploy's commit {commit}"
+    told = [f"{name} {version}" for name, version in versions.items() if version]
+    yield "- " + ", ".join(markdown_name(each) for each in told if not each.startswith("commit "))
 
 
 def _results(found: RunScores, settings: Mapping[str, Any]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 
 import pytest
 
@@ -63,6 +64,27 @@ def test_a_damaged_run_is_left_out_and_said(two, command):
     assert (code, [row["name"] for row in json.loads(out)]) == (0, ["walk-b"])
     assert "left out" in err
     assert "walk-a" in err
+
+
+@pytest.mark.parametrize("name", ["eval_return", "eval_finish"])
+def test_a_run_whose_scores_are_no_numbers_is_left_out_and_said(name, two, command):
+    for record in (two / "walk-a/checkpoints").glob("*.json"):
+        record.write_text(json.dumps({**json.loads(record.read_text()), name: "high"}))
+    code, out, err = command("runs", "--json")
+    assert (code, [row["name"] for row in json.loads(out)]) == (0, ["walk-b"])
+    assert "is damaged (ValueError" in " ".join(err.split())
+
+
+def test_strange_locks_keep_nobody_waiting(two, command):
+    os.mkfifo(two / "walk-a/.lock")
+    (two / "walk-b/.lock").write_text(f"{10**25} {socket.gethostname()}")
+    code, out, _ = command("runs", "--json")
+    assert (code, [row["running"] for row in json.loads(out)]) == (0, [False, False])
+
+
+def test_links_to_folders_are_not_followed(two, command):
+    (two / "again").symlink_to(two)
+    assert len(json.loads(command("runs", "--json")[1])) == 2
 
 
 def test_a_folder_without_runs_says_how_to_make_one(stroll, command):

@@ -82,3 +82,25 @@ def test_a_float_policy_is_not_said_to_spike(tmp_path):
     assert "float network" in card
     assert "--to c" not in card
     assert "neuromorphic" not in card
+
+
+@pytest.mark.parametrize("name", ["report.html", "curve.svg", "card.md"])
+def test_nothing_is_written_through_a_link_in_a_run_folder(name, run, tmp_path):
+    write_run_files(run)
+    foreign = tmp_path / "foreign.txt"
+    for exists in (True, False):
+        (run / name).unlink()
+        foreign.write_text("mine") if exists else foreign.unlink()
+        (run / name).symlink_to(foreign)
+        with pytest.raises(ConfigError, match=f"{name} is a link, through which nothing is"):
+            write_run_files(run)
+        assert not exists or foreign.read_text() == "mine"
+        assert foreign.exists() == exists
+
+
+def test_a_card_shows_words_of_records_as_they_are(run):
+    versions = json.loads((run / "versions.json").read_text())
+    (run / "versions.json").write_text(json.dumps({**versions, "numpy": "2\n---\n<script>"}))
+    card = write_run_files(run)[-1].read_text()
+    assert "<script>" not in card
+    assert r"numpy 2 --- \<script\>" in card
