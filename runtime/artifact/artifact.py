@@ -75,7 +75,7 @@ def save(artifact: Artifact, path: str | Path, older: str | None = None) -> None
         with part.open("rb") as written:
             os.fsync(written.fileno())
         part.replace(path)
-    except (OSError, TypeError, ValueError) as error:
+    except (OSError, AttributeError, TypeError, ValueError) as error:
         raise ArtifactError(
             f"cannot write {path}: {error}. Check the folder and the metadata of the graph."
         ) from error

@@ -49,7 +49,10 @@ class OnnxController:
                 f"{path} is one step of a spiking policy, whose states whoever runs it keeps, as "
                 "docs/own-network.md shows. To play it, give the .nir file that it was made of"
             )
-        self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
+        try:
+            self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
+        except UnicodeDecodeError as error:
+            raise ArtifactError(f"{path} has names that are no text. Export it again") from error
         self._dtype = _DTYPES[self._input.type]
         self._single = self._input.shape[0] == 1
         self.observed = _width(path, self._input)

@@ -22,7 +22,8 @@ _ROCKPOOL_TOOL = "Rockpool 3.1.0"
 
 def _timestep(node: nir.CubaLIF) -> float:
     """The dt [s] that its import gives a layer; its export writes r = tau exp(-dt/tau)/dt."""
-    return float((float64(node.tau_mem) / (1 + float64(node.r))).min())
+    with np.errstate(divide="ignore", invalid="ignore"):  # r of -1 is refused by name
+        return float((float64(node.tau_mem) / (1 + float64(node.r))).min())
 
 
 def _convention_rockpool(nodes: Nodes, _: float | None) -> Convention:
@@ -34,10 +35,10 @@ def _convention_rockpool(nodes: Nodes, _: float | None) -> Convention:
         )
     for name, node in layers.items():
         require(
-            _timestep(node) > 0,
+            0 < _timestep(node) < np.inf,
             name,
             _ROCKPOOL_TOOL,
-            "takes dt = tau_mem/(1 + r), which is not above 0",
+            "takes dt = tau_mem/(1 + r), which is not above 0 and finite",
         )
     dt = min(_timestep(node) for node in layers.values())
     source = f"as {_ROCKPOOL_TOOL} reads it: dt = tau_mem/(1 + r) of each layer"

@@ -95,10 +95,11 @@ def test_an_artifact_without_codec_and_provenance_is_one(artifact, path):
     assert (load(path).codec, load(path).provenance) == (None, None)
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_no_other(artifact, path):
+@pytest.mark.parametrize("metadata", [{"impossible": None}, np.int64(3)])
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(metadata, artifact, path):
     save(artifact, path)
     before = path.read_bytes()
-    artifact.graph.metadata["impossible"] = None
+    artifact.graph.nodes["n1"].metadata = metadata
     with pytest.raises(ArtifactError, match=r"cannot write .*policy\.nir"):
         save(artifact, path)
     assert path.read_bytes() == before
