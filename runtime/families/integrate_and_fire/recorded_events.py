@@ -14,7 +14,7 @@ from spikedeploy.runtime.traces.work import Work
 _KINDS = ("tref", "axon", "neuron")
 # membranes after all events, or all timesteps; and spikes of inputs
 MOST_NUMBERS = 1 << 24
-_MOST_SPIKES = 1 << 20
+_MOST_SPIKES = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
