@@ -1,7 +1,7 @@
 """A JSON object of another program, read by name, with errors that name the field."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,11 @@ Integers = NDArray[np.int64]
 # JSON numbers that float64 holds exactly
 _EXACT = 1 << 53
 _HUGE = 1e300
+_KINDS = {int, float, bool}
+# what a trace needs at most; a file of more would take hours or all memory
+_MOST_FIELDS = 1000
+_MOST_LAYERS = 256
+_MOST_READ = 1 << 24  # numbers; those that layers share are read for each layer
 
 
 def read_json(path: Path) -> "Fields":
@@ -42,9 +47,14 @@ class Fields:
                 f"{where}: expected an object {{...}}, found {type(found).__name__}. A trace file "
                 "is an object with the fields that docs/traces.md lists."
             )
+        if len(found) > _MOST_FIELDS:
+            raise TraceError(
+                f"{where}: there are {len(found)} fields. Write {_MOST_FIELDS} at most."
+            )
         self._found = {str(key): value for key, value in found.items() if value is not None}
         self.where = where
         self.unread = set(self._found)
+        self._read = [0]  # numbers so far, of all objects of a file
 
     def name(self, *names: str) -> str | None:
         """The first of the names that is there."""
@@ -71,21 +81,24 @@ class Fields:
 
     def group(self, name: str) -> "Fields":
         """The object called `name`; empty where there is none."""
-        return Fields(self._taken(name) if name in self._found else {}, f"{self.where}: {name}")
+        found = self._taken(name) if name in self._found else {}
+        return self._sharing(found, f"{self.where}: {name}")
 
     def groups(self, name: str) -> list["Fields"]:
         """The list of objects called `name`."""
         found = self._taken(name)
         if not isinstance(found, list) or not found:
             raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
-        return [Fields(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
+        if len(found) > _MOST_LAYERS:
+            raise self.wrong(name, f"has {len(found)}", f"Write {_MOST_LAYERS} at most.")
+        return [self._sharing(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
 
     def under(self, *others: "Fields", where: str = "") -> "Fields":
         """These fields and those of the others, which go before."""
         everything: dict[str, object] = {}
         for each in (self, *others):
             everything.update(each._found)
-        return Fields(everything, where or self.where)
+        return self._sharing(everything, where or self.where)
 
     def whole(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""
@@ -144,6 +157,12 @@ class Fields:
         """The error of a field."""
         return TraceError(f"{self.where}: {name} {found}. {remedy}")
 
+    def _sharing(self, found: object, where: str) -> "Fields":
+        """Another object of the same file."""
+        made = Fields(found, where)
+        made._read = self._read
+        return made
+
     def _taken(self, name: str) -> Any:  # noqa: ANN401
         if name not in self._found:
             raise self._missing((name,))
@@ -168,9 +187,19 @@ class Fields:
             )
         return found.astype(np.int64)
 
+    def _count(self, name: str, value: object) -> None:
+        """Refuse what is no table of numbers, or one more than can be read."""
+        count = _counted(value)
+        if count is None:
+            raise self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
+        self._read[0] += count
+        if self._read[0] > _MOST_READ:
+            raise self.wrong(name, f"makes {self._read[0]} numbers in all layers", "Record less.")
+
     def _numbers(self, name: str) -> NDArray[Any]:
         value = self._taken(name)
         try:
+            self._count(name, value)
             found = np.array(value)
         except (ValueError, OverflowError, RecursionError):  # ragged, or too deep
             raise self.wrong(name, "has rows of different lengths", "Write a full table.") from None
@@ -179,6 +208,33 @@ class Fields:
         if found.dtype.kind not in "biu" or not found.size:
             raise self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
         return found.astype(np.int64) if found.dtype.kind == "b" else found
+
+
+def _counted(value: object) -> int | None:
+    """How many numbers are in lists of lists; None where there is anything else.
+
+    NumPy gives every text of an array the length of the longest, which may be terabytes.
+    """
+    if not isinstance(value, list):
+        return 1 if type(value) in _KINDS else None
+    kinds = set(map(type, value))
+    if kinds <= _KINDS:
+        return len(value)
+    counts = [_counted(each) for each in value] if kinds <= {*_KINDS, list} else [None]
+    # an empty list costs a place too
+    return None if None in counts else sum(each or 1 for each in counts)
+
+
+def shown(text: str, most: int = 80) -> str:
+    """A text of a stranger's file on one line of a terminal: nothing in it is obeyed there."""
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
+    return line if len(line) <= most else f"{line[:most]}…"
+
+
+def shown_names(names: Sequence[str], most: int = 5) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(shown(name) for name in names[:most]) + more
 
 
 def _short(value: object) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.traces.fields import Fields, Integers
+from spikedeploy.runtime.traces.fields import Fields, Integers, shown_names
 
 # who wrote a trace, by what its name, source and kind say -> the chip in that reading
 _MAKERS = (
@@ -48,6 +48,8 @@ _VERDICTS = {
     "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.crossbar_traces:crossbar_verdict",
     "spiker": "spikedeploy.runtime.families.integrate_and_fire.spiker_traces:spiker_verdict",
 }
+# letters of a text in which makers are looked for
+_MOST_PROSE = 1000
 # what is for people
 PROSE = {
     "name", "source", "kind", "note", "convention", "index", "trace_index", "input_spikes_index",
@@ -96,7 +98,7 @@ def trace_in(fields: Fields, stem: str) -> TraceFile:
     if chip not in _READERS:
         hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
         raise TraceError(
-            f"{fields.where}: chip {chip!r} {hint}. Traces may be of "
+            f"{fields.where}: chip {chip[:40]!r} {hint}. Traces may be of "
             f"{', '.join((*_READERS, *_VERDICTS))}."
         )
     module, attribute = _READERS[chip].split(":")
@@ -120,13 +122,13 @@ def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index:
 
 def nothing_to_compare(fields: Fields, unread: set[str], wanted: str) -> TraceError:
     """The error of a trace in which nothing is recorded under a name that is known."""
-    others = f" Unknown fields: {', '.join(sorted(unread))}." if unread else ""
+    others = f" Unknown fields: {shown_names(sorted(unread))}." if unread else ""
     return TraceError(f"{fields.where}: there is nothing to compare.{others} Record {wanted}.")
 
 
 def maker(fields: Fields, stem: str) -> str:
     """The chip that the file names, or that of the emulator which its prose names."""
-    prose = {key: fields.text(key) for key in ("chip", "name", "source", "kind")}
+    prose = {key: fields.text(key)[:_MOST_PROSE] for key in ("chip", "name", "source", "kind")}
     if prose["chip"]:
         return prose["chip"]
     # the name of the file is a last resort

@@ -44,14 +44,16 @@ def interop(
     from spikedeploy.files import write_text
     from spikedeploy.interop.measured import measure
     from spikedeploy.interop.page import page
-    from spikedeploy.interop.peers import pythons
+    from spikedeploy.interop.peers import check_given, pythons
     from spikedeploy.interop.written import check_written, network_files, page_command
 
     given = _pairs(python or [])
     records = records or output.with_suffix(".json")
     chosen = network_files(files or [])
     check_written(output, records, chosen, force)
-    rows = measure(chosen, pythons(folder, given), records, say)
+    places = pythons(folder, given)
+    check_given(given)
+    rows = measure(chosen, places, records, say)
     write_text(output, page(rows, page_command(files or [], output, records)))
     if json:
         print_json(rows)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spikedeploy.runtime.traces.fields import shown, shown_names
 from spikedeploy.runtime.traces.trace_file import Verdict
 from spikedeploy.runtime.traces.verify import verify as verdict_of
 from spikedeploy.user_errors import one_line
@@ -40,7 +41,7 @@ class ReplayedTrace:
         what = f"{found.compared:,} numbers of {found.steps} timesteps"
         if found.difference is not None:
             return f"differs on {found.chip}: {found.difference.describe()}"
-        return f"equal on {found.chip}: {what}; recorded by {found.source}"
+        return f"equal on {found.chip}: {what}; recorded by {shown(found.source, 200)}"
 
     def remarks(self) -> list[str]:
         """What was not compared, and why; and how it was replayed where that is not plain."""
@@ -50,7 +51,7 @@ class ReplayedTrace:
         if found.passed_over:
             remarks.append(f"not compared: {found.passed_over} {found.why}")
         if found.unread:
-            remarks.append(f"not compared: fields that are not used: {', '.join(found.unread)}")
+            remarks.append(f"not compared: fields that are not used: {shown_names(found.unread)}")
         return [*remarks, *found.remarks]
 
 

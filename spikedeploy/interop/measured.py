@@ -13,6 +13,7 @@ from spikedeploy.files import as_text, write_text
 from spikedeploy.interop.cases import FOR, OLDER, PLAIN, SPIKES, Case, as_read, case, meant, raster
 from spikedeploy.interop.outcome import compared
 from spikedeploy.interop.peers import PEERS, OtherTool, answers, versions
+from spikedeploy.runtime.errors import ConfigError
 
 Row = dict[str, Any]
 _KEY = ("file", "sha256", "peer", "variant")
@@ -111,5 +112,41 @@ def _spikes(found: Case, peer: OtherTool, folder: Path) -> Row:
 def _read(records: Path) -> list[Row]:
     if not records.is_file():
         return []
-    rows: list[Row] = json.loads(records.read_text("utf-8"))
+    try:
+        rows = json.loads(records.read_bytes())
+    except (ValueError, RecursionError):
+        rows = None
+    if not isinstance(rows, list) or not all(map(_is_row, rows)):
+        raise ConfigError(
+            f"--records {records} does not hold what interop found. Name another, or delete it."
+        )
     return rows
+
+
+def _is_row(row: object) -> bool:
+    """Whether it has the fields that the page is made of."""
+    if not isinstance(row, dict) or not all(
+        isinstance(row.get(f), str) for f in (*_KEY, "message")
+    ):
+        return False
+    releases, opens = row.get("versions"), row.get("opens", "")
+    if not isinstance(releases, dict) or not all(isinstance(v, str) for v in releases.values()):
+        return False
+    importers = {peer.name for peer in PEERS if peer.importer}
+    if opens is True and row["peer"] in importers:
+        return _is_compared(row.get("meant")) and (
+            isinstance(row.get("like"), str) or _is_compared(row.get("like"))
+        )
+    return opens is None or isinstance(opens, bool)
+
+
+def _is_compared(found: object) -> bool:
+    """Whether it is a record of SpikesCompared."""
+    if not isinstance(found, dict) or found.keys() != {"compared", "differ", "first", "output"}:
+        return False
+    first = found["first"]
+    return (
+        all(type(found[name]) is int for name in ("compared", "differ"))
+        and isinstance(found["output"], str)
+        and (isinstance(first, list) and len(first) == 3 if found["differ"] else first is None)
+    )

@@ -64,12 +64,27 @@ def pythons(folder: Path, given: Mapping[str, Path]) -> dict[str, Path]:
 
 def versions(peer: OtherTool, python: Path) -> dict[str, str]:
     """Releases of the packages that a peer reads files with; empty where it is not installed."""
-    done = subprocess.run(
-        [str(python), str(_SCRIPT), peer.name, "versions"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    found: dict[str, str] = json.loads(done.stdout) if done.returncode == 0 else {}
-    return found
+    command = [str(python), str(_SCRIPT), peer.name, "versions"]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, check=False, stdin=subprocess.DEVNULL, timeout=60
+        )
+        found = json.loads(done.stdout) if done.returncode == 0 else {}
+    except (OSError, subprocess.TimeoutExpired, ValueError, RecursionError):
+        return {}
+    named = isinstance(found, dict) and all(isinstance(each, str) for each in found.values())
+    return found if named else {}
+
+
+def check_given(given: Mapping[str, Path]) -> None:
+    """Refuse a path of --python that is no Python in which its tool is installed."""
+    for peer in PEERS:
+        if peer.name in given and not peer.missing and not versions(peer, given[peer.name]):
+            place = given[peer.name]
+            raise ConfigError(
+                f"--python {peer.name}={place} is not a Python with {peer.name}. Name the one in "
+                "which it is installed."
+            )
 
 
 def answers(peer: OtherTool, python: Path, jobs: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:

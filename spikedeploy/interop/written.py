@@ -9,6 +9,9 @@ from spikedeploy.interop.page import TITLE
 from spikedeploy.outputs import check_output, marked
 from spikedeploy.runtime.errors import ConfigError
 
+# how the records begin
+_HEAD = b'[\n  {\n    "file":'
+
 
 def network_files(names: Sequence[str]) -> list[Path]:
     """The .nir files of these names; `shipped` stands for all shipped policies."""
@@ -27,11 +30,14 @@ def network_files(names: Sequence[str]) -> list[Path]:
 def check_written(page: Path, records: Path, files: Sequence[Path], force: bool) -> None:
     """Refuse to replace what this command did not write."""
     check_output("-o", page, files, force, lambda path: marked(path, TITLE))
+    if page.resolve() == records.resolve():
+        raise ConfigError(f"-o and --records are the same file, {page}. Name another for one.")
     check_output("--records", records, (*files, page), force, _is_ours)
 
 
 def _is_ours(records: Path) -> bool:
-    return records.read_text("utf-8").startswith('[\n  {\n    "file":')
+    with records.open("rb") as file:
+        return file.read(len(_HEAD)) == _HEAD
 
 
 def page_command(names: Sequence[str], page: Path, records: Path) -> str:

@@ -15,6 +15,7 @@ from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.quantise import stored
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
+from spikedeploy.runtime.traces.work import Work
 
 _WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
 _EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")
@@ -60,12 +61,13 @@ class _Weights:
     exponent: int
 
 
-def _loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int) -> _LoihiLayer:
+def _loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int, work: Work) -> _LoihiLayer:
     """The layer at a place of a chain, as the fields describe it."""
     arithmetic = chip.arithmetic
     if not isinstance(arithmetic, CubaFixedPoint):
         raise spec.wrong("chip", f"{chip.name} has no integers", "Name a chip that has.")
     weights = _weights(spec, arithmetic, fan_in)
+    work.add(len(weights.mantissa), weights.mantissa.size)
     arithmetic = _with_options(spec, arithmetic, weights)
     delay = spec.whole("delay", default=chip.delay, least=0, most=chip.delay_max)
     source, size = f"layer{place - 1}" if place else "input", len(weights.mantissa)
@@ -226,9 +228,9 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields; one layer at the top, or a list of them under `layers`."""
     specs = _layers_of(fields)
     rows = table_of(specs[0], _INPUT, 0, 1, index="input_spikes_index")
-    parts, size = [], rows.shape[1]
+    parts, size, work = [], rows.shape[1], Work(fields, len(rows))
     for place, spec in enumerate(specs):
-        parts.append(_loihi_layer(spec, datasheet(chip), place, size))
+        parts.append(_loihi_layer(spec, datasheet(chip), place, size, work))
         size = parts[-1].layer.size
     _check_alike(fields, parts)
     recorded = {

@@ -9,11 +9,12 @@ import numpy as np
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import Event, WorkedEvent
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import Difference
+from spikedeploy.runtime.traces.work import Work
 
 _KINDS = ("tref", "axon", "neuron")
 # membranes after all events, or all timesteps; and spikes of inputs
 MOST_NUMBERS = 1 << 24
-_MOST_SPIKES = 1 << 20
+_MOST_SPIKES = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,7 @@ def _said(step: int, event: Event) -> str:
 
 def check_length(spec: Fields, counts: Integers, size: int) -> None:
     """Refuse a run of input spikes (T, M) and so many neurons that would take hours to replay."""
+    Work(spec, len(counts)).add(size, 0)
     if counts.sum() > _MOST_SPIKES or len(counts) * size > MOST_NUMBERS:
         found = f"has {counts.sum()} spikes in {len(counts)} timesteps of {size} neurons"
         raise spec.wrong("input_spikes", found, f"Record {_MOST_SPIKES} spikes at most, or less.")

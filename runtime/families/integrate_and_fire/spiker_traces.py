@@ -17,10 +17,10 @@ from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.neurons import PartialStep, begin, fires
-from spikedeploy.runtime.families.integrate_and_fire.recorded_events import check_length
-from spikedeploy.runtime.traces.fields import Fields, Integers
+from spikedeploy.runtime.traces.fields import Fields, Integers, shown_names
 from spikedeploy.runtime.traces.trace_file import PROSE, Verdict, nothing_to_compare, table_of
 from spikedeploy.runtime.traces.verify import first_difference
+from spikedeploy.runtime.traces.work import Work
 
 _BEGUN = "membrane after fire or leak"
 # quantity -> its name in the file
@@ -36,7 +36,9 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
     specs = _layers_of(fields)
     counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
     program = _program(specs, datasheet(chip), counts.shape[1])
-    check_length(fields, counts, sum(layer.size for layer in program.layers))
+    work = Work(fields, len(counts))
+    for layer in program.layers:
+        work.add(layer.size, sum(synapses.weight.size for synapses in layer.synapses))
     recorded = {
         layer.name: _recorded(spec, (len(counts), layer.size))
         for layer, spec in zip(program.layers, specs, strict=True)
@@ -79,7 +81,7 @@ def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
     rules = replace(arithmetic, weight_bits=bits, membrane=register)
     resets = {spec.text("reset") or "subtract" for spec in specs}
     if len(resets) > 1 or not resets <= {"subtract", "fixed"}:
-        found = f"is {', '.join(sorted(resets))[:40]}"
+        found = f"is {shown_names(sorted(resets))}"
         raise specs[0].wrong("reset", found, "Write 'subtract' or 'fixed', in all layers the same.")
     reset: Reset = "subtract" if resets == {"subtract"} else "zero"
     layers = list[Layer]()

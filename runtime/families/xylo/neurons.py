@@ -101,11 +101,27 @@ def _arrived(
             current[:, fed] += events @ weight
             continue
         for index, axon in np.argwhere(events):
-            for _ in range(events[index, axon]):
-                raised = current[index, fed] + weight[axon]
-                current[index, fed], over = registers.state.fit_counted(raised)
-                lost[index] += over
+            added = _added(registers, current[index, fed], weight[axon], int(events[index, axon]))
+            current[index, fed], over = added
+            lost[index] += over
     return current, lost
+
+
+def _added(
+    registers: XyloRegisters, current: Numbers, weight: Numbers, count: int
+) -> tuple[Numbers, Numbers]:
+    """Currents (N,) after so many events of one axon, and how many additions saturated."""
+    if registers.state.overflow != "saturate" or registers.state.between:
+        lost = np.zeros_like(current)
+        for _ in range(count):
+            current, over = registers.state.fit_counted(current + weight)
+            lost = lost + over
+        return current, lost
+    low, high = registers.state.fit(np.array([-1 << 40, 1 << 40]))
+    # additions of one weight saturate for good, so their order does not matter
+    room = np.where(weight > 0, high - current, current - low)
+    fitting = np.where(weight == 0, count, room // np.maximum(np.abs(weight), 1))
+    return registers.state.fit(current + count * weight), (count - fitting).clip(min=0)
 
 
 def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Numbers]:

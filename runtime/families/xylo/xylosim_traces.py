@@ -13,6 +13,7 @@ from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
 from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
+from spikedeploy.runtime.traces.work import Work
 
 _HIDDEN, _OUTPUT = "hidden", "output"
 # layer -> quantity -> its name in the file
@@ -38,7 +39,9 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     if not isinstance(registers, XyloArithmetic):
         raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
     counts = table_of(spec, _INPUT, 0, 255, index="input_spikes_index")
-    hidden, output = _hidden(spec, registers, counts.shape[1]), _output(spec, registers)
+    work = Work(fields, len(counts))
+    hidden = _hidden(spec, registers, counts.shape[1], work)
+    output = _output(spec, registers, work)
     if (found := output.synapses[0].weight.shape[0]) != hidden.size:
         remedy = f"Write a row for each of the {hidden.size} hidden neurons."
         raise spec.wrong("weights_out", f"has {found} rows", remedy)
@@ -73,30 +76,34 @@ def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
     return rows
 
 
-def _hidden(spec: Fields, registers: XyloRegisters, width: int) -> Layer:
+def _hidden(spec: Fields, registers: XyloRegisters, width: int, work: Work) -> Layer:
     weights = _weights(spec, "weights_in", 0, registers)
     if weights.shape[0] != width:
         raise spec.wrong(
             "weights_in", f"has {weights.shape[0]} rows", f"Write one for each of {width} inputs."
         )
-    size = weights.shape[1]
+    size, aliases = weights.shape[1], _aliases(spec, weights.shape[1])
+    one_by_one = weights.shape[2] * width + sum(map(len, aliases), len(aliases))
+    work.add(size, weights.size, one_by_one)
     synapses = [Synapses("input", weights[:, :, k], 0, current=k) for k in range(weights.shape[2])]
     if spec.filled("weights_rec"):
         recurrent = _weights(spec, "weights_rec", 1, registers)
         if recurrent.shape[:2] != (size, size):
             remedy = f"Write {size} rows of {size} neurons."
             raise spec.wrong("weights_rec", f"has shape {recurrent.shape}", remedy)
+        work.add(0, recurrent.size, recurrent.shape[2] * size)
         each = range(recurrent.shape[2])
         synapses += [Synapses(_HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
     dashes = [_dash(spec, name, registers, size) for name in ("dash_syn", "dash_syn_2")]
     layer = _layer(spec, _HIDDEN, tuple(synapses), dashes, registers)
-    return replace(layer, aliases=_aliases(spec, size))
+    return replace(layer, aliases=aliases)
 
 
-def _output(spec: Fields, registers: XyloRegisters) -> Layer:
+def _output(spec: Fields, registers: XyloRegisters, work: Work) -> Layer:
     weights = _weights(spec, "weights_out", 2, registers)
     if weights.shape[2] > 1:
         raise spec.wrong("weights_out", f"has shape {weights.shape}", "Outputs have one synapse.")
+    work.add(weights.shape[1], weights.size, len(weights))
     synapses = Synapses(_HIDDEN, weights[:, :, 0], 1)
     dash = _dash(spec, "dash_syn_out", registers, weights.shape[1])
     return _layer(spec, _OUTPUT, (synapses,), [dash], registers)

@@ -241,3 +241,21 @@ def test_a_trace_without_recordings_is_refused(file):
     del record["v_mem"]
     with pytest.raises(TraceError, match="nothing to compare"):
         verify(file(record))
+
+
+def test_many_events_of_an_axon_are_as_many_additions_one_after_another():
+    from spikedeploy.runtime.chips.chip import chip
+    from spikedeploy.runtime.families.xylo.neurons import _added
+
+    registers, rng = chip("xylo-a2").arithmetic, np.random.default_rng(0)
+    for count in (1, 2, 15, 31):
+        start = registers.state.fit(rng.integers(-33_000, 33_000, 4000))
+        weight = rng.integers(-128, 128, 4000) << rng.integers(0, 8, 4000)
+        current, lost = start, np.zeros(4000, np.int64)
+        for _ in range(count):
+            current, over = registers.state.fit_counted(current + weight)
+            lost = lost + over
+        found, times = _added(registers, start, weight, count)
+        np.testing.assert_array_equal(found, current)
+        np.testing.assert_array_equal(times, lost)
+        assert lost.any()

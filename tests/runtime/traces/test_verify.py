@@ -2,14 +2,17 @@
 
 import contextlib
 import json
+import time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spikedeploy.emulation.trace_replay import replay_trace
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import SpikedeployError, TraceError
+from spikedeploy.runtime.traces import fields, work
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -359,3 +362,57 @@ def test_a_program_of_a_trace_runs_like_any_other():
     recorded = recorded_trace(LAVA)
     ran = trace(recorded.program, np.repeat(recorded.raster, 2, axis=0))
     np.testing.assert_array_equal(ran["layer0"].spikes[0], ran["layer0"].spikes[1])
+
+
+@pytest.mark.parametrize("value", [["a" * 10_000, ""], [[1, "2"]], [None], [{}], "1"])
+def test_an_array_of_anything_but_numbers_never_becomes_one(value, lava, file, monkeypatch):
+    path = file({**lava, "input_spikes": value})
+    monkeypatch.setattr(fields.np, "array", lambda *_: pytest.fail("np.array was asked"))
+    with pytest.raises(TraceError, match=r"input_spikes (holds|is missing)"):
+        verify(path)
+
+
+@pytest.mark.parametrize("limit", ["TICKS", "STATES", "NEURONS", "PRODUCTS"])
+@pytest.mark.parametrize(
+    "trace", ["lava_L_chain_3layers", "xylo_own_aliases", "rtl/spiker_subtract"]
+)
+def test_a_replay_that_would_take_too_long_is_refused(limit, trace, monkeypatch):
+    monkeypatch.setattr(work, f"_MOST_{limit}", 3)
+    with pytest.raises(TraceError, match=r"replay has .* At most 3 are replayed"):
+        verify(GOLDEN / f"{trace}.json")
+
+
+def test_aliases_of_xylo_are_part_of_its_work(monkeypatch):
+    monkeypatch.setattr(work, "_MOST_ONE_BY_ONE", 3)
+    with pytest.raises(TraceError, match="axons and aliases"):
+        verify(GOLDEN / "xylo_own_aliases.json")
+
+
+def test_layers_and_fields_and_numbers_are_limited(lava, file, monkeypatch):
+    with pytest.raises(TraceError, match="layers has 257"):
+        verify(file({**lava, "layers": [{}] * 257}))
+    with pytest.raises(TraceError, match=r"there are 1.* fields"):
+        verify(file(lava | {f"f{n}": 1 for n in range(1000)}))
+    monkeypatch.setattr(fields, "_MOST_READ", 1000)
+    with pytest.raises(TraceError, match=r"makes .* numbers in all layers"):
+        verify(GOLDEN / "lava_L_chain_3layers.json")
+
+
+def test_a_long_source_is_read_in_no_time(lava, file):
+    start = time.process_time()
+    with pytest.raises(TraceError, match="no emulator or chip is known"):
+        verify(file({**lava, "source": "hw_loihi" * 200_000, "name": "", "kind": ""}))
+    assert time.process_time() - start < 2
+
+
+def test_nothing_in_a_file_reaches_the_terminal_as_a_command(lava, file):
+    names = {f"\x1b[31mq{n}\nline{'x' * 100}": 1 for n in range(9)}
+    replay = replay_trace(file({**lava, **names, "source": "lava \x1b]0;title\x07" + "A" * 9999}))
+    printed = " ".join([replay.describe(), *replay.remarks()])
+    assert printed.isprintable()
+    assert "\\x1b]0;title" in printed
+    assert "and 4 more" in printed
+    assert len(printed) < 1000
+    refused = replay_trace(file({"chip": "\x1b[31m\ud800" * 999})).describe()
+    assert refused.isprintable()
+    assert len(refused) < 500

@@ -152,3 +152,60 @@ def test_the_page_in_the_documentation_is_that_of_its_records():
     rows = json.loads((root / "results/interop.json").read_text("utf-8"))
     command = next(line for line in text.splitlines() if line.startswith("spikedeploy interop"))
     assert page(rows, command) == text
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[" * 50_000,
+        b'[{"file": 1}]',
+        b'{"file": "a"}',
+        b"[3]",
+        b'[\n  {\n    "file": "a"}]',
+    ],
+)
+def test_records_that_are_not_ours_are_refused_in_a_sentence(content, command, file):
+    Path("x.json").write_bytes(content)
+    words = ("interop", "policy.nir", "--folder", "none", "-o", "page.md", "--records", "x.json")
+    for force in ((), ("--force",)):
+        code, _, err = command(*words, *force)
+        assert code == 2
+        assert "--records x.json" in err
+        assert "Traceback" not in err
+    assert Path("x.json").read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"versions": 3},
+        {"message": None},
+        {"opens": "yes"},
+        {"opens": True},
+        {"opens": True, "meant": {}},
+    ],
+)
+def test_a_row_without_its_fields_is_refused(changed, file):
+    rows = [row for row in measure([file], {}, Path("none.json"), print) if row["peer"] == "norse"]
+    Path("found.json").write_text(json.dumps(rows))
+    assert measure([file], {}, Path("found.json"), print)
+    Path("found.json").write_text(json.dumps([{**rows[0], **changed}]))
+    with pytest.raises(ConfigError, match="does not hold what interop found"):
+        measure([file], {}, Path("found.json"), print)
+
+
+def test_page_and_records_are_two_files(command, file):
+    for name in ("one.json", "./one.json"):
+        code, _, err = command("interop", "policy.nir", "-o", "one.json", "--records", name)
+        assert code == 2
+        assert "same file" in err
+    assert not Path("one.json").exists()
+
+
+@pytest.mark.parametrize("place", ["/bin/cat", sys.executable, "policy.nir"])
+def test_what_is_no_python_with_the_tool_is_said(place, command, file):
+    code, _, err = command("interop", "policy.nir", "--python", f"spikingjelly={place}")
+    assert code == 2
+    assert "is not a Python with spikingjelly" in err

@@ -1,0 +1,46 @@
+"""How much a replay computes, summed up layer by layer before anything of it is allocated."""
+
+from dataclasses import dataclass
+
+from spikedeploy.runtime.traces.fields import Fields
+
+# together about five seconds of one core and 500 MB
+_MOST_TICKS = 1 << 15  # layers times timesteps
+_MOST_STATES = 1 << 22  # neurons times timesteps
+_MOST_NEURONS = 1 << 17
+_MOST_PRODUCTS = 1 << 27  # synapses times timesteps
+_MOST_ONE_BY_ONE = 1 << 17  # axons and aliases times timesteps, which Xylo takes one by one
+
+
+@dataclass
+class Work:
+    """What a replay of so many timesteps computes.
+
+    spec: the fields, for messages.
+    """
+
+    spec: Fields
+    timesteps: int
+    layers: int = 0
+    neurons: int = 0
+    synapses: int = 0
+    axons: int = 0
+
+    def add(self, neurons: int, synapses: int, axons: int = 0) -> None:
+        """Another layer; refused where the replay would take too long.
+
+        axons: those whose events a chip adds one after another, and aliases.
+        """
+        self.layers += 1
+        self.neurons, self.synapses = self.neurons + neurons, self.synapses + synapses
+        self.axons += axons
+        self._check("layers", self.layers * self.timesteps, _MOST_TICKS)
+        self._check("neurons", self.neurons * self.timesteps, _MOST_STATES)
+        self._check("neurons", self.neurons, _MOST_NEURONS, timesteps="")
+        self._check("synapses", self.synapses * self.timesteps, _MOST_PRODUCTS)
+        self._check("axons and aliases", self.axons * self.timesteps, _MOST_ONE_BY_ONE)
+
+    def _check(self, what: str, found: int, most: int, timesteps: str = " times timesteps") -> None:
+        if found > most:
+            remedy = f"At most {most} are replayed: record less, or in parts."
+            raise self.spec.wrong("replay", f"has {found} {what}{timesteps}", remedy)
