@@ -23,6 +23,7 @@ def optional():
         for extra, packages in reversed(extras.items())  # the first that has it
         if extra in ("train", "fast", "sweep", "serve")
         for package in packages
+        if not package.startswith("spikedeploy[")
     }
 
 
