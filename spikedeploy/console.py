@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _PIPE_WIDTH = 120
+_NAME = 26  # letters of a name that a narrow table keeps whole
 PAUSE = 10.0  # seconds between two lines of progress where there is no terminal
 _COLOURS = {"✓": "green", "✗": "red"}
 # for terminals that know ASCII alone
@@ -76,20 +77,24 @@ def print_table(
 
     table = Table(
         title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
-        pad_edge=False,
+        pad_edge=False, show_edge=not width, padding=(0, 1, 0, 0) if width else (0, 1),
     )  # fmt: skip
+    cells = [list(map(_cell, row)) for row in rows]
+    # names of rows stay whole, unless they are long and the table narrow: then numbers do
+    whole = not width or max((len(row[0]) for row in cells), default=0) <= _NAME
     for place, column in enumerate(columns):
         table.add_column(
             Text(column),
             justify="right" if numbers and place else "left",
-            # names of rows stay whole, unless the table has to be narrow: then numbers do
-            no_wrap=numbers and bool(place) == bool(width),
+            no_wrap=numbers and bool(place) != whole,
             overflow="fold" if width else "ellipsis",
         )
-    for row in rows:
-        table.add_row(*map(_cell, row))
+    for row in cells:
+        table.add_row(*row)
     screen = console()
     screen.print(table, width=width and min(width, screen.width))
+    if width:  # the edge that wide ones end with
+        screen.print()
 
 
 def _cell(text: str) -> "Text":

@@ -19,13 +19,14 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
     env  id of the environment, which names of runs need not repeat
     """
     table = quoted_table(rows)
-    success = (
-        Column("finished", "episodes that reach the last gate, with the 95% interval", finished)
-        if any(map(drives, rows))
-        else Column("success", "episodes that succeed", number("success_rate", ".0%"))
-    )
+    earned = Column("return", "mean return, with its 95% interval", interval)
+    success = Column("success", "episodes that succeed", number("success_rate", ".0%"))
+    if any(map(drives, rows)):  # what counts there is how many finish
+        earned = Column("return", "mean return", number("return_mean", ".1f"))
+        words = "episodes that reach the last gate, with the 95% interval"
+        success = Column("finished", words, finished)
     columns = [
-        Column("return", "mean return, with its 95% interval", interval),
+        earned,
         Column("of ANN", "return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
         success,
         Column("operations", "a control step, of synapses", operations),

@@ -11,6 +11,7 @@ from spikedeploy import envs
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
+from spikedeploy.console import print_table
 from spikedeploy.pages import report
 from spikedeploy.reports.columns import ABSENT, price, scaled, tables
 from spikedeploy.reports.short_table import short_columns
@@ -265,3 +266,15 @@ def test_the_short_table_keeps_names_that_only_the_date_tells_apart():
 
 def test_the_short_table_takes_nothing_out_of_a_name_without_an_environment():
     assert labels_of("my-popsan", env="") == ["my-popsan · loihi1"]
+
+
+def test_names_of_a_table_of_80_columns_are_not_broken(capsys):
+    heads = ("policy", "return", "of ANN", "success", "operations", "energy")
+    row = ("sparse · loihi1", "3,464 [3,458, 3,469]", "100.5%", "100%", "312,797 SOPs", "≥ 0.75 nJ")
+    print_table("", heads, [row], numbers=True, width=80)
+    long = ("distill-sparse-tuned-s1 · loihi1", *row[1:])
+    print_table("", heads, [long], numbers=True, width=80)
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= 80 for line in lines)
+    assert "  ".join(row[:2]) in lines[2]
+    assert all(any(cell in line for line in lines) for cell in long[1:])
