@@ -6,7 +6,9 @@ unpack a thousand zeros from a byte, and read a damaged heap of texts without en
 
 import math
 import mmap
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -14,6 +16,13 @@ import numpy as np
 
 from spikedeploy.runtime.errors import ArtifactError
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
+_MEMORY = Path("/proc/self/statm")  # pages of the process; the first number is all of them
+_ONE_LIMIT = threading.Lock()  # two threads would each restore what the other had set
 # bytes of all parameters: a file with more is taken for a mistake that would exhaust the memory
 _MAX_PARAMETER_BYTES = 1 << 31
 # bytes that a file may unpack to for each that it takes on the disk, and besides those: numbers of
@@ -52,6 +61,31 @@ def check_file(path: Path) -> int:
             longest = max(longest, _longest_text(content, at))
             at = content.find(_HEAP_SIGNATURE, at + 1)
     return longest
+
+
+@contextmanager
+def limited_memory(path: Path, most: int | None = None) -> Iterator[None]:
+    """Within the block HDF5 gets what a file may unpack to, and little more; an error instead.
+
+    most  [bytes]; None is what a graph may
+
+    A text in an attribute claims its length where h5py does not show it, and HDF5 allocates that
+    much, up to 4 GiB, before it finds that the heap has less. The limit is that of the process;
+    where the system has none, as Windows, nothing is limited.
+    """
+    if resource is None or not _MEMORY.is_file():
+        yield
+        return
+    with _ONE_LIMIT:
+        taken = int(_MEMORY.read_text().split()[0]) * resource.getpagesize()
+        before, hard = resource.getrlimit(resource.RLIMIT_AS)
+        wanted = taken + (most or _budget(path)) + _MAX_TEXT_BYTES
+        lower = wanted if before == resource.RLIM_INFINITY else min(wanted, before)
+        resource.setrlimit(resource.RLIMIT_AS, (lower, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (before, hard))
 
 
 def _budget(path: Path) -> int:

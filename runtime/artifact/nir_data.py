@@ -15,7 +15,12 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.artifact.hdf5_limits import budget, check_container, check_file
+from spikedeploy.runtime.artifact.hdf5_limits import (
+    budget,
+    check_container,
+    check_file,
+    limited_memory,
+)
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 
 # bytes that a file may unpack to, and more for each of its own: spikes shrink two hundredfold
@@ -42,7 +47,8 @@ def read_nir_data(
         longest = check_file(path)
         with h5py.File(path, "r") as file:
             check_container(file, path, longest, most)
-        nodes = nir.read_data(path).nodes
+        with limited_memory(path, most):
+            nodes = nir.read_data(path).nodes
     except ArtifactError as error:
         raise ObservationError(f"{path} is HDF5 and no NIRData: {error}") from error
     # h5py and nir raise exceptions of many types for a damaged file

@@ -1,5 +1,9 @@
 """Small files that would take minutes or gigabytes are refused, or read in linear time."""
 
+import re
+import resource
+import struct
+import sys
 import time
 import warnings
 from itertools import combinations, pairwise
@@ -11,7 +15,7 @@ import pytest
 
 from benchmarks.fuzz_corpus import chain, lif
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.artifact.nir_data import read_nir_data
+from spikedeploy.runtime.artifact.nir_data import read_nir_data, write_nir_data
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.errors import (
@@ -275,3 +279,27 @@ def test_a_time_constant_below_the_smallest_float_forgets_at_once(tmp_path):
         load(tmp_path / "a.nir", dt=1e-3)
     # and no warning, which is an error here
     load(tmp_path / "a.nir", dt=1e-3, integrator="exponential")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system limits no memory")
+def test_a_text_that_claims_gigabytes_takes_none(tmp_path):
+    path = tmp_path / "spikes.nir"
+    write_nir_data(path, {"input": np.ones((4, 3), bool)}, 1e-3)
+    content = path.read_bytes()
+    # in an attribute: length and address of its text, which is in a heap collection
+    claim = re.compile(re.escape(struct.pack("<I", len("TimeGriddedData"))) + b"(.{8})", re.DOTALL)
+    places = [
+        found.start()
+        for found in claim.finditer(content)
+        if content[int.from_bytes(found[1], "little") :].startswith(b"GCOL")
+    ]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    limit = resource.getrlimit(resource.RLIMIT_AS)
+    for at in places:
+        path.write_bytes(content[:at] + struct.pack("<I", 3 << 30) + content[at + 4 :])
+        with pytest.raises(ObservationError, match="no NIRData"):
+            read_nir_data(path, {"input": (3,)}, 1e-3)
+    assert places
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before  # [KiB]
+    assert grown < 500_000
+    assert resource.getrlimit(resource.RLIMIT_AS) == limit
