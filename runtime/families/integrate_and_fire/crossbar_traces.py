@@ -205,7 +205,7 @@ def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], lis
         return *_as_recorded(recorded, events), [_AS_SENT]
     done, steps = _as_modelled(recorded)
     if events is None or host == "wait" or [d.event for d in done] == events.events:
-        return done, steps, [_STREAMED] if host == "stream" else []
+        return done, steps, _streamed(events) if host == "stream" else []
     # the handshake of another host took other turns with the queue
     _check_queued(spec, events, recorded.wired)
     return *_as_recorded(recorded, events), [_OTHER_TURNS]
@@ -214,12 +214,18 @@ def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], lis
 _AS_SENT = "events are replayed in the order in which the host sent them"
 _STREAMED = (
     "the host never waits, so a timestep ends at the next time reference, which overtakes what is "
-    "queued; equal event by event, lost spikes included"
+    "queued"
 )
+_LOST_TOO = "; compared event by event, lost spikes included"
 _OTHER_TURNS = (
     "not compared: which events took turns with the queue, and which spikes it lost; the events "
     "are replayed in the recorded order"
 )
+
+
+def _streamed(events: RecordedEvents | None) -> list[str]:
+    lost_too = events is not None and "dropped_by_full_fifo" in events.compares
+    return [_STREAMED + _LOST_TOO * lost_too]
 
 
 def _as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
