@@ -1,4 +1,4 @@
-"""A rival of the walkers that is hardly a network: a table over the gait's phases and a few MACs.
+"""A baseline without a network for the walking task: a table over the gait's phases, a few MACs.
 
     python benchmarks/phase_table.py [--macs 10] [--teacher hexapod/linear] [--write]
 
@@ -6,9 +6,10 @@
 
 The gait of Hexapod-v0 has 40 phases, which the observation holds as sine and cosine. Table (40, 18)
 and W are fitted by least squares to a float teacher on its own walks, then on walks of the student
-too (DAgger, six rounds); of W only the entries that lower the error most are kept. Both are rounded
-to 8 bits, one scale each. The student's own last command is not looked at. The energy is that of
-docs/energy.md: MACs, 18 constants, and reads of 16 bits of 18 table entries and the observations.
+too (DAgger, six rounds); of W only the entries that lower the error most are kept, chosen one by
+one (matching pursuit). Both are rounded to 8 bits, one scale each. The student does not see its own
+last action. The energy is that of docs/energy.md: MACs, 18 constants, and reads of 16 bits of 18
+table entries and the observations.
 
 --write puts the result into results/phase-table.json.
 """
@@ -19,6 +20,7 @@ import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,16 +36,22 @@ from spikedeploy.seeds import EVALUATION
 ROOT = Path(__file__).resolve().parents[1]
 Array = NDArray[np.float64]
 Controller = Callable[[Array], Array]
-_PHASES, _ROUNDS, _WALKS, _FIRST = 40, 6, 4, 3000  # seeds of walks that are learned from
+_PHASES = 40  # of the gait
+_ROUNDS = 6  # of DAgger
+_WALKS, _MORE = 4, 3  # of the teacher at first, and of the student in each round
+_FIRST = 3000  # seed of the first walk that is learned from
 _READ = 2.5e-12  # [J] of 16 bits, a quarter of an access of 64 (Horowitz 2014)
 _NAMES = layout(BODY)
 
 
 class Player:
-    """A function of the observation that acts."""
+    """A controller that plays episodes.
 
-    def __init__(self, act: Controller, noise: float = 0.0) -> None:
-        self.act_on, self._noise = act, noise
+    noise: standard deviation of what is added to its actions.
+    """
+
+    def __init__(self, controller: Controller, noise: float = 0.0) -> None:
+        self._controller, self._noise = controller, noise
 
     def reset(self, seed: int) -> None:
         """Draw noise from this seed on."""
@@ -51,7 +59,7 @@ class Player:
 
     def act(self, observation: Array) -> Array:
         """The action (18,)."""
-        action = self.act_on(observation)
+        action = self._controller(observation)
         noise = self._noise * self._random.normal(size=action.shape)
         return np.asarray(np.clip(action + noise, -1, 1))
 
@@ -64,16 +72,14 @@ class PhaseTable:
 
     def __init__(self, seen: Array, wanted: Array, macs: int) -> None:
         """Fit to observations (S, obs) and the teacher's actions (S, 18)."""
-        at = phase(seen)
-        names = [n for n in _NAMES if n not in ("previous", "phase")]
-        columns = np.concatenate([np.arange(seen.shape[1])[_NAMES[n]] for n in names])
+        at, columns = phase(seen), _columns(seen.shape[1])
         here = np.stack([(at == k) / max((at == k).sum(), 1) for k in range(_PHASES)])
         mean_seen, mean_wanted = here @ seen, here @ wanted
         x, y = (seen - mean_seen[at])[:, columns], wanted - mean_wanted[at]
         weight = np.zeros((wanted.shape[1], seen.shape[1]))
-        weight[:, columns] = _few(x, y, macs)
-        self.weight = _in_bits(weight)
-        self.table = _in_bits(mean_wanted - mean_seen @ weight.T)
+        weight[:, columns] = _pursued(x, y, macs)
+        self.weight = _in_8_bits(weight)
+        self.table = _in_8_bits(mean_wanted - mean_seen @ weight.T)
 
     def __call__(self, observation: Array) -> Array:
         """The action (18,) of an observation (obs,)."""
@@ -91,6 +97,12 @@ class PhaseTable:
         }
 
 
+def _columns(observed: int) -> NDArray[np.int64]:
+    """Places in the observation (obs,) that W may read."""
+    names = [n for n in _NAMES if n not in ("previous", "phase")]
+    return np.concatenate([np.arange(observed)[_NAMES[n]] for n in names])
+
+
 def phase(seen: Array) -> NDArray[np.int64]:
     """Which of the 40 phases observations (S, obs) are at."""
     sine, cosine = seen[:, _NAMES["phase"]].T
@@ -98,7 +110,7 @@ def phase(seen: Array) -> NDArray[np.int64]:
     return np.asarray(np.rint(turns * _PHASES).astype(np.int64) % _PHASES)
 
 
-def _few(x: Array, y: Array, most: int) -> Array:
+def _pursued(x: Array, y: Array, most: int) -> Array:
     """Weights (act, obs) of which so many are not 0, chosen one by one (matching pursuit)."""
     gram, toward = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1]), y.T @ x
     weight = np.zeros(toward.shape)
@@ -112,7 +124,7 @@ def _few(x: Array, y: Array, most: int) -> Array:
     return weight
 
 
-def _in_bits(numbers: Array) -> Array:
+def _in_8_bits(numbers: Array) -> Array:
     scale = np.abs(numbers).max() / 127 or 1.0
     return np.asarray(np.rint(numbers / scale) * scale)
 
@@ -127,31 +139,22 @@ def fitted(teacher: Controller, macs: int) -> PhaseTable:
     for number in range(_ROUNDS):
         seen = np.concatenate(walks)
         student = PhaseTable(seen, np.stack([teacher(each) for each in seen]), macs)
-        seeds = range(_FIRST + 100 * (number + 1), _FIRST + 100 * (number + 1) + 3)
-        walks += [rollout(world, Player(student), seed).observation[:-1] for seed in seeds]
+        begin = _FIRST + 100 * (number + 1)
+        walks += [
+            rollout(world, Player(student), seed).observation[:-1]
+            for seed in range(begin, begin + _MORE)
+        ]
     return student
 
 
-def main() -> None:
-    """Fit, play, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--macs", type=int, default=10)
-    parser.add_argument("--teacher", default="hexapod/linear")
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--write", action="store_true", help="into results/phase-table.json")
-    options = parser.parse_args()
-    teacher = OnnxController(zoo.path(options.teacher))
-    student = fitted(lambda seen: teacher.act(seen), options.macs)
-    world, seeds = envs.make("hexapod"), range(EVALUATION, EVALUATION + options.episodes)
+def measured(student: PhaseTable, episodes: int) -> dict[str, Any]:
+    """Size, return, ratio to SAC's and energy of a student on the episodes of evaluation."""
+    world, seeds = envs.make("hexapod"), range(EVALUATION, EVALUATION + episodes)
     played = [rollout(world, Player(student), seed) for seed in seeds]
     returns = [each.total for each in played]
-    report = json.loads((ROOT / "results/hexapod/report.json").read_text("utf-8"))
-    sac = next(row["returns"] for row in report["rows"] if row["policy"] == "sac")
-    of_sac = nested_ratio([returns], sac[: len(returns)], np.random.default_rng(0))
+    of_sac = nested_ratio([returns], _sac()[:episodes], np.random.default_rng(0))
     joules = student.joules()
-    result = {
-        "command": f"python benchmarks/phase_table.py --macs {options.macs} "
-        f"--teacher {options.teacher} --episodes {options.episodes}",
+    return {
         "macs": int(np.count_nonzero(student.weight)),
         "observations": int(student.weight.any(axis=0).sum()),
         "return": stratified([returns], np.random.default_rng(0)).mean.as_json(),
@@ -159,7 +162,34 @@ def main() -> None:
         "success": float(np.mean([each.success for each in played])),
         "joules": {**joules, "all": sum(joules.values())},
     }
-    text = json.dumps(result, indent=1)
+
+
+def _sac() -> list[float]:
+    """Returns of SAC by episode, as results/hexapod has them."""
+    report = json.loads((ROOT / "results/hexapod/report.json").read_text("utf-8"))
+    return next(row["returns"] for row in report["rows"] if row["policy"] == "sac")
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--macs", type=int, default=10)
+    parser.add_argument("--teacher", default="hexapod/linear")
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--write", action="store_true", help="into results/phase-table.json")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Fit, play, print."""
+    options = parsed()
+    teacher = OnnxController(zoo.path(options.teacher))
+    command = (
+        f"python benchmarks/phase_table.py --macs {options.macs} --teacher {options.teacher} "
+        f"--episodes {options.episodes}"
+    )
+    found = measured(fitted(teacher.act, options.macs), options.episodes)
+    text = json.dumps({"command": command, **found}, indent=1)
     print(text)
     if options.write:
         (ROOT / "results/phase-table.json").write_text(text + "\n", encoding="utf-8")

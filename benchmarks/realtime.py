@@ -18,6 +18,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -79,12 +80,8 @@ def loops(name: str, on: str, steps: int) -> dict[str, Any]:
     observation, _ = env.reset(seed=SEED)
     for _ in range(steps):
         for backend, policy in policies.items():
-            begun = time.perf_counter()
-            action = policy.act(observation)
-            taken[backend].append(time.perf_counter() - begun)
-        begun = time.perf_counter()
-        observation, _, terminated, truncated, _ = env.step(action)
-        taken["env"].append(time.perf_counter() - begun)
+            action = clocked(taken[backend], policy.act, observation)
+        observation, _, terminated, truncated, _ = clocked(taken["env"], env.step, action)
         if terminated or truncated:
             observation, _ = env.reset()
             for policy in policies.values():
@@ -92,6 +89,14 @@ def loops(name: str, on: str, steps: int) -> dict[str, Any]:
     median = {part: float(np.median(values[steps // 20 :])) for part, values in taken.items()}
     times = {b: world.CONTROL_DT / (median[b] + median["env"]) for b in BACKENDS}
     return {"median_s": median, "times_real_time": times}
+
+
+def clocked(taken: list[float], call: Callable[..., Any], given: object) -> Any:  # noqa: ANN401
+    """Return what a call returns, and add its duration [s] to those taken before."""
+    begun = time.perf_counter()
+    result = call(given)
+    taken.append(time.perf_counter() - begun)
+    return result
 
 
 def table(result: dict[str, Any]) -> str:

@@ -70,6 +70,10 @@ def _delta(
         ("nothing", 0),
     ):
         graph.constant(name, float(value))
+    graph.constant("signs", np.array([[1.0], [-1.0]]))
+    graph.constant("channels", np.arange(1.0, encoder.most + 1))
+    graph.constant("by_observation", [-1, encoder.observed, 1, 1])
+    graph.constant("side_by_side", [-1, encoder.width])
     levels, spikes = graph.state(LEVELS_STATE, encoder.observed), []
     for t in range(timesteps):
         events = _events(graph, rounded, levels, f"codec:{t}")
@@ -94,11 +98,6 @@ def _events(graph: OnnxGraph, rounded: str, levels: str, at: str) -> str:
 
 def _channels(graph: OnnxGraph, encoder: DeltaEncoder, events: str, at: str) -> str:
     """Spikes (B, 2 K obs) of the channels of both signs."""
-    if at.endswith(":0"):
-        graph.constant("signs", np.array([[1.0], [-1.0]]))
-        graph.constant("channels", np.arange(1.0, encoder.most + 1))
-        graph.constant("by_observation", [-1, encoder.observed, 1, 1])
-        graph.constant("side_by_side", [-1, encoder.width])
     apart = graph.node("Reshape", [events, "by_observation"], f"{at}.each")
     signed = graph.node("Mul", [apart, "signs"], f"{at}.of_sign")
     kind = "GreaterOrEqual" if encoder.code == "unary" else "Equal"

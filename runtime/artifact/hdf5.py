@@ -17,7 +17,7 @@ from nir.serialization import hdf2dict
 from spikedeploy.runtime.artifact.hdf5_limits import check_container, check_file, limited_memory
 from spikedeploy.runtime.errors import ArtifactError
 
-# releases that refuse the field v_reset, and others that files were opened with
+# releases that refuse the field v_reset; then all that files were opened with
 _WITHOUT_V_RESET = ("1.0.4", "1.0.5")
 RELEASES = ("1.0.1", "1.0.3", *_WITHOUT_V_RESET, "1.0.6", "1.0.7", "1.0.8")
 _REMEDY = "Export the network again, or correct the node."
@@ -32,13 +32,14 @@ def write_graph(path: Path, graph: nir.NIRGraph, older: str | None = None) -> No
         return
     with h5py.File(path, "r+") as file:
         for name, node in file["node/nodes"].items():
-            if np.any(node["v_reset"][()] if "v_reset" in node else 0):
+            if "v_reset" not in node:
+                continue
+            if np.any(node["v_reset"][()]):
                 raise ArtifactError(
                     f"node {name!r}: nir {older} has no v_reset, and it is not 0. Choose 1.0.6 or "
                     "later."
                 )
-            if "v_reset" in node:
-                del node["v_reset"]
+            del node["v_reset"]
 
 
 def read_graph(path: Path) -> nir.NIRGraph:

@@ -131,7 +131,12 @@ class ArithmeticDefaults(Protocol):
             stagger = convention.delay == 0
         differs = convention.spikes == "reached" and not self.spikes_at_threshold
         remarks = [_AT_THRESHOLD] if differs else []
-        return starting(layers, network_input, delay, stagger), remarks
+        input_delay = self.input_delay(delay)
+        return starting(layers, network_input, delay, stagger, input_delay), remarks
+
+    def input_delay(self, delay: int) -> int:
+        """Delay of the network's input [timesteps] on a chip with this delay of spikes."""
+        return delay
 
     def check_output(self, network: Network, chip_name: str) -> None:
         """Refuse an output layer whose spikes cannot leave the chip."""

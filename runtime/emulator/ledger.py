@@ -107,8 +107,9 @@ def count(
     lost: (B, T, N) of the layers with a queue, as in StepResult; None takes none.
     """
     batch, timesteps, _ = spikes[program.input].shape
+    lost = lost or {}
     spikes = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
-    arriving = {n: rows - lost[n] if lost and n in lost else rows for n, rows in spikes.items()}
+    arriving = {n: rows - lost[n] if n in lost else rows for n, rows in spikes.items()}
     counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
     graded = program.graded
     for index, layer in enumerate(program.layers):
@@ -131,7 +132,7 @@ def count(
                 (_each(spikes[s.source] * s.fan_out) for s in layer.synapses if s.source in graded),
                 np.zeros(batch, np.int64),
             ),
-            "lost_spike": _each(lost[layer.name]) if lost and layer.name in lost else 0,
+            "lost_spike": _each(lost[layer.name]) if layer.name in lost else 0,
         }
         for kind, name in enumerate(EVENTS):
             counts[:, index, kind] = event[name]

@@ -15,7 +15,7 @@ Integers = NDArray[np.int64]
 # JSON numbers that float64 holds exactly
 _EXACT = 1 << 53
 _HUGE = 1e300
-_KINDS = {int, float, bool}
+_KINDS = {int, float, bool}  # of numbers in JSON
 # what a trace needs at most; a file of more would take hours or all memory
 _MOST_FIELDS = 1000
 _MOST_LAYERS = 256

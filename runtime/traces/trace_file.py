@@ -82,9 +82,8 @@ class TraceFile:
 Reader: TypeAlias = Callable[[Fields, str], TraceFile]
 
 
-def own_verdict(fields: Fields, stem: str) -> "Verdict | None":
+def own_verdict(fields: Fields, chip: str) -> "Verdict | None":
     """The verdict on a trace of a chip that is replayed in a way of its own; None of the others."""
-    chip = maker(fields, stem)
     if chip not in _VERDICTS:
         return None
     module, attribute = _VERDICTS[chip].split(":")
@@ -118,6 +117,32 @@ def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index:
     if found.ndim == 1:
         return found[:, None]
     return found.T if spec.text(index).rstrip().endswith("][t]") else found
+
+
+def weights_of(spec: Fields, name: str, least: int, most: int) -> Integers:
+    """(M, N) weights; an index that starts with `[post]` turns them round."""
+    found = spec.array(name, axes=2, least=least, most=most)
+    if found.ndim < 2:
+        raise spec.wrong(name, f"has shape {found.shape}", "Write [pre][post].")
+    return found.T if spec.text("index").startswith("[post]") else found
+
+
+def recorded_tables(
+    spec: Fields, ranges: Mapping[str, tuple[str, int, int]], shape: tuple[int, int]
+) -> dict[str, Integers]:
+    """The tables (T, N) that are there, by quantity.
+
+    ranges: quantity -> its name in the file, its least and its largest number.
+    """
+    tables = {}
+    for quantity, (name, least, most) in ranges.items():
+        if spec.name(name) is None:
+            continue
+        tables[quantity] = table = table_of(spec, (name,), least, most, index="trace_index")
+        if table.shape != shape:
+            found = f"has shape {table.shape}"
+            raise spec.wrong(name, found, f"The inputs and the weights ask for {shape}.")
+    return tables
 
 
 def nothing_to_compare(fields: Fields, unread: set[str], wanted: str) -> TraceError:

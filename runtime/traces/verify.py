@@ -25,9 +25,9 @@ _BLIND = "membranes at spikes, of which the board's probe shows something else"
 def verify(path: Path) -> Verdict:
     """Replay a trace file by the specification of the arithmetic."""
     fields = read_json(path)
-    if maker(fields, path.stem) == MAKER:
+    if (chip := maker(fields, path.stem)) == MAKER:
         return energy_verdict(fields)
-    if (verdict := own_verdict(fields, path.stem)) is not None:
+    if (verdict := own_verdict(fields, chip)) is not None:
         return verdict
     recorded = trace_in(fields, path.stem)
     ran = trace(recorded.program, recorded.raster)

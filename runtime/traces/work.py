@@ -2,14 +2,16 @@
 
 from dataclasses import dataclass
 
-from spikedeploy.runtime.traces.fields import Fields
+from spikedeploy.runtime.traces.fields import Fields, Integers
 
 # together about five seconds of one core and 500 MB
 _MOST_TICKS = 1 << 15  # layers times timesteps
 _MOST_STATES = 1 << 22  # neurons times timesteps
 _MOST_NEURONS = 1 << 17
 _MOST_PRODUCTS = 1 << 27  # synapses times timesteps
-_MOST_ONE_BY_ONE = 1 << 17  # axons and aliases times timesteps, which Xylo takes one by one
+_MOST_ONE_BY_ONE = 1 << 17  # axons and aliases times timesteps, which are taken one by one
+_MOST_SPIKES = 1 << 16  # of the input, each an event of its own
+MOST_NUMBERS = 1 << 24  # membranes after each event of a crossbar
 
 
 @dataclass
@@ -39,6 +41,12 @@ class Work:
         self._check("neurons", self.neurons, _MOST_NEURONS, timesteps="")
         self._check("synapses", self.synapses * self.timesteps, _MOST_PRODUCTS)
         self._check("axons and aliases", self.axons * self.timesteps, _MOST_ONE_BY_ONE)
+
+    def check_input(self, counts: Integers) -> None:
+        """Refuse more input spikes (T, M) than are replayed one by one."""
+        if (found := int(counts.sum())) > _MOST_SPIKES:
+            remedy = f"Record {_MOST_SPIKES} spikes at most."
+            raise self.spec.wrong("input_spikes", f"has {found} spikes", remedy)
 
     def _check(self, what: str, found: int, most: int, timesteps: str = " times timesteps") -> None:
         if found > most:

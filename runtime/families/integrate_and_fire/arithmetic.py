@@ -10,7 +10,6 @@ from spikedeploy.runtime.chips.layer import (
     Network,
     Numbers,
     StepResult,
-    starting,
 )
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.convention import Convention
@@ -32,7 +31,7 @@ WITHOUT_QUEUE = {
     "queue_entries": "there is no queue",
     "host": "there is no queue",
 }
-RELAYED = (
+_RELAYED = (
     "spikes from neuron to neuron are relayed by the host (queue 'off'), those of a timestep by "
     "index; the chip's own queue is emulated with queue=on"
 )
@@ -90,12 +89,11 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
                 f"queue is 'on' and delay {delay}: spikes from the queue arrive in the same "
                 "timestep. Leave the delay at 0, or choose queue 'off'."
             )
-        prepared, remarks = super().prepare(layers, network_input, convention, delay, stagger)
-        if self.reset_at == "leak":
-            # what is late is the spike of a neuron, not the input
-            stagger = convention.delay == 0 if stagger is None else stagger
-            prepared = starting(layers, network_input, delay, stagger, input_delay=0)
-        return prepared, remarks
+        return super().prepare(layers, network_input, convention, delay, stagger)
+
+    def input_delay(self, delay: int) -> int:
+        """Delay of the network's input [timesteps]: a late reset makes neurons' spikes late."""
+        return 0 if self.reset_at == "leak" else delay
 
     def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
         """Who brings spikes from neuron to neuron, on a chip with a queue for them."""
@@ -103,7 +101,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         if not (self.queue_entries and inside):
             return []
         if not self.together:
-            return [RELAYED]
+            return [_RELAYED]
         late = any(s.delay for s in inside)
         return [_QUEUED + (_SOONER if late else "")]
 

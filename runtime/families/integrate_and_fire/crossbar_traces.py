@@ -11,9 +11,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.recorded_events import (
-    MOST_NUMBERS,
     RecordedEvents,
-    check_length,
     events_of,
 )
 from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
@@ -26,10 +24,20 @@ from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
     axons,
 )
 from spikedeploy.runtime.traces.fields import Fields, Integers
-from spikedeploy.runtime.traces.trace_file import PROSE, Verdict, nothing_to_compare, table_of
+from spikedeploy.runtime.traces.trace_file import (
+    PROSE,
+    Verdict,
+    nothing_to_compare,
+    recorded_tables,
+    table_of,
+    weights_of,
+)
 from spikedeploy.runtime.traces.verify import first_difference
+from spikedeploy.runtime.traces.work import MOST_NUMBERS, Work
 
-_NEURONS = "neurons"
+_NEURONS = "neurons"  # name of the one layer
+# quantity -> its name in the file, and what it may be
+_TABLES = {"membrane": ("v", -1 << 16, 1 << 20), "spikes": ("s", 0, 1 << 20)}
 _HOSTS = ("wait", "step", "stream", "relays")
 _ORDERS = ("index", "random")
 _ROWS = 256  # of the crossbar, of axons and of neurons
@@ -98,7 +106,9 @@ def _recorded(spec: Fields, chip: str) -> _Recorded:
     host, order = _choice(spec, "host", _HOSTS), _choice(spec, "order", _ORDERS)
     wired, start = _wired(spec, rules, counts.shape[1], host)
     size = len(start)
-    check_length(spec, counts, size)
+    work = Work(spec, len(counts))
+    work.add(size, 0)
+    work.check_input(counts)
     events = events_of(spec, (len(counts), counts.shape[1], size))
     return _Recorded(
         wired=wired,
@@ -106,7 +116,7 @@ def _recorded(spec: Fields, chip: str) -> _Recorded:
         sent=_sent(spec, counts, events, order),
         host=host,
         events=events,
-        tables=_tables(spec, (len(counts), size)),
+        tables=recorded_tables(spec, _TABLES, (len(counts), size)),
     )
 
 
@@ -121,13 +131,13 @@ def _wired(
     spec: Fields, rules: IntegrateAndFireRules, width: int, host: str
 ) -> tuple[CrossbarNeurons, Integers]:
     """The neurons, and their membranes before the first event."""
-    axon = _weights(spec, "weights", rules)
+    axon = weights_of(spec, "weights", *rules.weight_range)
     if len(axon) != width:
         raise spec.wrong("weights", f"has {len(axon)} rows", f"Write {width}, one for each input.")
     size = axon.shape[1]
     weights = {"axon": axon, "neuron": np.zeros((size, size), np.int64)}
     if spec.name("weights_rec"):
-        weights["neuron"] = _weights(spec, "weights_rec", rules)
+        weights["neuron"] = weights_of(spec, "weights_rec", *rules.weight_range)
     if size > _ROWS or weights["neuron"].shape != (size, size):
         found = f"are for {size} neurons and {weights['neuron'].shape}"
         raise spec.wrong("weights and weights_rec", found, f"Write up to {_ROWS} and a square.")
@@ -165,15 +175,6 @@ def _neurons(spec: Fields, rules: IntegrateAndFireRules, size: int) -> Layer:
     )
 
 
-def _weights(spec: Fields, name: str, rules: IntegrateAndFireRules) -> Integers:
-    """(M, N) weights with their signs."""
-    low, high = rules.weight_range
-    found = spec.array(name, axes=2, least=low, most=high)
-    if found.ndim < 2:
-        raise spec.wrong(name, f"has shape {found.shape}", "Write [pre][post].")
-    return found.T if spec.text("index").startswith("[post]") else found
-
-
 def _sent(
     spec: Fields, counts: Integers, events: RecordedEvents | None, order: str
 ) -> list[list[Event]]:
@@ -194,17 +195,6 @@ def _sent(
     return in_order
 
 
-def _tables(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity."""
-    tables = {}
-    for quantity, name, low in (("membrane", "v", -1 << 16), ("spikes", "s", 0)):
-        if spec.name(name):
-            tables[quantity] = table = table_of(spec, (name,), low, 1 << 20, index="trace_index")
-            if table.shape != shape:
-                raise spec.wrong(name, f"has shape {table.shape}", f"The inputs ask for {shape}.")
-    return tables
-
-
 def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], list[int], list[str]]:
     """What every event did, the timestep of each, and remarks on how it was replayed."""
     events, host = recorded.events, recorded.host
@@ -215,7 +205,7 @@ def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], lis
         return *_as_recorded(recorded, events), [_AS_SENT]
     done, steps = _as_modelled(recorded)
     if events is None or host == "wait" or [d.event for d in done] == events.events:
-        return done, steps, [_STREAMED] if host == "stream" else []
+        return done, steps, _streamed(events) if host == "stream" else []
     # the handshake of another host took other turns with the queue
     _check_queued(spec, events, recorded.wired)
     return *_as_recorded(recorded, events), [_OTHER_TURNS]
@@ -224,12 +214,18 @@ def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], lis
 _AS_SENT = "events are replayed in the order in which the host sent them"
 _STREAMED = (
     "the host never waits, so a timestep ends at the next time reference, which overtakes what is "
-    "queued; equal event by event, lost spikes included"
+    "queued"
 )
+_LOST_TOO = "; compared event by event, lost spikes included"
 _OTHER_TURNS = (
     "not compared: which events took turns with the queue, and which spikes it lost; the events "
     "are replayed in the recorded order"
 )
+
+
+def _streamed(events: RecordedEvents | None) -> list[str]:
+    lost_too = events is not None and "dropped_by_full_fifo" in events.compares
+    return [_STREAMED + _LOST_TOO * lost_too]
 
 
 def _as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:

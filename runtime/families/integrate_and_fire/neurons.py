@@ -31,13 +31,13 @@ class PartialStep:
 
     membrane: (B, N).
     spikes: (B, N) counts so far.
-    lost: (B, N) numbers so far that did not fit the membrane, and spikes that were too many.
+    overflows: (B, N) numbers so far that did not fit the membrane, and spikes that were too many.
     arrived: (B, N) whether any weight arrived.
     """
 
     membrane: Integers
     spikes: Integers
-    lost: Integers
+    overflows: Integers
     arrived: NDArray[np.bool_]
 
     @classmethod
@@ -67,7 +67,7 @@ def update(
     if rules.checks == "step":
         _fire(rules, convention, layer, now)
     state.membrane = now.membrane
-    return StepResult(now.spikes, (before != 0) | now.arrived, now.lost)
+    return StepResult(now.spikes, (before != 0) | now.arrived, now.overflows)
 
 
 def begin(
@@ -136,7 +136,7 @@ def add(
     # V = V + W s, as the register holds it, and not below the floor
     raised = state.membrane + weights
     held = rules.membrane.fit(raised)
-    state.lost = state.lost + (held != raised)
+    state.overflows = state.overflows + (held != raised)
     state.membrane = np.maximum(held, _floor(rules, convention, layer))
     state.arrived = state.arrived | (weights != 0)
     if rules.checks == "event":
@@ -168,7 +168,7 @@ def _fire(
             state.membrane = np.where(firing, _after_spike(convention, layer, v), v)
         spikes = state.spikes + firing
         state.spikes = np.minimum(spikes, rules.spikes_max)
-        state.lost = state.lost + (spikes - state.spikes)
+        state.overflows = state.overflows + (spikes - state.spikes)
 
 
 def fires(rules: IntegrateAndFireRules, layer: Layer, v: Integers) -> NDArray[np.bool_]:
@@ -177,6 +177,6 @@ def fires(rules: IntegrateAndFireRules, layer: Layer, v: Integers) -> NDArray[np
     return np.asarray(v >= layer.threshold if rules.fires == "reached" else v > layer.threshold)
 
 
-def _after_spike(convention: Convention, layer: Layer, v: Integers) -> Integers:
+def _after_spike(convention: Convention, layer: Layer, v: Integers) -> Numbers | int:
     # V = V - threshold, or V = 0
-    return v - layer.threshold if convention.reset == "subtract" else 0 * v + layer.v_reset
+    return v - layer.threshold if convention.reset == "subtract" else layer.v_reset

@@ -9,12 +9,8 @@ import numpy as np
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import Event, WorkedEvent
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.trace_file import Difference
-from spikedeploy.runtime.traces.work import Work
 
-_KINDS = ("tref", "axon", "neuron")
-# membranes after all events, or all timesteps; and spikes of inputs
-MOST_NUMBERS = 1 << 24
-_MOST_SPIKES = 1 << 16
+_KINDS = ("tref", "axon", "neuron")  # of events in a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +87,6 @@ class RecordedEvents:
 def _said(step: int, event: Event) -> str:
     kind, index = event
     return f"{kind} of step {step}" if kind == "tref" else f"{kind} {index} of step {step}"
-
-
-def check_length(spec: Fields, counts: Integers, size: int) -> None:
-    """Refuse a run of input spikes (T, M) and so many neurons that would take hours to replay."""
-    Work(spec, len(counts)).add(size, 0)
-    if counts.sum() > _MOST_SPIKES or len(counts) * size > MOST_NUMBERS:
-        found = f"has {counts.sum()} spikes in {len(counts)} timesteps of {size} neurons"
-        raise spec.wrong("input_spikes", found, f"Record {_MOST_SPIKES} spikes at most, or less.")
 
 
 def events_of(spec: Fields, shape: tuple[int, int, int]) -> RecordedEvents | None:

@@ -132,11 +132,17 @@ class Crossbar:
             add(wired.rules, wired.convention, wired.neurons, weights, now)
         self.membrane = now.membrane[0]
         spikes = np.flatnonzero((now.spikes[0] > 0) & ~wired.muted).tolist()
-        room = max(0, wired.entries - len(self._queue) - entries_held) if wired.entries else 0
+        room = max(0, wired.entries - len(self._queue) - entries_held)
         self._queue.extend(("neuron", neuron) for neuron in spikes[:room])
-        lost = spikes[room:] if wired.entries else ()
-        result = (self.membrane, tuple(spikes), tuple(lost), now.lost[0], now.arrived[0])
-        self.done.append(WorkedEvent(event, *result))
+        result = WorkedEvent(
+            event=event,
+            membrane=self.membrane,
+            spikes=tuple(spikes),
+            lost=tuple(spikes[room:]) if wired.entries else (),
+            overflows=now.overflows[0],
+            arrived=now.arrived[0],
+        )
+        self.done.append(result)
 
     def _make_room(self) -> None:
         entries = self._wired.entries
@@ -164,9 +170,9 @@ def update_together(
         crossbar.timestep(_sent(wired, inputs[copy]), rules.host == "wait")
         total.membrane[copy] = crossbar.membrane
         for done in crossbar.done:
-            np.add.at(total.spikes[copy], list(done.spikes), 1)
-            np.add.at(lost[copy], list(done.lost), 1)
-            total.lost[copy] += done.overflows
+            total.spikes[copy, list(done.spikes)] += 1
+            lost[copy, list(done.lost)] += 1
+            total.overflows[copy] += done.overflows
             total.arrived[copy] |= done.arrived
     return _by_layer(rules, network, states, before, total, lost)
 
@@ -197,7 +203,7 @@ def _by_layer(
         spikes = np.minimum(total.spikes[:, own], rules.spikes_max)
         uncounted = total.spikes[:, own] - spikes
         active = (before[:, own] != 0) | total.arrived[:, own]
-        overflows = total.lost[:, own] + uncounted
+        overflows = total.overflows[:, own] + uncounted
         results[layer.name] = StepResult(spikes, active, overflows, lost[:, own])
     return results
 

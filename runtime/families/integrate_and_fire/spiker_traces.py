@@ -18,17 +18,28 @@ from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.neurons import PartialStep, begin, fires
 from spikedeploy.runtime.traces.fields import Fields, Integers, shown_names
-from spikedeploy.runtime.traces.trace_file import PROSE, Verdict, nothing_to_compare, table_of
+from spikedeploy.runtime.traces.trace_file import (
+    PROSE,
+    Verdict,
+    nothing_to_compare,
+    recorded_tables,
+    table_of,
+    weights_of,
+)
 from spikedeploy.runtime.traces.verify import first_difference
 from spikedeploy.runtime.traces.work import Work
 
 _BEGUN = "membrane after fire or leak"
-# quantity -> its name in the file
-_RECORDED = {_BEGUN: "v_begun", "membrane": "v", "spikes": "s"}
+# quantity -> its name in the file, and what it may be
+_TABLES = {
+    _BEGUN: ("v_begun", -1 << 32, 1 << 32),
+    "membrane": ("v", -1 << 32, 1 << 32),
+    "spikes": ("s", 0, 1),
+}
+# given twice in the file, or by the weights
 _REPEATED = {"params", "layers", "steps", "input_spikes", "chip"}
-# of an FPGA there is no limit; a trace of more is a mistake
+# of a layer; of an FPGA there is no limit, a trace of more is a mistake
 _MOST_NEURONS = 1 << 12
-_MOST_LAYERS = 64
 
 
 def spiker_verdict(fields: Fields, chip: str) -> Verdict:
@@ -37,10 +48,12 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
     counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
     program = _program(specs, datasheet(chip), counts.shape[1])
     work = Work(fields, len(counts))
+    work.check_input(counts)
     for layer in program.layers:
-        work.add(layer.size, sum(synapses.weight.size for synapses in layer.synapses))
+        weights = [synapses.weight for synapses in layer.synapses]
+        work.add(layer.size, sum(each.size for each in weights), sum(map(len, weights)))
     recorded = {
-        layer.name: _recorded(spec, (len(counts), layer.size))
+        layer.name: recorded_tables(spec, _TABLES, (len(counts), layer.size))
         for layer, spec in zip(program.layers, specs, strict=True)
     }
     unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - _REPEATED
@@ -65,8 +78,6 @@ def _layers_of(fields: Fields) -> list[Fields]:
     if fields.name("layers") is None:
         return [shared]
     layers = fields.groups("layers")
-    if len(layers) > _MOST_LAYERS:
-        raise fields.wrong("layers", f"has {len(layers)}", f"Write {_MOST_LAYERS} at most.")
     return [shared.under(layer, layer.group("params"), where=layer.where) for layer in layers]
 
 
@@ -102,7 +113,7 @@ def _same(specs: list[Fields], name: str, default: int, most: int) -> int:
 
 
 def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in: int) -> Layer:
-    weights = _weights(spec, "weights", rules)
+    weights = weights_of(spec, "weights", *rules.weight_range)
     size, limit = weights.shape[1], rules.membrane.limit
     if len(weights) != fan_in or size > _MOST_NEURONS:
         remedy = f"Write {fan_in} rows, one for each input, of {_MOST_NEURONS} neurons at most."
@@ -110,7 +121,7 @@ def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in
     synapses = [Synapses(source, weights, 0 if source == "input" else 2)]
     if spec.name("weights_rec"):
         # their width is a parameter of its own, which no field names
-        recurrent = _weights(spec, "weights_rec", replace(rules, weight_bits=16))
+        recurrent = weights_of(spec, "weights_rec", *replace(rules, weight_bits=16).weight_range)
         if recurrent.shape != (size, size):
             found = f"has shape {recurrent.shape}"
             raise spec.wrong("weights_rec", found, f"Write {size} rows of {size} neurons.")
@@ -128,28 +139,6 @@ def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in
         start=0,
         v_reset=spec.row("v_reset", size=size, default=0, least=-limit - 1, most=limit),
     )
-
-
-def _weights(spec: Fields, name: str, rules: IntegrateAndFire) -> Integers:
-    low, high = rules.weight_range
-    found = spec.array(name, axes=2, least=low, most=high)
-    if found.ndim < 2:
-        raise spec.wrong(name, f"has shape {found.shape}", "Write [pre][post].")
-    return found.T if spec.text("index").startswith("[post]") else found
-
-
-def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity."""
-    recorded = {}
-    for quantity, name in _RECORDED.items():
-        if spec.name(name) is None:
-            continue
-        low, high = (0, 1) if quantity == "spikes" else (-1 << 32, 1 << 32)
-        recorded[quantity] = table = table_of(spec, (name,), low, high, index="trace_index")
-        if table.shape != shape:
-            found = f"has shape {table.shape}"
-            raise spec.wrong(name, found, f"The inputs and the weights ask for {shape}.")
-    return recorded
 
 
 def _replayed(program: Program, counts: Integers) -> dict[str, dict[str, Integers]]:

@@ -10,6 +10,7 @@ from spikedeploy.runtime.chips.registers import Register, shift_decay
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
+from spikedeploy.runtime.families.xylo.neurons import _added
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -244,9 +245,6 @@ def test_a_trace_without_recordings_is_refused(file):
 
 
 def test_many_events_of_an_axon_are_as_many_additions_one_after_another():
-    from spikedeploy.runtime.chips.chip import chip
-    from spikedeploy.runtime.families.xylo.neurons import _added
-
     registers, rng = chip("xylo-a2").arithmetic, np.random.default_rng(0)
     for count in (1, 2, 15, 31):
         start = registers.state.fit(rng.integers(-33_000, 33_000, 4000))

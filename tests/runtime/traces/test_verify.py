@@ -382,10 +382,11 @@ def test_a_replay_that_would_take_too_long_is_refused(limit, trace, monkeypatch)
         verify(GOLDEN / f"{trace}.json")
 
 
-def test_aliases_of_xylo_are_part_of_its_work(monkeypatch):
+@pytest.mark.parametrize("trace", ["xylo_own_aliases", "rtl/spiker_subtract"])
+def test_what_is_taken_one_by_one_is_part_of_the_work(trace, monkeypatch):
     monkeypatch.setattr(work, "_MOST_ONE_BY_ONE", 3)
     with pytest.raises(TraceError, match="axons and aliases"):
-        verify(GOLDEN / "xylo_own_aliases.json")
+        verify(GOLDEN / f"{trace}.json")
 
 
 def test_layers_and_fields_and_numbers_are_limited(lava, file, monkeypatch):
