@@ -34,7 +34,8 @@ class SpikingPolicy(Node):
         self._socket = zmq.Context.instance().socket(zmq.REQ)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.connect(self.get_parameter("endpoint").value)
-        self._ask({"do": "reset", "seed": 0}, wait=2000)
+        if self._ask({"do": "reset", "seed": 0}, wait=2000) is None:
+            raise RuntimeError("nobody answers at the endpoint: is `spikedeploy serve` running?")
 
     def _ask(self, request: dict, wait: int) -> dict | None:
         """Return the reply; None where none came in so many milliseconds."""

@@ -25,11 +25,6 @@ class SpikesCompared:
     first: tuple[int, str, int] | None
     output: str
 
-    @property
-    def equal(self) -> bool:
-        """Whether spikes and output are."""
-        return not self.differ and self.output == "equal"
-
     def record(self) -> dict[str, Any]:
         """All of it as data."""
         first = None if self.first is None else list(self.first)

@@ -3,13 +3,12 @@
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from spikedeploy.interop.cases import FOR, OLDER, PLAIN, TIMESTEPS
+from spikedeploy.interop.measured import Row
 from spikedeploy.interop.peers import PEERS, OtherTool
 from spikedeploy.reports.markdown import markdown_text
 
-Row = dict[str, Any]
 _LONGEST = 110  # characters of a message
 
 _TEMPLATE = Path(__file__).with_name("template.md")

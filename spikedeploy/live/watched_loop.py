@@ -18,10 +18,9 @@ from spikedeploy.policies.interface import Candidate, Player
 from spikedeploy.policies.nir import NirController
 from spikedeploy.realtime.paced_loop import TIMES, PacedLoop
 from spikedeploy.realtime.pacing import paced, pacing
-from spikedeploy.recordings.episode import spikes_and_membranes, traced
+from spikedeploy.recordings.episode import ledger_of, membranes_of, spikes_of, traced
 from spikedeploy.recordings.scenes import scene_of
 from spikedeploy.reports.short_table import quoted_among
-from spikedeploy.runtime.errors import RuleError
 
 _RATE = 30.0  # [Hz] where neither the user nor the environment says one
 _BROWSER = 5.0  # [s] that a browser has to open before the first episode begins
@@ -82,7 +81,7 @@ class WatchedLoop(PacedLoop):
     ) -> None:
         self._episode, self._total = self._episode + 1, 0.0
         self._scene = scene_of(env)
-        self._before = self._ledger(player)
+        self._before = ledger_of(player) if isinstance(player, NirController) else None
         self._view.begin(
             {
                 "label": self._label,
@@ -119,16 +118,9 @@ class WatchedLoop(PacedLoop):
     def _inference(self, player: Player) -> WatchedInference | None:
         if not isinstance(player, NirController):
             return None
-        before, self._before = self._before, self._ledger(player)
+        before, self._before = self._before, ledger_of(player)
         one = None if before is None or self._before is None else self._before.since(before)
-        return WatchedInference(*spikes_and_membranes(player), one)
-
-    def _ledger(self, player: Player) -> Any:  # noqa: ANN401
-        """Counts so far; None of what does not spike, or of a graph that no chip can hold."""
-        try:
-            return player.controller.ledger if isinstance(player, NirController) else None
-        except RuleError:
-            return None
+        return WatchedInference(spikes_of(player), membranes_of(player), one)
 
 
 @contextmanager

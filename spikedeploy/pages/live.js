@@ -99,7 +99,7 @@ class Live extends Instrument {
 
   // room for what comes, and nothing in it yet
   async _first(found, origin) {
-    const period = this.begun.period || UNKNOWN; 
+    const period = this.begun.period || UNKNOWN;
     const layers = found.network ? found.network.layers : [];
     const widest = Math.max(1, ...layers.map(({ membranes }) => (membranes ? membranes.width : 1)));
     this.most = Math.max(100, Math.round(Math.min(BACK / period, MOST / widest)));
@@ -143,19 +143,19 @@ class Live extends Instrument {
 
   _figures(batch) {
     const { episode } = this, [player] = episode.players, { network } = player;
-    const recent = (series, factor) => {
+    const recent = (series) => {
       const rows = Math.max(1, Math.min(series.rows, Math.round(1 / this.period)));
       let sum = 0;
       for (let row = series.rows - rows; row < series.rows; row++) sum += series.at(row);
-      return short(factor * sum / rows);
+      return sum / rows;
     };
     $("return").textContent = short(batch.total);
-    if (network && network.sops) $("operations").textContent = `${recent(network.sops, 1)} SOPs`;
+    if (network && network.sops) $("operations").textContent = `${short(recent(network.sops))} SOPs`;
     if (network && network.energy) {
-      $("energy").textContent = `${recent(network.energy, 1e9)} nJ`;
+      $("energy").textContent = `${short(1e9 * recent(network.energy))} nJ`;
       $("table").textContent = `mean of the last second, by ${episode.table}`;
     }
-    const limit = episode.deadline, use = Number(recent(player.tracks[0].values, 1).replaceAll(",", ""));
+    const limit = episode.deadline, use = recent(player.tracks[0].values);
     $("policy").textContent = `${short(use / 100 * limit * 1e3)} ms`;
     $("deadline").textContent = `${short(use)}% of ${short(limit * 1e3)} ms; ${batch.missed.toLocaleString("en")} missed`
       + (batch.skipped ? `, ${batch.skipped.toLocaleString("en")} periods skipped` : "");

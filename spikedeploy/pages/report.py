@@ -1,7 +1,5 @@
 """The report of a comparison: report.json for machines, report.html and report.md for people."""
 
-import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
@@ -14,6 +12,7 @@ from spikedeploy.envs.disturbances.disturbed import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
 from spikedeploy.pages.comparison import comparison_page
+from spikedeploy.pages.written import command_line
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.recordings.recorded import of_comparison
 from spikedeploy.reports.columns import COST, Row, markdown, tables
@@ -37,7 +36,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "env": envs.spec(comparison.env).short,
         "env_id": comparison.env,
         "seeds": {"first": comparison.seeds[0], "count": len(comparison.seeds)},
-        "command": shlex.join(["spikedeploy", *sys.argv[1:]]),
+        "command": command_line(),
         "version": own(),
         "versions": versions(),
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),

@@ -31,9 +31,10 @@ class LinesStrip {
   constructor(title, lines, unit) {
     Object.assign(this, { title, lines, unit, height: 64 });
     const values = lines.flatMap(({ at, rows }) => [...Array(rows).keys()].map(at)).sort((a, b) => a - b);
-    // a few outliers must not flatten the rest
+    // a few outliers must not flatten the rest: they are drawn at the edge, which says how far they go
     const share = (q) => values[Math.min(values.length - 1, Math.floor(q * values.length))];
     [this.low, this.high] = [share(0.002), share(0.998)];
+    [this.least, this.most] = [values[0], values.at(-1)];
     if (this.high - this.low < 1e-12) [this.low, this.high] = [Math.min(0, this.low), Math.max(1, this.high)];
   }
 
@@ -61,8 +62,9 @@ class LinesStrip {
       context.stroke();
     });
     context.font = "10px system-ui, sans-serif";
-    for (const [value, place] of [[this.high, 9], [this.low, height - 2]]) {
-      const text = short(value);
+    const high = edge(this.high, this.most > this.high, "up to", this.most);
+    const low = edge(this.low, this.least < this.low, "down to", this.least);
+    for (const [text, place] of [[high, 9], [low, height - 2]]) {
       context.fillStyle = paint.card;
       context.globalAlpha = 0.75;
       context.fillRect(0, place - 9, context.measureText(text).width + 4, 11);
@@ -71,6 +73,11 @@ class LinesStrip {
       context.fillText(text, 2, place);
     }
   }
+}
+
+// the end of an axis, and of the values where they go beyond it
+function edge(value, cut, word, end) {
+  return cut && short(end) !== short(value) ? `${short(value)}, cut: ${word} ${short(end)}` : short(value);
 }
 
 class RasterStrip {

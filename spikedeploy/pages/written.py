@@ -19,11 +19,15 @@ def written_by(command: str) -> Callable[[Path], bool]:
     return lambda folder: marked(folder / "report.json", f'"report_of": "{command}"')
 
 
+def command_line() -> str:
+    """The command that this process runs, as it can be typed again."""
+    return shlex.join(["spikedeploy", *sys.argv[1:]])
+
+
 def made_by() -> list[tuple[str, str]]:
     """How a page was made: version, time, command line."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    line = shlex.join(["spikedeploy", *sys.argv[1:]])
-    return [("made by", f"spikedeploy {own()}, {now}"), ("command line", line)]
+    return [("made by", f"spikedeploy {own()}, {now}"), ("command line", command_line())]
 
 
 def write_page(command: str, html: str, numbers: Mapping[str, Any], folder: Path) -> list[Path]:

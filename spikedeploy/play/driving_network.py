@@ -12,9 +12,8 @@ from spikedeploy.play.spike_panel import WINDOW
 from spikedeploy.play.spike_recorder import Floats, InferenceTrace
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import NirController
-from spikedeploy.recordings.episode import costs_of_each, spikes_and_membranes
+from spikedeploy.recordings.episode import costs_of_each, ledger_of, spikes_of
 from spikedeploy.reports.short_table import quoted_among
-from spikedeploy.runtime.errors import RuleError
 
 MEAN = 30  # control steps of which costs are the mean
 
@@ -36,7 +35,7 @@ class DrivingNetwork:
         self._player.reset(seed)
         self._seen: deque[tuple[dict[str, NDArray[Any]], Floats]] = deque(maxlen=WINDOW)
         self._costs: deque[tuple[float, float]] = deque(maxlen=MEAN)
-        self._before, self.seconds = self._counts(), 0.0
+        self._before, self.seconds = ledger_of(self._player), 0.0
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action, timed."""
@@ -72,20 +71,13 @@ class DrivingNetwork:
         return _mean(joules for _, joules in self._costs)
 
     def _keep(self) -> None:
-        controller, (spikes, _) = self._player.controller, spikes_and_membranes(self._player)
+        controller, spikes = self._player.controller, spikes_of(self._player)
         shown = {name: (each != 0).astype(np.uint8) for name, each in spikes.items()}
         self._seen.append((shown, controller.codec.scores(controller.output)[0]))
-        before, self._before = self._before, self._counts()
+        before, self._before = self._before, ledger_of(self._player)
         if before is not None and self._before is not None:
             sops, joules = costs_of_each(self._before.since(before), self.table)
             self._costs.append((float(sops[0]), float(joules[0])))
-
-    def _counts(self) -> Any:  # noqa: ANN401
-        """The ledger so far; None of a graph that no chip can hold."""
-        try:
-            return self._player.controller.ledger
-        except RuleError:
-            return None
 
 
 def _mean(values: Iterable[float]) -> float | None:

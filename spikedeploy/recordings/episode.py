@@ -120,17 +120,27 @@ def traced(
     )
 
 
-def spikes_and_membranes(
-    player: NirController,
-) -> tuple[dict[str, NDArray[Any]], dict[str, Floats]]:
-    """Spikes (T, N) and membranes (N,) of the last inference, as a NetworkTrace names them."""
-    network = player.controller.network
-    spikes = {"input": player.controller.encoded, **network.spikes}
-    rasters = {name: each[0].reshape(len(each[0]), -1) for name, each in spikes.items()}
+def spikes_of(player: NirController) -> dict[str, NDArray[Any]]:
+    """Spikes (T, N) of the last inference, as a NetworkTrace names them."""
+    spikes = {"input": player.controller.encoded, **player.controller.network.spikes}
+    return {name: each[0].reshape(len(each[0]), -1) for name, each in spikes.items()}
+
+
+def membranes_of(player: NirController) -> dict[str, Floats]:
+    """Membranes (N,) after the last inference, likewise; empty in float."""
     if player.chip is None:
-        return rasters, {}
-    last = {each.name: network.recordings[each.name].membrane for each in player.program.spiking}
-    return rasters, {name: np.array(each[0, -1], np.float64) for name, each in last.items()}
+        return {}
+    seen = player.controller.network.recordings
+    last = {each.name: seen[each.name].membrane for each in player.program.spiking}
+    return {name: np.array(each[0, -1], np.float64) for name, each in last.items()}
+
+
+def ledger_of(player: NirController) -> Ledger | None:
+    """Counts so far; None of a graph that no chip can hold, which runs in float, uncounted."""
+    try:
+        return player.controller.ledger
+    except RuleError:
+        return None
 
 
 class _Tracer:
@@ -143,28 +153,21 @@ class _Tracer:
 
     def keep(self) -> None:
         """Keep the last inference."""
-        spikes, membranes = spikes_and_membranes(self._player)
-        for name, raster in spikes.items():
+        for name, raster in spikes_of(self._player).items():
             self._rasters.setdefault(name, []).append(raster)
-        for name, last in membranes.items():
+        for name, last in membranes_of(self._player).items():
             self._membranes.setdefault(name, []).append(last)
 
     def trace(self, table: str) -> NetworkTrace:
         """Everything that was kept."""
-        sops, joules = self._costs(table)
+        ledger = ledger_of(self._player)
+        sops, joules = (None, None) if ledger is None else costs_of_each(ledger, table)
         return NetworkTrace(
             {name: np.stack(rows) for name, rows in self._rasters.items()},
             {name: np.stack(rows) for name, rows in self._membranes.items()},
             sops,
             joules,
         )
-
-    def _costs(self, table: str) -> tuple[Floats | None, Floats | None]:
-        try:
-            ledger = self._player.controller.ledger
-        except RuleError:  # a graph that no chip can hold runs in float, uncounted
-            return None, None
-        return costs_of_each(ledger, table)
 
 
 def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:

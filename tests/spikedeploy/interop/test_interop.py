@@ -11,7 +11,7 @@ import pytest
 from spikedeploy.interop import measured, peers
 from spikedeploy.interop.cases import FOR, PLAIN, case, meant, raster
 from spikedeploy.interop.measured import measure
-from spikedeploy.interop.outcome import compared
+from spikedeploy.interop.outcome import SpikesCompared, compared
 from spikedeploy.interop.page import page
 from spikedeploy.interop.peers import PEERS, pythons, versions
 from spikedeploy.runtime.artifact.artifact import save
@@ -36,8 +36,7 @@ def layers(**changed):
 
 def test_equal_layers_are_equal():
     found = compared(layers(), layers(output=np.ones((5, 2)) + 1e-6))
-    assert found.equal
-    assert (found.compared, found.differ, found.first) == (25, 0, None)
+    assert found == SpikesCompared(25, 0, None, "equal")
 
 
 def test_the_first_difference_is_the_earliest_in_time():
@@ -54,7 +53,8 @@ def test_outputs_of_another_node_or_size_are_not_equal():
 
 def test_names_of_the_tool_need_not_be_ours():
     renamed = {f"n00_{name}": rows for name, rows in layers().items() if name != "output"}
-    assert compared({**renamed, "output": np.ones((5, 2))}, layers()).equal
+    found = compared({**renamed, "output": np.ones((5, 2))}, layers())
+    assert found == SpikesCompared(25, 0, None, "equal")
 
 
 def test_a_missing_tool_is_a_row_and_a_measured_one_is_kept(file, monkeypatch):

@@ -5,6 +5,7 @@ import pytest
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.pages import report
+from spikedeploy.pages.page import part
 from spikedeploy.reports.headline import headline, main_row
 from tests import toy_stroll_env
 
@@ -127,12 +128,9 @@ def test_one_cursor_moves_through_the_page(browser, page):
         "return [...document.querySelectorAll('.strip i')].map((each) => each.style.left)"
     )
     assert set(cursors) == {"95%"}
-    first = browser.find_element("id", "first")
-    if first.is_displayed():
-        first.click()
-        assert f"control step {now(browser).split()[-3]}," in browser.find_element(
-            "id", "first-said"
-        ).text.replace(":", ",")
+    browser.find_element("id", "first").click()
+    place = browser.find_element("id", "first-said").text
+    assert f"control step {now(browser).split()[-3]}," in place
     browser.find_elements("css selector", "#episodes button")[-1].click()
     ready(browser, "1")
     assert now(browser).startswith("0.00 s, control step 0")
@@ -147,6 +145,23 @@ def test_a_link_leads_to_a_step_of_an_episode(browser, page):
     browser.get(f"{page.as_uri()}#episode=99&step=x")
     ready(browser, "1")
     assert now(browser).endswith("control step 0 of 20")
+
+
+@pytest.mark.parametrize(
+    ("outlier", "ends"), [(784, ["727, cut: up to 784", "3"]), (727, ["727", "3"])]
+)
+def test_an_axis_that_cuts_outliers_says_how_far_they_go(browser, outlier, ends):
+    script = (
+        part("strips.js")
+        + """
+        const values = [3, ...Array(998).fill(727), arguments[0]].map((v, k) => (k < 9 ? 3 : v));
+        const lines = [{ at: (step) => values[step], rows: 1000, player: null }], said = [];
+        const context = document.createElement("canvas").getContext("2d");
+        context.fillText = (text) => said.push(text);
+        new LinesStrip("", lines, "").draw(context, 300, 64, 0, 1000, { series: [] });
+        return said;"""
+    )
+    assert browser.execute_script(script, outlier) == ends
 
 
 @pytest.mark.parametrize("width", [390, 1280])

@@ -138,6 +138,17 @@ def test_columns_of_words_stand_at_the_left_and_numbers_at_the_right():
     assert column_classes(rows, 4) == ["words", "", "", "words"]
 
 
+def test_no_figure_of_a_drift_is_wider_than_a_phone(browser, network, tmp_path):
+    (tmp_path / "x.html").write_text(of_drift(network, None, None), encoding="utf-8")
+    size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get((tmp_path / "x.html").as_uri())
+    figures = browser.find_elements("tag name", "figure")
+    assert len(figures) == 2
+    script = "return arguments[0].scrollWidth <= arguments[0].clientWidth"
+    assert all(browser.execute_script(script, each) for each in figures)
+
+
 def test_a_drift_page_says_where_the_first_spike_differs(network):
     inputs = random_inputs(network, 0.3, 40, 0)
     report = drift_report("small.nir", network, chip("loihi1"), inputs)
