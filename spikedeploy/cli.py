@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.console import discard_output, prepare_streams
+from spikedeploy.console import as_called, discard_output, prepare_streams
 from spikedeploy.user_errors import exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
@@ -105,5 +105,5 @@ def main() -> None:
         if line is None:
             raise
         discard_output()
-        print(f"error: {line}", file=sys.stderr)
+        print(f"error: {as_called(line)}", file=sys.stderr)
         sys.exit(exit_code(error))

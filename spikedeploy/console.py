@@ -3,6 +3,7 @@
 import codecs
 import io
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -50,6 +51,16 @@ def discard_output() -> None:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
 
 
+def called() -> str:
+    """The word by which the user calls this program: the script ./spike names itself."""
+    return shlex.quote(os.environ.get("SPIKEDEPLOY_COMMAND") or "spikedeploy")
+
+
+def as_called(text: str) -> str:
+    """A text whose `spikedeploy …` are as the user calls them."""
+    return text.replace("`spikedeploy ", f"`{called()} ")
+
+
 def print_json(data: object) -> None:
     """Write `data` as JSON, and nothing else."""
     print(as_text(data), end="")
@@ -57,7 +68,9 @@ def print_json(data: object) -> None:
 
 def say(line: str) -> None:
     """Write a line on stderr, which leaves stdout for results."""
-    console(stderr=True).print(line, markup=False, soft_wrap=True)  # so that it can be copied
+    console(stderr=True).print(
+        as_called(line), markup=False, soft_wrap=True
+    )  # so that it can be copied
 
 
 def print_table(

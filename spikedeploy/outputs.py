@@ -71,8 +71,8 @@ def check_output(
         )
 
 
-def own(path: Path) -> Path:
-    """A file that is always ours, in a folder of ours; refused where it leads elsewhere."""
+def no_link(path: Path) -> Path:
+    """A path that is written without asking, as in a run folder; refused where it is a link."""
     if path.is_symlink():
         raise ConfigError(f"{path} is a link, through which nothing is written. Remove it.")
     return path

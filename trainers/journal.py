@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spikedeploy.trainers.metrics import Metrics
+from spikedeploy.trainers.metrics import Metrics, spike_rate
 from spikedeploy.trainers.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -57,9 +57,8 @@ def _seen(row: Mapping[str, float]) -> dict[str, float]:
     seen = {}
     if success := [row[name] for name in ("eval_success", "eval_finish") if name in row]:
         seen["eval_success"] = success[0]
-    if layers := [value for name, value in row.items() if name.startswith("sparsity_")]:
-        # mean over layers of the share of neuron timesteps with a spike
-        seen["spike_rate"] = 1.0 - sum(layers) / len(layers)
+    if (rate := spike_rate(row)) is not None:
+        seen["spike_rate"] = rate
     return seen
 
 

@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
@@ -68,6 +68,12 @@ def read(path: Path) -> list[dict[str, float]]:
         raise ConfigError(
             f"{path} is no table of numbers ({error}). Put it back, or move it away."
         ) from error
+
+
+def spike_rate(row: Mapping[str, Any]) -> float | None:
+    """Return the spikes of a row for each neuron and timestep, the mean of its layers."""
+    silent = [value for name, value in row.items() if name.startswith("sparsity_lif")]
+    return 1.0 - sum(silent) / len(silent) if silent else None
 
 
 def _rows(text: str) -> list[dict[str, float]]:

@@ -35,9 +35,7 @@ def existing_run(name: str | Path, runs: str | Path = "runs") -> Path:
 
 def is_beginning(name: str, runs: str | Path = "runs") -> bool:
     """Return whether a name is the beginning of a run's, and not all of it."""
-    if any(is_run(place) for place in (Path(name), Path(runs) / name)):
-        return False
-    return run_named(name, runs) is not None
+    return run_named(name, runs) not in (None, Path(name), Path(runs) / name)
 
 
 def is_run(path: Path) -> bool:

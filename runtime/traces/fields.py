@@ -26,9 +26,13 @@ def read_json(path: Path) -> "Fields":
     """The object in a JSON file."""
     try:
         found = json.loads(path.read_text("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise TraceError(
+            f"{path}: this is not a text file. A trace is JSON, as docs/traces.md shows."
+        ) from error
     except (ValueError, RecursionError) as error:
         reason = str(error) or type(error).__name__
-        raise TraceError(f"{path} is not JSON: {reason}. Write the trace again.") from error
+        raise TraceError(f"{path}: this is not JSON: {reason}. Write the trace again.") from error
     return Fields(found, path.name)
 
 

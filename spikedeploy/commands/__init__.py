@@ -12,7 +12,6 @@ evidence     reproduce
 interop      interop
 training     train, visualize
 exporting    export, publish
-export_formats  export --to c, --to card, --for, --nir-compat
 training_seeds  train --seeds
 runs         runs
 distillation  distill

@@ -1,11 +1,11 @@
 """`export` and `publish`: from a run folder to a file, a card, or a shipped policy."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spikedeploy.commands.export_formats import export_c, export_card, export_for
 from spikedeploy.commands.options import (
     Dt,
     For,
@@ -17,6 +17,10 @@ from spikedeploy.commands.options import (
     States,
     Workers,
 )
+
+if TYPE_CHECKING:
+    from spikedeploy.shipping.export_nir import RewrittenNir
+    from spikedeploy.shipping.export_run import ExportedPolicy
 
 Checkpoint = Annotated[
     str | None,
@@ -84,36 +88,100 @@ def export(
     given = {"written_by": from_, "dt": dt, "reset": reset}
     if for_ or nir_compat:
         options = {**given, "state": state}
-        export_for(run, to, output, for_, nir_compat, observations, options, force, json)
+        _export_for(run, to, output, for_, nir_compat, observations, options, force, json)
         return
     if any(value is not None for value in given.values()):
         raise typer.BadParameter("--from, --dt and --reset go with --for or --nir-compat")
     if to == "c":
-        export_c(run, chip, output, observations, prefix, force, json)
+        _export_c(run, chip, output, observations, prefix, force, json)
         return
     if to == "card":
-        export_card(run, output, checkpoint, film, force, json)
+        _export_card(run, output, checkpoint, film, force, json)
         return
-    from spikedeploy.console import print_json, say
-    from spikedeploy.reports.terminal import print_checks
-    from spikedeploy.shipping.export_onnx import export_onnx, is_file
+    from spikedeploy.shipping.export_onnx import export_onnx, is_nir_file
     from spikedeploy.shipping.export_run import export_run
 
-    if to == "onnx" and is_file(run):
+    if to == "onnx" and is_nir_file(run):
         written = export_onnx(run, output, observations, force)
     else:
         written = export_run(
             run, to, output, observations, state=state, checkpoint=checkpoint, force=force
         )
+    late = written.unfinished
+    _end_with(written, json, [f"its training is unfinished: stopped at {late}"] if late else [])
+
+
+def _export_c(
+    policy: str,
+    chip: str,
+    folder: Path | None,
+    observations: int,
+    prefix: str,
+    force: bool,
+    json: bool,
+) -> None:
+    """Write a policy as C of a chip, and say what that takes."""
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping import export_c as shipping
+
+    written = shipping.export_c(policy, chip, folder, observations, prefix, force)
+    if json:
+        print_json(written.record())
+        return
+    for line in written.lines():
+        typer.echo(line)
+
+
+def _export_for(
+    policy: str,
+    to: str | None,
+    output: Path | None,
+    tool: str | None,
+    older: str | None,
+    timesteps: int,
+    options: Mapping[str, Any],
+    force: bool,
+    json: bool,
+) -> None:
+    """Write the file, and say whether it is the same network."""
+    from spikedeploy.shipping.export_nir import export_nir
+
+    if to not in (None, "nir"):
+        raise typer.BadParameter(f"--for and --nir-compat write nir, not {to}")
+    written = export_nir(policy, output, tool, older, timesteps, options, force)
+    remarks = list(written.remarks)
+    _end_with(written, json, remarks, remarks=remarks)
+
+
+def _end_with(
+    written: "ExportedPolicy | RewrittenNir", json: bool, said: Sequence[str], **more: object
+) -> None:
+    """Say what was written and whether it passed; `more` is for JSON. Exit 1 where it did not."""
+    from spikedeploy.console import print_json, say
+    from spikedeploy.reports.terminal import print_checks
+
     if json:
         checks = [vars(check) for check in written.checks]
-        print_json({"path": str(written.path), "passed": written.passed, "checks": checks})
+        record = {"path": str(written.path), "passed": written.passed, "checks": checks}
+        print_json({**record, **more})
     else:
         print_checks(written.checks)
         typer.echo(f"wrote {written.path}")
-        if written.unfinished:
-            say(f"its training is unfinished: stopped at {written.unfinished}")
+        for line in said:
+            say(line)
     raise typer.Exit(0 if written.passed else 1)
+
+
+def _export_card(
+    run: str, output: Path | None, checkpoint: str | None, film: bool, force: bool, json: bool
+) -> None:
+    """Write what shows a run beside its policy into its folder, and say what."""
+    from spikedeploy.shipping import run_card
+
+    if output is not None or checkpoint is not None:
+        raise typer.BadParameter("--to card is of the run folder: leave -o and --checkpoint out")
+    files = run_card.export_card(run, film, force)
+    _name_files(files, json)
 
 
 def publish(
@@ -137,11 +205,16 @@ def publish(
 ) -> None:
     """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
     from spikedeploy import zoo
-    from spikedeploy.console import print_json
     from spikedeploy.shipping.publish_run import publish_run
 
     folder = output or zoo.FOLDER
     files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)
+    _name_files(files, json)
+
+
+def _name_files(files: Sequence[Path], json: bool) -> None:
+    from spikedeploy.console import print_json
+
     if json:
         print_json({"files": [str(file) for file in files]})
     else:

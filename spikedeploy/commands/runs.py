@@ -24,7 +24,7 @@ def runs(
     json: Json = False,
 ) -> None:
     """List training runs: validation return, success, operations, how far each came, age."""
-    from spikedeploy.console import print_json, print_table
+    from spikedeploy.console import as_called, print_json, print_table
     from spikedeploy.reports.run_table import HEADS, cells, found_runs
 
     rows, damaged = found_runs(folder, env, sort)
@@ -33,6 +33,6 @@ def runs(
     elif rows:
         print_table(f"Runs in {folder}", HEADS, [cells(row, folder) for row in rows], numbers=True)
     else:
-        typer.echo(f"no runs in {folder}: `spikedeploy train RECIPE` makes one")
+        typer.echo(as_called(f"no runs in {folder}: `spikedeploy train RECIPE` makes one"))
     for line in damaged:
         typer.echo(f"left out: {line}", err=True)

@@ -114,7 +114,7 @@ def run_training(
     """
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
-    from spikedeploy.console import print_json, say
+    from spikedeploy.console import called, print_json, say
     from spikedeploy.pages.training import LivePage
     from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.trainers.interrupt import Interrupt
@@ -133,7 +133,7 @@ def run_training(
         raise typer.Exit(interrupt.exit_code)
     if not json:
         env = trained_in(str(run))
-        again = shlex.join(["spikedeploy", "compare", str(env), str(run)])
+        again = f"{called()} {shlex.join(['compare', str(env), str(run)])}"
         typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
 
 

@@ -137,7 +137,7 @@ def draw(
     from spikedeploy.play.display import check_display
 
     check_display()
-    from spikedeploy.console import print_json
+    from spikedeploy.console import as_called, called, print_json
     from spikedeploy.play.track_editor import TrackEditor
     from spikedeploy.play.window import show
 
@@ -151,6 +151,6 @@ def draw(
         print_json(result)
         return
     if app.saved:
-        typer.echo(f"wrote {file}; drive it: spikedeploy play kart-grid --track {file}")
+        typer.echo(f"wrote {file}; drive it: {called()} play kart-grid --track {file}")
     if draft:
-        typer.echo(f"kept {draft}; `spikedeploy draw {file}` goes on with it")
+        typer.echo(as_called(f"kept {draft}; `spikedeploy draw {file}` goes on with it"))

@@ -35,6 +35,11 @@ class Estimate:
         """Plain numbers for a report."""
         return asdict(self)
 
+    def mark(self, bound: float) -> str:
+        """✓ where the whole interval reaches the bound, ✗ where none of it does, else ≈."""
+        low, high = self.ci95
+        return "✓" if low >= bound else "✗" if high < bound else "≈"
+
 
 @dataclass(frozen=True)
 class ReturnEstimates:

@@ -29,6 +29,11 @@ _STATE = 48
 LARGEST = 1 << 32
 NIR_DATA = (".h5", ".hdf5")
 _UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
+# networks of other tools are often silent because they mean other units
+SILENT = (
+    "no neuron spikes: unless the input is too weak, time constants or thresholds are read "
+    "otherwise than meant; --from names the tool that wrote the file"
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class Emulation:
     outputs   Output node -> (T, *act); a single one is called "output"
     ledger    of this inference; None where `uncounted` says why
     uncounted why the events could not be counted
-    remarks   of the compiler, on where the chip departs from the file
+    remarks   of the compiler, on where the chip departs from the file; and SILENT
     measures  NeuroBench's numbers, memory and time; None likewise
     tables    energy tables to price by; empty for those of the chip
     """
@@ -187,7 +192,8 @@ def emulate_artifact(
         for name, seen in network.spikes.items()
     }
     unlimited = on is not None and not limits and on.limits is not None
-    remarks = (*network.remarks, _UNLIMITED) if unlimited else network.remarks
+    silent = bool(spikes) and not any(rows.any() for rows in spikes.values())
+    remarks = (*network.remarks, *[_UNLIMITED] * unlimited, *[SILENT] * silent)
     emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks)
     try:
         raster, ledger = network.program.joined(rows), network.ledger

@@ -15,7 +15,7 @@ class ReplayedTrace:
     """The result of replaying a trace file.
 
     verdict  None where it could not be replayed
-    error    why not
+    error    why not; without the path where that comes first
     """
 
     path: Path
@@ -63,4 +63,4 @@ def replay_trace(path: Path) -> ReplayedTrace:
         line = one_line(error)
         if line is None:
             raise
-        return ReplayedTrace(path, None, line)
+        return ReplayedTrace(path, None, line.removeprefix(f"{path}: "))

@@ -46,10 +46,9 @@ class Job:
 class JobEnd:
     """How a job ended.
 
-    begins   where in the log this attempt begins [bytes]
-
     seconds  of run time
     status   0 done, worker.INTERRUPTED, else failed
+    begins   where in the log this attempt begins [bytes]
     """
 
     job: Job

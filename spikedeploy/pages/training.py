@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.files import write_text
-from spikedeploy.outputs import own
+from spikedeploy.outputs import no_link
 from spikedeploy.pages.page import big_numbers, commands, facts, figure, folded, heading, page, said
 from spikedeploy.pages.svg import svg
 from spikedeploy.policies import run_record
 from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.run_curves import curves_figure
 from spikedeploy.reports.run_scores import RunScores, metrics_of, scores
+from spikedeploy.runtime.errors import SpikedeployError
 
 PAGE = "report.html"
 _CAPTION = "A line that leaves its panel goes on far beyond it, so that the rest can be read."
@@ -31,11 +32,11 @@ class LivePage:
         self._due = 0.0
 
     def __call__(self, run: Path) -> None:
-        """Write it, if one is due; a disk that is full does not end the training."""
+        """Write it, if one is due; what hinders that does not end the training."""
         began = time.monotonic()
         if began < self._due:
             return
-        with suppress(OSError):
+        with suppress(OSError, SpikedeployError):
             write_run_page(run, live=True)
         took = time.monotonic() - began
         self._due = began + max(_RELOAD, took / _SHARE)
@@ -46,7 +47,7 @@ def write_run_page(run: Path, live: bool = False) -> Path:
 
     live  whether this process trains in it
     """
-    return write_text(own(run / PAGE), run_page(scores(run), live))
+    return write_text(no_link(run / PAGE), run_page(scores(run), live))
 
 
 def run_page(found: RunScores, live: bool = False) -> str:
@@ -86,7 +87,7 @@ def _lead(found: RunScores, live: bool) -> str:
 
 def _numbers(found: RunScores, settings: Mapping[str, Any]) -> Iterator[HeadlineNumber]:
     if found.earned is not None:
-        episodes = settings.get("validation", {}).get("episodes")
+        episodes = dict(flat(settings)).get("validation.episodes", "some")
         beside = f"mean of {episodes} greedy episodes, which chose the checkpoint"
         yield HeadlineNumber("best validation return", f"{found.earned:,.4g}", beside)
     if found.success is not None:

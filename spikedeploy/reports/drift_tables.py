@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
 from spikedeploy.emulation.drift_report import DriftReport
+from spikedeploy.emulation.open_loop import SILENT
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
 
@@ -93,10 +94,16 @@ def _summary(report: DriftReport) -> list[tuple[str, str]]:
         ("inputs", report.inputs),
         ("inferences that differ", f"{drift.diverged} of {drift.inferences}"),
         ("first difference", where),
+        *([("remark", SILENT)] if _silent(drift) else []),
         (output_name(drift.output), _size(drift.output)),
         *_fullest(drift),
         ("distance", f"van Rossum, {drift.tau:g} timesteps; a spike more or less is 0.5"),
     ]
+
+
+def _silent(drift: Drift) -> bool:
+    """Whether no layer spikes, in float and on the chip."""
+    return not any(layer.float_rate or layer.chip_rate for layer in drift.layers)
 
 
 def _fullest(drift: Drift) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from spikedeploy.policies import run_record
 from spikedeploy.reports.curves import counted_by
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics import read, spike_rate
 from spikedeploy.trainers.run_lock import in_use
 
 
@@ -77,7 +77,7 @@ def scores(run: Path) -> RunScores:
             None if best.get(name) is None else float(best[name])
             for name in ("eval_return", "eval_finish", "eval_operations")
         )
-        rate = _rate(best)
+        rate = spike_rate(best)
     return RunScores(
         path=run,
         recipe=str(recipe),
@@ -108,12 +108,6 @@ def _best(run: Path, rows: Sequence[Mapping[str, float]]) -> Mapping[str, Any]:
         return record
     validated = [row for row in rows if "eval_return" in row]
     return max(validated, key=lambda row: row["eval_return"], default={})
-
-
-def _rate(best: Mapping[str, Any]) -> float | None:
-    """Spikes for each neuron and timestep."""
-    silent = [value for name, value in best.items() if name.startswith("sparsity_lif")]
-    return 1 - sum(silent) / len(silent) if silent else None
 
 
 def _steps(rows: Sequence[Mapping[str, float]]) -> tuple[int, str]:

@@ -11,7 +11,7 @@ from spikedeploy.shipping.export_c import episode_of, world_of
 from spikedeploy.shipping.export_run import ExportedPolicy
 
 
-def is_file(reference: str) -> bool:
+def is_nir_file(reference: str) -> bool:
     """Whether a reference is a `.nir` file or a shipped policy in one."""
     file = zoo.resolve(reference)
     return file is not None and file.is_file() and file.suffix == ".nir"

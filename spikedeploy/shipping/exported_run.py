@@ -4,7 +4,7 @@ from pathlib import Path
 
 from spikedeploy import zoo
 from spikedeploy.console import say
-from spikedeploy.outputs import own
+from spikedeploy.outputs import no_link
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.errors import ConfigError
@@ -54,7 +54,7 @@ def _export(run: Path, to: str, file: Path) -> None:
     """Export the run; a file that does not do what the policy does is removed and refused."""
     from spikedeploy.shipping.export_run import export_run
 
-    written = export_run(str(run), to, own(file), force=True)
+    written = export_run(str(run), to, no_link(file), force=True)
     failed = [check for check in written.checks if not check.passed]
     if failed:
         file.unlink()

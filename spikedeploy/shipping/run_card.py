@@ -11,7 +11,7 @@ from typing import Any
 
 from spikedeploy import envs
 from spikedeploy.files import write_text
-from spikedeploy.outputs import check_output, mark, marked, own
+from spikedeploy.outputs import check_output, mark, marked, no_link
 from spikedeploy.pages.svg import standalone, svg
 from spikedeploy.pages.training import ALT, flat, write_run_page
 from spikedeploy.policies import run_record
@@ -42,8 +42,8 @@ def write_run_files(run: Path) -> list[Path]:
     """
     files = [write_run_page(run)]
     if drawn := curves_figure(metrics_of(run)):
-        files.append(write_text(own(run / CURVE), standalone(svg(drawn, ALT))))
-    card = own(run / CARD)
+        files.append(write_text(no_link(run / CURVE), standalone(svg(drawn, ALT))))
+    card = no_link(run / CARD)
     if not card.exists() or marked(card, _OURS):
         files.append(write_text(card, card_of(run)))
     return files
@@ -174,4 +174,4 @@ def _use(found: RunScores) -> Iterator[str]:
     yield f"spikedeploy compare {env} {run}    # fresh seeds, beside its float twin"
     yield f"spikedeploy run {run} --episodes 5"
     if found.spikes:
-        yield f"spikedeploy export {run} --to c       # C99 of its integers"
+        yield f"spikedeploy export {run} --to c -o firmware    # C99 of its integers"

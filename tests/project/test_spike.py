@@ -96,6 +96,12 @@ def test_words_reach_the_command_line_unchanged_from_any_folder(checkout, tmp_pa
     assert lines[-1] == f"spikedeploy {tmp_path} run my file.nir --episodes 2"
 
 
+def test_hints_name_the_script_as_it_was_called(checkout):
+    program = checkout / ".venv/bin/spikedeploy"
+    program.write_text(f'#!/bin/sh\necho "$SPIKEDEPLOY_COMMAND" >> "{checkout}/calls"\n')
+    assert spike(checkout, "runs")[2][-1] == str(checkout / "spike")
+
+
 def test_without_words_it_prints_the_help(checkout):
     assert spike(checkout)[2][-1].endswith(" --help")
 

@@ -65,7 +65,7 @@ def _estimate(value: Estimate) -> str:
 def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None = None) -> str:
     """Whether a task is done on the chip at few operations; what is missing where nobody knows.
 
-    ✓ where the whole interval of the return is good, ✗ where none of it is, ≈ between.
+    Its mark is that of the return, and ✗ where the operations are too many.
 
     trained  mean spike rate of the dense networks that were trained, on whatever task
     """
@@ -76,15 +76,14 @@ def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None =
     operations, wanted = point.mean("operations") or 0.0, TASKS[env].wanted
     earned, bound = (point.of_teacher, ENOUGH) if wanted is None else (point.earned, wanted)
     few = operations <= FEW * dense.operations
-    low, high = earned.ci95
-    mark = "✗" if high < bound or not few else "✓" if low >= bound else "≈"
+    mark = earned.mark(bound)
     goal = f"{ENOUGH:.0%} of the teacher" if wanted is None else f"a return of {wanted:g}"
     return (
-        f"* {mark} **{env}**: {_estimate(point.earned)}, "
+        f"* {mark if few else '✗'} **{env}**: {_estimate(point.earned)}, "
         f"{share(point.of_teacher)} of the teacher, with {operations:,.0f} SOPs a control step on "
         f"{chip}, {operations / dense.operations:.2%} of the PopSAN's {dense.operations:,.0f} "
         f"({_how(env, dense, operations, trained)}), {LABELS[point.role]}, {_seeds(point)}. "
-        f"Asked for: {goal} at {FEW:.0%}{_lack(earned, bound, few)}."
+        f"Asked for: {goal} at {FEW:.0%}{_lack(mark, few)}."
     )
 
 
@@ -102,11 +101,11 @@ def _how(env: str, dense: Reference, operations: float, trained: float | None) -
     return f"{assumed}; {part:.2%} at the {trained:.3f} of those that were trained"
 
 
-def _lack(earned: Estimate, bound: float, few: bool) -> str:
-    low, high = earned.ci95
-    said = ["missed by the return"] if high < bound else []
+def _lack(mark: str, few: bool) -> str:
+    """What is missing, of a return with this mark."""
+    said = ["missed by the return"] if mark == "✗" else []
     said += ["missed by the operations"] if not few else []
-    said += ["the interval of the return is on both sides"] if low < bound <= high else []
+    said += ["the interval of the return is on both sides"] if mark == "≈" else []
     return f"; {' and '.join(said)}" if said else ""
 
 

@@ -48,10 +48,9 @@ def _near(found: Estimate | None, where: str, what: str) -> list[str]:
     if found is None:
         return []
     text = f"{where}: the SNN reaches {percent(found)} of the ANN {what} (asked for {_NEAR:.0%})"
-    low, high = found.ci95
-    if math.isnan(low):
+    if math.isnan(found.ci95[0]):
         return [_verdict(found.mean >= _NEAR, f"{text}; one training, no interval")]
-    mark = "✓" if low >= _NEAR else "✗" if high < _NEAR else "≈"
+    mark = found.mark(_NEAR)
     return [f"- {mark} {text}" + ("; the interval is on both sides" if mark == "≈" else "")]
 
 

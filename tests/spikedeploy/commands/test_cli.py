@@ -314,6 +314,18 @@ def test_verify_exits_with_2_where_no_file_differs_and_one_cannot_be_read(comman
     assert "not replayed: broken.json: weights holds 9. It must be within -7 and 7." in out
 
 
+def test_verify_names_a_file_once_that_it_cannot_read(command, tmp_path):
+    network, missing = tmp_path / "net.nir", tmp_path / "missing.json"
+    network.write_bytes(b"\x89HDF\r\n")
+    code, out, _ = command("verify", network, missing)
+    assert code == 2
+    assert out.splitlines() == [
+        f"✗ {network}: not replayed: this is not a text file. A trace is JSON, as docs/traces.md "
+        "shows.",
+        f"✗ {missing}: not replayed: No such file or directory",
+    ]
+
+
 def test_verify_says_how_a_run_of_a_host_that_never_waits_was_replayed(command):
     code, out, _ = command("verify", GOLDEN / "rtl" / "odin_two_layers_stream.json")
     assert code == 0

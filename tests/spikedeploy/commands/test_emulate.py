@@ -73,6 +73,19 @@ def emulate(command, tmp_path):
     return run
 
 
+@pytest.mark.parametrize(("threshold", "silent"), [(1.0, False), (20.0, True)])
+def test_a_network_that_never_spikes_is_said_to_be_silent(
+    threshold, silent, emulate, command, tmp_path
+):
+    network = chain(nir.Linear(np.eye(1)), lif(1, threshold=threshold), width=1, act=1)
+    words = ("--dt", 1e-3)
+    code, _, out, _ = emulate(network, np.ones((40, 1), np.uint8), "--chip", "loihi1", *words)
+    assert (code, "no neuron spikes" in out) == (0, silent)
+    files = (tmp_path / "a.nir", "--input", tmp_path / "in.npy", "--chip", "loihi1")
+    code, out, _ = command("drift", *files, *words)
+    assert (code, "no neuron spikes" in out) == (0, silent)
+
+
 def test_what_runs_beyond_the_limits_of_a_chip_says_so(emulate):
     # Xylo has 16 inputs
     cells = lif(1, tau=2e-3, r=2.0)

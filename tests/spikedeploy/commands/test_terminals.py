@@ -45,6 +45,17 @@ def test_brackets_are_text_in_tables(capsys):
         assert text in out
 
 
+@pytest.mark.parametrize(
+    ("name", "said"), [(None, "spikedeploy"), ("./spike", "./spike"), ("a b/spike", "'a b/spike'")]
+)
+def test_hints_name_the_command_as_the_user_calls_it(name, said, command, tmp_path, monkeypatch):
+    monkeypatch.delenv("SPIKEDEPLOY_COMMAND", raising=False)
+    if name:
+        monkeypatch.setenv("SPIKEDEPLOY_COMMAND", name)
+    _, out, _ = command("runs", "--runs", tmp_path)
+    assert f"`{said} train RECIPE` makes one" in out
+
+
 @pytest.mark.parametrize("verb", [verb for verbs in cli.COMMANDS.values() for verb in verbs])
 def test_brackets_are_text_in_help(verb, command):
     options = typer.main.get_command(cli.app).commands[verb].params

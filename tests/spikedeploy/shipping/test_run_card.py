@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from spikedeploy.pages.training import LivePage
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.run_card import export_card, write_run_files
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
@@ -96,6 +97,12 @@ def test_nothing_is_written_through_a_link_in_a_run_folder(name, run, tmp_path):
             write_run_files(run)
         assert not exists or foreign.read_text() == "mine"
         assert foreign.exists() == exists
+
+
+def test_a_page_that_cannot_be_written_does_not_end_the_training(run, tmp_path):
+    (run / "report.html").symlink_to(tmp_path / "foreign.txt")
+    LivePage()(run)
+    assert not (tmp_path / "foreign.txt").exists()
 
 
 def test_a_card_shows_words_of_records_as_they_are(run):
