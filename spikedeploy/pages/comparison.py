@@ -44,22 +44,42 @@ def comparison_page(
     """
     rows = document["rows"]
     first, more = verdict(document)
+    instrument, scripts = replay(document, episodes)
     several = f"{document['env']}: {len(rows)} policies on the same seeds"
     return page(
         several if len(rows) > 1 else f"{document['env']}: {rows[0]['policy']}",
         " ".join(filter(None, (first, _disturbed(made)))),
         [
             big_numbers(headline(rows, document["env_id"])),
-            Template(part("instrument.html")).substitute(legend=_LEGEND) if episodes else "",
+            instrument,
             _video(video) if video else "",
             heading("All policies"),
-            _table(short_columns(rows, document["env_id"]), rows),
+            policy_table(rows, document["env_id"]),
             hint(energy_hint(rows)),
             said(more, document.get("env_remark", "")),
             *_folded(document, made, stepped),
         ],
-        _data(_renamed(episodes, document)) if episodes else "",
+        scripts,
     )
+
+
+def replay(document: Mapping[str, Any], episodes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """What replays recorded episodes on a page: its section, and scripts at the page's end.
+
+    Both are empty without episodes. A page holds one.
+    """
+    if not episodes:
+        return "", ""
+    section = Template(part("instrument.html")).substitute(legend=_LEGEND)
+    return section, _data(_renamed(episodes, document))
+
+
+def policy_table(rows: Sequence[Row], env: str) -> str:
+    """Some rows of a comparison, in the few columns that everybody reads.
+
+    env  id of the environment
+    """
+    return _table(short_columns(rows, env), rows)
 
 
 def _disturbed(made: Mapping[str, str]) -> str:

@@ -2,11 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from spikedeploy.comparison.summary import macs, smallest_rival
-from spikedeploy.reports.cells import Row, price
+from spikedeploy.reports.cells import ABSENT, Row, price
 from spikedeploy.reports.columns import difference, interval, label
 from spikedeploy.reports.short_table import quoted_table, short_label
 
@@ -96,7 +96,7 @@ def _counted(row: Row, rivals: Iterable[Row], name: str) -> HeadlineNumber | Non
         return None
     unit = "SOPs" if row.get("sops_per_inference") is not None else "MACs"
     said = [
-        f"{each['policy']}: {macs(each):,.0f} MACs, {_times(macs(each) / count)} as many"
+        f"{each['policy']}: {_macs(each)}, {_times(macs(each) / count)} as many"
         for each in rivals
         if math.isfinite(macs(each))
     ]
@@ -116,9 +116,25 @@ def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
         for each, other in known
         if other
     ]
+    by = f"by {table}" + (", which prices float networks too" if said else "")
     return HeadlineNumber(
-        "energy of a control step", energy(row), "; ".join([f"by {table}", *said])
+        "energy of a control step", energy(row), "; ".join([by, *said, *_priced_otherwise(row)])
     )
+
+
+def _priced_otherwise(row: Row) -> Iterator[str]:
+    """Its energies by the other tables of its chip: `by davies2018 of loihi1: 33.36 nJ`."""
+    others = [name for name in row["energy_per_inference_j"] if name != quoted_table([row])]
+    for name in others:
+        energy = price("energy_per_inference_j", name, "J", "energy_interval_j")(row)
+        if energy != ABSENT:
+            yield f"by {name} of {row['chip']}: {energy}"
+
+
+def _macs(row: Row) -> str:
+    """`20,864 MACs`, or `13,289 of 20,864 MACs that are not by 0`."""
+    count, dense = f"{macs(row):,.0f}", f"{row.get('macs_dense') or 0:,.0f}"
+    return f"{count} MACs" if count == dense else f"{count} of {dense} MACs that are not by 0"
 
 
 def _times(ratio: float) -> str:

@@ -1,6 +1,6 @@
 """The demo: shipped policies on two tasks, a page of each with its episodes, and an index."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -8,12 +8,16 @@ from typing import Any
 from spikedeploy import zoo
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.comparison.summary import smallest_rival
 from spikedeploy.console import say
 from spikedeploy.files import write_text
 from spikedeploy.pages import report
-from spikedeploy.pages.page import big_numbers, page, said
+from spikedeploy.pages.comparison import policy_table, replay
+from spikedeploy.pages.page import big_numbers, hint, page, said
 from spikedeploy.policies.interface import DEFAULT_CHIP
-from spikedeploy.reports.headline import headline, verdict
+from spikedeploy.reports.cells import Row
+from spikedeploy.reports.headline import ann_row, headline, main_row, verdict
+from spikedeploy.reports.short_table import energy_hint
 from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.seeds import EVALUATION
 
@@ -21,6 +25,12 @@ FOLDER = Path("reports/demo")
 # task -> episodes of each policy; a walk takes some seconds, a lap a tenth of that
 _TASKS = {"hexapod-command": 2, "kart-steer": 5}
 _TITLE = "Spiking policies on an emulated chip"
+_LEAD = (
+    "The robot below is driven by spiking neurons in the integers of a neuromorphic chip. The "
+    "ghosts beside it are the same network in floating point and a float network. No chip took "
+    "part: its arithmetic was emulated on this machine, and its operations were counted."
+)
+_Episodes = Sequence[Mapping[str, Any]]
 
 
 def write_demo(
@@ -33,39 +43,59 @@ def write_demo(
     everything  print all tables, else the numbers that a page leads with
     """
     documents: list[dict[str, Any]] = []
+    shown: _Episodes = ()
     for env, episodes in _TASKS.items():
         if not zoo.policies(env):
             say(f"{env}: no policies are shipped yet")
             continue
-        document = _compared(env, episodes, folder / env)
+        document, recorded = _compared(env, episodes, folder / env)
+        shown = shown or recorded[:1]
         documents.append(document)
         if not quiet:
             show = print_comparison if everything else print_headline
             show(document)
     if documents:
-        write_text(folder / "index.html", _index(documents))
+        write_text(folder / "index.html", _index(documents, shown))
     return documents
 
 
-def _compared(env: str, episodes: int, folder: Path) -> dict[str, Any]:
+def _compared(env: str, episodes: int, folder: Path) -> tuple[dict[str, Any], _Episodes]:
+    """The report of a task, and the episodes that its page replays."""
     entries = line_up(env, (), (DEFAULT_CHIP,))
     comparison = compare_policies(env, entries, range(EVALUATION, EVALUATION + episodes))
     document = report.document(comparison)
     recorded = report.recordings(comparison, document["rows"], {})
     report.write(document, folder, episodes=recorded)
-    return document
+    return document, recorded
 
 
-def _index(documents: list[dict[str, Any]]) -> str:
-    """A page that leads to those of the tasks."""
-    lead = (
-        "Each page replays recorded episodes beside the spikes, membranes and energy of the "
-        "network on the chip."
+def _index(documents: Sequence[Mapping[str, Any]], episodes: _Episodes) -> str:
+    """A page that replays an episode of the first task, and leads to the pages of all."""
+    instrument, scripts = replay(documents[0], episodes)
+    parts = [_part(document, "" if at else instrument) for at, document in enumerate(documents)]
+    return page(_TITLE, _LEAD, parts, scripts)
+
+
+def _part(document: Mapping[str, Any], instrument: str) -> str:
+    env, rows = escape(document["env"]), list(_told(document["rows"]))
+    seeds = f"{rows[0]['episodes']} episodes of each policy"
+    return "".join(
+        (
+            f"<h2>{env}</h2>{said(verdict(document)[0])}",
+            big_numbers(headline(document["rows"], document["env_id"])),
+            instrument,
+            policy_table(rows, document["env_id"]),
+            hint(f"{seeds}. {energy_hint(rows)}"),
+            f'<p><a href="{env}/report.html">All policies of {env}, with recorded episodes, '
+            "agreement, sizes and energies</a></p>",
+        )
     )
-    return page(_TITLE, lead, map(_card, documents))
 
 
-def _card(document: Mapping[str, Any]) -> str:
-    env = escape(document["env"])
-    numbers = big_numbers(headline(document["rows"], document["env_id"]))
-    return f'<h2><a href="{env}/report.html">{env}</a></h2>{said(verdict(document)[0])}{numbers}'
+def _told(rows: Sequence[Row]) -> Iterator[Row]:
+    """The float ANN, the spiking policies on the chip, and the smallest float rival."""
+    main = main_row(rows)
+    found = (ann_row(rows), smallest_rival(main, rows))
+    for row in rows:
+        if row in found or (row["kind"] == "snn" and row["chip"] == main["chip"]):
+            yield row

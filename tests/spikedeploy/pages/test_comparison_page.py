@@ -56,8 +56,21 @@ def test_three_numbers_lead_with_what_they_are_beside():
         "mlp-8: 700 MACs, 14 times as many; sac: 300,000 MACs, 6,211 times as many"
     )
     assert energy.beside == (
-        "by horowitz45-int8; mlp-8: 1.10 nJ, 1.5 times as much; sac: 0.48 µJ, 640 times as much"
+        "by horowitz45-int8, which prices float networks too; mlp-8: 1.10 nJ, 1.5 times as much; "
+        "sac: 0.48 µJ, 640 times as much"
     )
+
+
+def test_numbers_say_what_they_leave_out():
+    tables = {"energy_per_inference_j": {"davies2018": 33e-9, "horowitz45-int8": 0.75e-9}}
+    sparse = row("popsan", "snn", "loihi1", 2910, sops=48.3, **CHIP, **tables)
+    sac = row("sac", "ann", macs=300_000, joules=480e-9, macs_effective=116_811)
+    _, operations, energy = headline([sac, sparse])
+    assert (
+        "sac: 116,811 of 300,000 MACs that are not by 0, 2,418 times as many" in operations.beside
+    )
+    assert energy.number == "0.75 nJ"
+    assert energy.beside.endswith("; by davies2018 of loihi1: 33.00 nJ")
 
 
 def test_runs_have_the_names_of_the_table():
