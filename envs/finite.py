@@ -1,4 +1,4 @@
-"""Whether a vector holds numbers only: asked of every action and observation."""
+"""Whether a vector holds numbers only: asked in every control step."""
 
 from __future__ import annotations
 
