@@ -13,6 +13,7 @@ ghost_recorder.py  collects ghosts from environments that are stepped side by si
 archive.py         .npz files, written atomically
 foreign.py         environments of other people, by registered id or module:Class
 adapted.py         those as policies expect them: scaled actions, vectors, success
+finite.py          whether actions and states hold numbers only
 errors.py          EnvError
 
 A new environment is one file and one line in ENVS.

@@ -129,12 +129,9 @@ class HexapodCommandEnv(HexapodEnv):
         _, sideways = _planar(motion)
         return command_terms(speed - self._speed, turn - self._turn, sideways)
 
-    def _task_observation(self, values: FloatArray, motion: Motion) -> None:
-        columns = self.OBSERVATION
+    def _task_observation(self, motion: Motion) -> tuple[float, ...]:
         speed, turn = self._command
-        values[columns["turn_error"]] = turn - self._turn
-        values[columns["speed_error"]] = speed - self._speed
-        values[columns["command"]] = speed, turn
+        return turn - self._turn, speed - self._speed, speed, turn
 
     def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
         """Info of this step, with the command that was in force during it."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.finite import all_finite
 from spikedeploy.envs.hexapod.camera import Camera, CameraWindow
 from spikedeploy.envs.hexapod.disturbances import Pushes, PushTable, Range, check, sample
 from spikedeploy.envs.hexapod.gait import Gait
@@ -213,7 +214,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (18,):
             raise EnvError(f"action of step {self._step}: shape {action.shape} instead of (18,)")
-        if not np.isfinite(action).all():
+        if not all_finite(action):
             raise EnvError(f"action of step {self._step}: not finite: {action}")
         return np.minimum(np.maximum(action, -1.0), 1.0)
 
@@ -235,23 +236,25 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def _observe(self, motion: Motion, height: float) -> FloatArray:
         """Observation (77,) of the current state."""
-        columns = self.OBSERVATION
-        values = np.empty(len(self._centre))
-        values[columns["height"]] = height
-        values[columns["gravity"]] = motion.gravity
-        values[columns["velocity"]] = motion.body_velocity
-        values[columns["angular_velocity"]] = motion.angular_velocity
-        values[columns["joints"]] = motion.joints
-        values[columns["joint_velocity"]] = motion.joint_velocity
-        values[columns["previous"]] = self._filtered
-        values[columns["contact"]] = motion.contact
-        values[columns["phase"]] = math.sin(self._gait.phase), math.cos(self._gait.phase)
-        values[columns["load"]] = motion.load.sum()
-        self._task_observation(values, motion)
+        turning, *course = self._task_observation(motion)
+        phase = math.sin(self._gait.phase), math.cos(self._gait.phase)
+        body = height, *motion.gravity, turning, *motion.body_velocity, *motion.angular_velocity
+        # in the order of ENTRIES
+        values = np.concatenate(
+            (
+                body,
+                motion.joints,
+                motion.joint_velocity,
+                self._filtered,
+                motion.contact,
+                (*phase, *course, np.add.reduce(motion.load)),
+            )
+        )
         values -= self._centre
         values /= self._spread
-        observation: FloatArray = np.minimum(np.maximum(values, -LIMIT), LIMIT)
-        return observation
+        np.maximum(values, -LIMIT, out=values)
+        np.minimum(values, LIMIT, out=values)
+        return values
 
     def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
         """Info of this step and of the episode so far."""
@@ -291,9 +294,6 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Whether the episode so far is a success, if it does not end with a fall."""
         return self._return > self.SUCCESS_RETURN
 
-    def _task_observation(self, values: FloatArray, motion: Motion) -> None:
-        columns = self.OBSERVATION
-        values[columns["heading"]] = motion.heading
-        values[columns["speed"]] = self._speed
-        values[columns["lateral"]] = motion.position[1]
-        values[columns["lateral_velocity"]] = motion.velocity[1]
+    def _task_observation(self, motion: Motion) -> tuple[float, ...]:
+        """The task's entry of BODY, then its own."""
+        return motion.heading, self._speed, motion.position[1], motion.velocity[1]

@@ -11,8 +11,7 @@ LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
 JOINTS = ("coxa", "femur", "tibia")
 
 # Tripods RF-RR-LM and RM-LF-LR step in antiphase: a phase shift of pi flips the signs of sine and
-# cosine, so that one sign per leg is the whole coupling.
-_TRIPOD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+# cosine, so that one sign per leg is the whole coupling. In LEGS the tripods alternate.
 
 
 class Gait:
@@ -48,11 +47,10 @@ class Gait:
 
     def command(self) -> NDArray[np.float64]:
         """Command (18,) at the current phase, leg by leg coxa, femur, tibia [action unit]."""
-        sine = _TRIPOD * math.sin(self.phase)
-        swing = np.maximum(sine, 0.0)
-        command = np.empty(18)
-        # coxa = -yaw cos(phase): forward while sin(phase) > 0, when the foot is in the air
-        command[0::3] = (-self.yaw * math.cos(self.phase)) * _TRIPOD
-        command[1::3] = self.lift * swing
-        command[2::3] = self.extend * swing
-        return command
+        sine = math.sin(self.phase)
+        # forward while sin(phase) > 0, when the foot is in the air
+        coxa = -self.yaw * math.cos(self.phase)
+        swing, other = max(0.0, sine), max(0.0, -sine)
+        one = coxa, self.lift * swing, self.extend * swing
+        opposite = -coxa, self.lift * other, self.extend * other
+        return np.array((*one, *opposite) * 3)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.finite import all_finite
 from spikedeploy.envs.hexapod.gait import LEGS
 from spikedeploy.envs.hexapod.terrain import BASE, CEILING, Field
 
@@ -84,6 +85,10 @@ class Robot:
         self._gain = self.model.actuator_gainprm[:, 0].copy()
         self._bias = self.model.actuator_biasprm[:, 1:3].copy()
         self.mass = float(self._mass.sum())
+        # views of MuJoCo's memory, which stays where it is
+        self._velocity, self._joint_velocity = self.data.qvel, self.data.qvel[6:]
+        self._torque, self._readings = self.data.actuator_force, self.data.sensordata
+        self._joint_powers = np.zeros((SUBSTEPS, 18))
         self._powers = [0.0] * SUBSTEPS
         self._down = 0.0, -1.0  # x and z of the direction of gravity in the world
 
@@ -124,12 +129,14 @@ class Robot:
 
     def drive(self, command: FloatArray) -> None:
         """Hold the servos at stance + 0.6 rad x command (18,) for one control step."""
-        np.multiply(command, _ACTION_UNIT, out=self.data.ctrl)
-        self.data.ctrl += STANCE
+        np.add(command * _ACTION_UNIT, STANCE, out=self.data.ctrl)
         self.data.xfrc_applied[self._torso, 2] = self.support_force * 0.6 * self.mass * GRAVITY
-        for substep in range(SUBSTEPS):
+        for powers in self._joint_powers:
             mujoco.mj_step(self.model, self.data)
-            self._powers[substep] = self._power()
+            np.multiply(self._torque, self._joint_velocity, out=powers)
+        # P = sum |torque x joint velocity|: braking servos recover no energy
+        np.abs(self._joint_powers, out=self._joint_powers)
+        self._powers = np.add.reduce(self._joint_powers, axis=1).tolist()
 
     def push(self, kick: tuple[float, float], spin: float) -> None:
         """Add kick (x, y) [m/s] and spin [rad/s] to the torso's velocity instantly."""
@@ -139,20 +146,19 @@ class Robot:
 
     def sense(self) -> Motion:
         """Measure everything that observations and rewards use."""
-        qpos, qvel, sensors = self.data.qpos, self.data.qvel, self.data.sensordata
-        if not np.isfinite(qvel).all():
+        qpos, qvel = self.data.qpos, self._velocity
+        if not all_finite(qvel):
             raise EnvError(
                 f"the simulation diverged {self.data.time:.3f} s into the episode: "
                 f"use weaker pushes or options closer to their defaults"
             )
         px, py, pz, w, x, y, z = qpos[:7].tolist()
-        vx, vy, vz, *angular = qvel[:6].tolist()
+        vx, vy, vz, wx, wy, wz = qvel[:6].tolist()
         # rows of the rotation matrix, body to world
         r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
         r10, r11, r12 = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
         r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-        load = sensors[:6].copy()
-        contact = load > _TOUCH
+        load = self._readings[:6].copy()
         return Motion(
             position=(px, py, pz),
             gravity=_gravity(self._down, (r00, r01, r02), (r20, r21, r22)),
@@ -163,19 +169,15 @@ class Robot:
                 r01 * vx + r11 * vy + r21 * vz,
                 r02 * vx + r12 * vy + r22 * vz,
             ),
-            angular_velocity=(angular[0], angular[1], angular[2]),
+            angular_velocity=(wx, wy, wz),
             joints=qpos[7:].copy(),
-            joint_velocity=qvel[6:].copy(),
+            joint_velocity=self._joint_velocity.copy(),
             load=load,
-            contact=contact,
-            slip=_slip(sensors[6:].reshape(6, 3), contact),
+            contact=load > _TOUCH,
+            slip=_slip(self._readings.tolist()),
             power=self._powers[-1],
             mean_power=sum(self._powers) / SUBSTEPS,
         )
-
-    def _power(self) -> float:
-        # P = sum |torque x joint velocity|: braking servos recover no energy
-        return float(np.abs(self.data.actuator_force * self.data.qvel[6:]).sum())
 
 
 def _gravity(down: tuple[float, float], x: _Row, z: _Row) -> _Row:
@@ -186,13 +188,18 @@ def _gravity(down: tuple[float, float], x: _Row, z: _Row) -> _Row:
     return along * x[0] + across * z[0], along * x[1] + across * z[1], along * x[2] + across * z[2]
 
 
-def _slip(velocity: FloatArray, contact: NDArray[np.bool_]) -> float:
-    """Mean horizontal speed [m/s] of the feet (6, 3) in contact, 0 if none is."""
-    count = int(contact.sum())
-    if count == 0:
-        return 0.0
-    speed = np.sqrt(velocity[:, 0] ** 2 + velocity[:, 1] ** 2)
-    return float(speed @ contact) / count
+def _slip(readings: list[float]) -> float:
+    """Mean horizontal speed [m/s] of the feet in contact, 0 if none is.
+
+    readings  (24,) loads (6,) [N], then velocities (6, 3) [m/s]
+    """
+    total, count = 0.0, 0
+    for foot in range(6):
+        if readings[foot] > _TOUCH:
+            vx, vy = readings[6 + 3 * foot], readings[7 + 3 * foot]
+            total += math.sqrt(vx * vx + vy * vy)
+            count += 1
+    return total / count if count else 0.0
 
 
 def _xml(field: Field) -> str:

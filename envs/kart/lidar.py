@@ -83,10 +83,10 @@ class Lidar:
         self.options = options
         self.angles = options.angles
         self.range = float(options.range)
-        # (2, R, 2): ray directions at heading 0, and the same turned by 90 degrees; those of any
+        # (R, 2): ray directions at heading 0, and the same turned by 90 degrees; those of any
         # heading are a combination of the two
         cosine, sine = np.cos(self.angles), np.sin(self.angles)
-        self._fan = np.stack((np.stack((cosine, sine), 1), np.stack((-sine, cosine), 1)))
+        self._ahead, self._beside = np.stack((cosine, sine), 1), np.stack((-sine, cosine), 1)
 
     def set_walls(self, walls: FloatArray) -> None:
         """Measure distances to these walls (W, 2, 2) [px] from now on."""
@@ -97,17 +97,19 @@ class Lidar:
 
     def distances(self, x: float, y: float, heading: float) -> FloatArray:
         """Distances (R,) [px] from a position [px] and heading [rad]; the range without a hit."""
-        ahead, beside = self._fan
-        rays = math.cos(heading) * ahead + math.sin(heading) * beside
+        rays = math.cos(heading) * self._ahead + math.sin(heading) * self._beside
         # p + t ray = start + u along;  [a, b] = ax by - ay bx
         # t = [start - p, along] / [ray, along],  u = [start - p, ray] / [ray, along]
         determinant = rays @ self._across
         determinant[determinant == 0.0] = _FLAT
         distance = (self._offset - np.array((x, y)) @ self._across) / determinant
-        share = (rays @ (self._turned - np.array(((-y,), (x,))))) / determinant
-        missed = (np.abs(share - 0.5) > 0.5 + _CLOSE) | (distance < 0.0)
+        share = rays @ (self._turned - np.array(((-y,), (x,))))
+        share /= determinant
+        share -= 0.5
+        missed = (np.abs(share) > 0.5 + _CLOSE) | (distance < 0.0)
         distance[missed] = self.range
-        nearest: FloatArray = distance.min(axis=1, initial=self.range)
+        # what min() does, without its detour through Python
+        nearest: FloatArray = np.minimum.reduce(distance, axis=1, initial=self.range)
         return nearest
 
     def measure(self, x: float, y: float, heading: float, rng: np.random.Generator) -> FloatArray:

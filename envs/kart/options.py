@@ -70,9 +70,10 @@ def reward_of(reward: str | Mapping[str, float], classic: ClassicReward) -> Rewa
 def action_name(action: Any, names: Sequence[str]) -> str:  # noqa: ANN401
     """Name of a discrete action; EnvError if there is no such action."""
     index = np.asarray(action)
-    if index.shape or index.dtype.kind not in "iu" or not 0 <= index < len(names):
+    whole = not index.shape and index.dtype.kind in "iu"
+    if not whole or not 0 <= (place := int(index)) < len(names):
         raise EnvError(
             f"action {action!r} is none of the {len(names)} of this kart: 0 to {len(names) - 1}, "
             f"{', '.join(names)}"
         )
-    return names[int(index)]
+    return names[place]

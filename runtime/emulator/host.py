@@ -26,6 +26,13 @@ class Host:
     def __init__(self, program: Program, batch: int) -> None:
         self._program, self._batch = program, batch
         self._terms = _terms(program)
+        self._rest = np.zeros(max(place.stop for _, _, _, place in self._terms)) + _bias(program)
+        sources = {s.source for layer in program.host for s in layer.synapses}
+        self._hears_input = program.input in sources | {name for name, _, _, _ in self._terms}
+        self._sizes = program.sizes | {layer.name: layer.size for layer in program.host}
+        self._delays = {
+            streaming: _Delays(program, streaming=streaming) for streaming in (False, True)
+        }
         self.reset(streaming=False)
 
     def reset(self, streaming: bool) -> None:
@@ -34,12 +41,12 @@ class Host:
         streaming: whether single timesteps of the chip come, in which later layers are behind, and
             not windows, in which rows of one number mean the same.
         """
-        delays = _Delays(self._program, streaming)
+        delays = self._delays[streaming]
         self._integrators = [
             _Integrator(layer, self._batch, delays) for layer in self._program.host
         ]
         self._late = [
-            _Late(delays.of(name, lag), self._batch, self._size(name))
+            _Late(delays.of(name, lag), self._batch, self._sizes[name])
             for name, _, lag, _ in self._terms
         ]
 
@@ -48,16 +55,17 @@ class Host:
         rows = self._rows(raster, backend)
         for integrator in self._integrators:
             rows[integrator.layer.name] = integrator.run(rows)
-        output = np.zeros((*raster.shape[:2], self._size_of_output())) + self._bias()
+        output = np.empty((*raster.shape[:2], len(self._rest)))
+        output[...] = self._rest
         for (name, weight, _, place), late in zip(self._terms, self._late, strict=True):
-            arriving = late.through(rows[name])
-            output[..., place] += arriving if weight is None else arriving @ weight
+            arriving, total = late.through(rows[name]), output[..., place]
+            np.add(total, arriving if weight is None else arriving @ weight, out=total)
         return np.asarray(output.swapaxes(0, 1))
 
     def _rows(self, raster: NDArray[Any], backend: Backend) -> dict[str, Floats]:
-        """(T, B, N) of the input and of all that leaves the chip: spikes, or membranes."""
+        """(T, B, N) of the input, where it is heard, and of all that leaves the chip."""
         program = self._program
-        rows = {program.input: raster.astype(np.float64)}
+        rows = {program.input: raster.astype(np.float64)} if self._hears_input else {}
         for name in program.to_host:
             layer = program.layer(name)
             if layer.spiking:
@@ -65,19 +73,6 @@ class Host:
             else:
                 rows[name] = backend.membranes(name) * layer.scale
         return rows
-
-    def _size(self, name: str) -> int:
-        on_host = {layer.name: layer.size for layer in self._program.host}
-        return on_host.get(name) or self._program.sizes[name]
-
-    def _size_of_output(self) -> int:
-        return int(max(place.stop for _, _, _, place in self._terms))
-
-    def _bias(self) -> Floats:
-        program = self._program
-        if program.outlets:
-            return np.concatenate([outlet.bias for outlet in program.outlets])
-        return np.zeros(1) if program.readout is None else program.readout.bias
 
 
 # name, weight (N, act) or None, lag, and the elements of the output that it adds to
@@ -100,6 +95,13 @@ def _terms(program: Program) -> list[_Term]:
     return terms
 
 
+def _bias(program: Program) -> Floats:
+    """What the output begins with, (act,) or one for all."""
+    if program.outlets:
+        return np.concatenate([outlet.bias for outlet in program.outlets])
+    return np.zeros(1) if program.readout is None else program.readout.bias
+
+
 class _Delays:
     """Rows by which the host holds back what it receives.
 
@@ -109,7 +111,7 @@ class _Delays:
     latest: [timesteps] when that one starts; 0 in windows.
     """
 
-    def __init__(self, program: Program, streaming: bool) -> None:
+    def __init__(self, program: Program, *, streaming: bool) -> None:
         here = {layer.name: layer.start for layer in program.layers} if streaming else {}
         self._starts = {name: here.get(name, 0) for name in (program.input, *program.sizes)}
         self.latest = max(self._starts[name] for name in (program.input, *program.to_host))

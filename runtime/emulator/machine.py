@@ -268,8 +268,10 @@ class Machine:
         if self.program.outlets:
             seen = {name: recording.spikes for name, recording in self.recordings.items()}
             return leaving(self.program.outlets, seen)
-        spikes = presynaptic.astype(np.float64)
-        output = self.program.readout(spikes) if self.program.readout else spikes
+        readout = self.program.readout
+        # a readout copies; spikes may be memory of the backend
+        spikes = presynaptic.astype(np.float64, copy=readout is None)
+        output = spikes if readout is None else readout(spikes)
         return np.asarray(output.swapaxes(0, 1))
 
     def _write(self, presynaptic: NDArray[Any], out: Floats) -> Floats:

@@ -30,6 +30,7 @@ class NumbaPipeline:
         slots = timesteps + 1 if schedule.trace else 2
         known = constants(program, fixed, schedule.delays)
         self._memory = memory = WindowMemory(known, timesteps, batch, slots)
+        self._membranes = self._views_of_membranes()
         self._counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
         self._presynaptic = np.zeros((timesteps, batch, program.layer(program.output).size))
         self._input = memory.rows(0)
@@ -95,11 +96,7 @@ class NumbaPipeline:
 
     def membranes(self, layer: str) -> NDArray[Any]:
         """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
-        place = [each.name for each in self._program.layers].index(layer)
-        states = self._memory.states(place)
-        # without a trace there is one timestep, whose states have become those of now
-        rows = states[:, 1:] if self.schedule.trace else states[:, :1]
-        return np.asarray(rows[:, :, 1].swapaxes(0, 1))
+        return self._membranes[layer]
 
     def spikes(self, layer: str) -> NDArray[Any]:
         """Spikes (T, B, N) of a layer in the last window."""
@@ -122,6 +119,15 @@ class NumbaPipeline:
         self._fresh = not saved
         if saved:
             self._memory.restore(saved)
+
+    def _views_of_membranes(self) -> dict[str, NDArray[np.float64]]:
+        """(T, B, N) of each layer."""
+        # without a trace there is one timestep, whose states have become those of now
+        rows = slice(1, None) if self.schedule.trace else slice(1)
+        return {
+            layer.name: self._memory.states(k)[:, rows, 1].swapaxes(0, 1)
+            for k, layer in enumerate(self._program.layers)
+        }
 
 
 def _has_unknown_registers(fixed: CubaFixedPoint) -> bool:
