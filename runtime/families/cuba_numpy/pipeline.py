@@ -229,12 +229,12 @@ class NumpyPipeline:
         self._observed, self._recorded, presynaptic = [], [], []
         for row in rows:
             # the kernels use their memory again for the next row
-            presynaptic.append(self._window(row[None], None)[0].copy())
+            presynaptic.append(self._window(row[None], None).copy())
             if self.schedule.counting:
                 self._observed.append(self._counter.observe(self._output_spikes))
             if self.schedule.trace:
                 self._recorded.append(self._recordings())
-        return np.stack(presynaptic)
+        return np.concatenate(presynaptic)
 
     def _recordings(self) -> dict[str, Recording]:
         """What each layer did when it last ran."""
