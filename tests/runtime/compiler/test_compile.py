@@ -288,3 +288,75 @@ def test_what_trains_with_another_reset_is_told_how_snntorch_says_it():
     zero = Artifact(chain(affine(8, 6), lif(6), width=8, act=6), None, CONVENTION)
     with pytest.raises(RuleError, match=r"with that reset, give it as an option"):
         compile_program(zero, chip("xylo-a2"))
+
+
+def placed(matrix):
+    """A layer whose spikes reach the output through this matrix (act, N)."""
+    act, size = np.shape(matrix)
+    nodes = [affine(8, size, gain=5.0), cuba(size), nir.Linear(np.array(matrix, float))]
+    return Artifact(chain(*nodes, width=8, act=act), None, CONVENTION)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.eye(3),
+        [[1, 0, 0], [0, 0, 1], [0, 1, 0]],
+        [[1, 1], [0, 0]],
+        [[1, 0], [0, 2]],
+        [[1, 1], [0, 1]],
+        [[0, 1], [1, 0]],
+        [[1, 0, 0], [0, 1, 0]],
+        [[1, 0], [0, 1], [0, 0]],
+    ],
+)
+def test_only_the_identity_passes_spikes_on_as_they_are(matrix):
+    artifact = placed(matrix)
+    program = compile_program(artifact, chip("ideal"))
+    assert (program.readout is None) == np.array_equal(matrix, np.eye(3))
+    given = raster(program)
+    expected = FloatGraph(artifact).run(given)["output"]
+    assert expected.any()
+    np.testing.assert_allclose(Machine(program, 3).infer(given), expected)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 2)])
+def test_a_bias_of_a_convolution_is_that_of_its_channel(shape):
+    rng = np.random.default_rng(0)
+    convolution = nir.Conv2d(
+        input_shape=shape, weight=rng.normal(size=(4, 1, 1, 1)), stride=1, padding=0,
+        dilation=1, groups=1, bias=np.array([1.0, -2.0, 3.0, 4.0]),
+    )  # fmt: skip
+    nodes = [convolution, nir.Flatten({"input": np.array([4, *shape])}, 0, -1)]
+    size = 4 * shape[0] * shape[1]
+    network = chain(*nodes, cuba(size, threshold=3.0), width=(1, *shape), act=size)
+    artifact = Artifact(network, None, CONVENTION)
+    (only,) = compile_program(artifact, chip("ideal")).layers
+    assert only.bias.tolist() == np.repeat([1.0, -2.0, 3.0, 4.0], size // 4).tolist()
+
+
+def test_impulses_are_sent_a_few_at_a_time_and_fill_no_more_memory_than_they_may(monkeypatch):
+    sent = []
+    respond = linear.Linear._respond
+
+    def spied(self, region, start, biased=False):
+        sent.extend(len(rows) for parts in start.values() for rows in parts.values())
+        return respond(self, region, start, biased)
+
+    monkeypatch.setattr(linear.Linear, "_respond", spied)
+    nodes = [affine(7, 3), affine(3, 40), affine(40, 5)]
+    artifact = Artifact(chain(*nodes, cuba(5), width=7, act=5), None, CONVENTION)
+    (whole,) = compile_program(artifact, chip("ideal")).layers
+    assert sent == [7, 5]
+    # 40 numbers in the widest node for each impulse
+    for enough, chunks in ((80, [2, 2, 2, 1]), (79, [1] * 7), (1, [1] * 7)):
+        monkeypatch.setattr(linear, "_ENOUGH", enough)
+        sent.clear()
+        (few,) = compile_program(artifact, chip("ideal")).layers
+        assert sent[: len(chunks)] == chunks
+        np.testing.assert_allclose(few.synapses[0].weight, whole.synapses[0].weight)
+    monkeypatch.setattr(linear, "_ENOUGH", 1 << 22)
+    monkeypatch.setattr(linear, "_MOST", 3)
+    sent.clear()
+    compile_program(artifact, chip("ideal"))
+    assert sent[:3] == [3, 3, 1]
