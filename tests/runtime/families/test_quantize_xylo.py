@@ -338,3 +338,68 @@ def test_a_threshold_of_one_is_none_that_is_lost():
     # 1 becomes 127, and so 0.01 becomes 1.27
     layers = compiled(two_layers([[0.5], [0.5]], [[0.5, 0.5]], threshold=0.01)).layers
     assert [layer.threshold.tolist() for layer in layers] == [[1, 1], [1]]
+
+
+def with_hidden(**fields):
+    """The network of two layers, whose hidden neurons differ in these numbers."""
+    artifact = two_layers([[1], [1]], [[1, 1]])
+    for name, values in fields.items():
+        getattr(artifact.graph.nodes["n2"], name)[:] = values
+    return artifact
+
+
+@pytest.mark.parametrize("which", ["tau_syn", "tau_mem"])
+def test_a_time_constant_rounds_to_the_longest_dash_or_is_refused(which):
+    # 2**15.4 timesteps round to a dash of 15, and 2**15.6 would to one of 16
+    program = compiled(with_hidden(**{which: [2.0**15.4 * 1e-3, 2e-3]}), limits=False)
+    found = program.layers[0]
+    dashes = found.current_decay[0] if which == "tau_syn" else found.membrane_decay
+    assert dashes.tolist() == [15, 1]
+    with pytest.raises(RuleError, match=r"^rule decay-range: layer 'n2': a .* needs a shift"):
+        compiled(with_hidden(**{which: [2.0**15.6 * 1e-3, 2e-3]}), limits=False)
+
+
+def remarks_on_time(artifact):
+    return [r for r in compiled(artifact).remarks if "time constant" in r]
+
+
+def test_a_time_constant_that_is_off_by_a_hundredth_is_remarked_on():
+    # that of the neuron that is off most, beside one that is exact
+    [remark] = remarks_on_time(with_hidden(tau_mem=[4e-3, 5e-3]))
+    assert remark == (
+        "layer 'n2': the membrane's time constant of 5 timesteps becomes 4, a power of two"
+    )
+    [remark] = remarks_on_time(with_hidden(tau_syn=[2e-3, 1.9e-3]))
+    assert "the current's time constant of 1.9 timesteps becomes 2," in remark
+    assert not remarks_on_time(with_hidden(tau_mem=[4e-3, 4.03e-3]))
+    assert not remarks_on_time(with_hidden())
+
+
+def test_a_neuron_without_a_current_among_others_is_said_so_and_nothing_of_its_time():
+    none = compiled(with_hidden(tau_syn=[1e-3, 2e-3]))
+    assert [r for r in none.remarks if "no synaptic current" in r]
+    assert not [r for r in none.remarks if "time constant" in r]
+    assert not [r for r in compiled(with_hidden()).remarks if "no synaptic current" in r]
+
+
+def test_a_bias_of_one_neuron_is_enough_to_start_at_once():
+    build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0}
+    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, **build), nir.Linear(np.ones((2, 2)))]
+    two = chain(*nodes, cuba(2, **build), width=1, act=2)
+    assert [a.start for a in compiled(Artifact(two, None, CONVENTION)).layers] == [0, 1]
+    two.nodes["n4"].v_leak[:] = [0.0, 0.1]
+    program = compiled(Artifact(two, None, CONVENTION))
+    assert [a.start for a in program.layers] == [0, 0]
+    [remark] = [r for r in program.remarks if "has a bias" in r]
+    assert remark.endswith("all layers start at once, and outputs come 1 rows late")
+
+
+@pytest.mark.parametrize(("steps", "starts"), [(0, [0, 1]), (1, [0, 0])])
+def test_a_delay_of_the_graph_takes_the_place_of_a_later_start(steps, starts):
+    late = nir.Delay(np.full(2, steps * 1e-3))
+    build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0}
+    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, **build), late, nir.Linear(np.ones((1, 2)))]
+    artifact = Artifact(chain(*nodes, cuba(1, **build), width=1, act=1), None, CONVENTION)
+    program = compiled(artifact, limits=False)
+    assert [a.start for a in program.layers] == starts
+    assert not any("at once" in remark for remark in program.remarks)

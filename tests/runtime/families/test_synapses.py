@@ -6,11 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.families.cuba_numpy.raster import (
-    LINE,
     Raster,
     Scratch,
-    aligned,
-    as_aligned,
 )
 from spikedeploy.runtime.families.cuba_numpy.sums import (
     FEW,
@@ -157,14 +154,3 @@ def test_spikes_in_one_byte_are_not_copied():
     rows = np.zeros((5, 2, 3), np.uint8)
     assert np.shares_memory(Raster(rows).bits, rows)
     assert Raster(rows.astype(np.int64)).bits.dtype == np.bool_
-
-
-@pytest.mark.parametrize("shape", [(1,), (3, 5), (7, 1, 33)])
-def test_aligned_memory_begins_with_a_cache_line_and_holds_zeros(shape):
-    for dtype in (np.uint8, np.float32, np.float64):
-        made = [aligned(shape, dtype) for _ in range(5)]
-        assert all(each.ctypes.data % LINE == 0 for each in made)
-        assert all(each.shape == shape and not each.any() for each in made)
-        copy = as_aligned(np.full(shape, 3), dtype)
-        assert (copy.ctypes.data % LINE, copy.dtype) == (0, dtype)
-        assert (copy == 3).all()
