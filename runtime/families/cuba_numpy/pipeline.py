@@ -49,9 +49,7 @@ class _DelayBuffer:
     def delayed(
         self, source: str, delay: int, output_spikes: dict[str, Raster], timesteps: int
     ) -> Raster:
-        """The T rows of a source that arrive in this window."""
-        if delay == 0:
-            return output_spikes[source]
+        """The T rows of a source that arrive in this window, at least one row late."""
         first = self._longest - delay
         rows = self._tails[source][first : first + timesteps]
         if delay < timesteps:
@@ -220,7 +218,9 @@ class NumpyPipeline:
             ]
             output_spikes[layer.name] = kernel.run(presynaptic)
         self._output_spikes = output_spikes
-        spikes = delayed(self._program.output, self._lag, output_spikes, timesteps)
+        spikes = output_spikes[self._program.output]
+        if self._lag:
+            spikes = delayed(self._program.output, self._lag, output_spikes, timesteps)
         self._buffer.keep(output_spikes)
         return spikes.rows
 

@@ -213,7 +213,7 @@ def _leak(layer: Layer, rules: IntegrateAndFireRules, scale: float, rounding: Ro
     if rules.leak == "shift":
         with np.errstate(divide="ignore"):
             # shift = int(|log2(1 - beta)|)
-            shift = np.where(lost > 0, np.abs(np.log2(lost)), 0.0)
+            shift = np.abs(np.log2(lost))
         return np.where(lost > 0, np.minimum(np.trunc(shift), rules.leak_max), _NO_LEAK).astype(int)
     # leak = (1 - beta) threshold / 2
     amount = rounded(lost * layer.threshold * scale / 2, rounding)

@@ -65,8 +65,8 @@ def _scales(
         return each
     outputs = {network.output} if network.output_apart else set()
     common: dict[str, Floats] = {}
-    for population in (each.keys() - outputs, outputs):
-        least = min((each[name].min() for name in population), default=1.0)
+    for population in filter(None, (each.keys() - outputs, outputs)):
+        least = min(each[name].min() for name in population)
         common |= {name: np.full(each[name].shape, least) for name in population}
     return common
 

@@ -11,6 +11,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses, starting
 from spikedeploy.runtime.compiler import linear
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
@@ -360,3 +361,43 @@ def test_impulses_are_sent_a_few_at_a_time_and_fill_no_more_memory_than_they_may
     sent.clear()
     compile_program(artifact, chip("ideal"))
     assert sent[:3] == [3, 3, 1]
+
+
+def test_a_spike_cannot_arrive_at_once_at_a_layer_that_came_before():
+    weight = np.ones((1, 1))
+    wires = (Synapses("input", weight, 0), Synapses("a", weight, 1))
+    fine = layer(chip("loihi1").arithmetic, "a", weight, wires, decays=(0, 0), threshold=64)
+
+    def program(delay):
+        looped = replace(fine, synapses=(wires[0], replace(wires[1], delay=delay)))
+        return Program(chip("ideal"), CONVENTION, "input", 1, (looped,), "a", None)
+
+    assert program(1).lags == ((0, 1),)
+    with pytest.raises(RuleError, match=r"^rule delay: layer 'a': the synapses from 'a' deliver"):
+        program(0)
+
+
+def test_finding_a_matrix_may_take_exactly_so_many_multiplications(monkeypatch):
+    # 4 kernels of 9 weights at 3 x 3 places, and what they put out, for each of 25 impulses
+    convolution = nir.Conv2d(
+        input_shape=(5, 5), weight=np.ones((4, 1, 3, 3)), stride=1, padding=0, dilation=1,
+        groups=1, bias=np.zeros(4),
+    )  # fmt: skip
+    nodes = [convolution, nir.Flatten({"input": np.array([4, 3, 3])}, 0, -1), cuba(36)]
+    artifact = Artifact(chain(*nodes, width=(1, 5, 5), act=36), None, CONVENTION)
+    needed = 25 * (4 * 9 * 9 + 36)
+    monkeypatch.setattr(linear, "_HARDEST", needed)
+    compile_program(artifact, chip("ideal"))
+    monkeypatch.setattr(linear, "_HARDEST", needed - 1)
+    with pytest.raises(RuleError, match=f"takes {needed} multiplications; at most {needed - 1}"):
+        compile_program(artifact, chip("ideal"))
+
+
+@pytest.mark.parametrize("asked", [{"spikes": "many"}, {"floor": "zero"}, {"floor": "threshold"}])
+def test_a_chip_refuses_the_spikes_and_the_floor_that_it_has_not(asked):
+    convention = replace(CONVENTION, reset="subtract")
+    artifact = Artifact(chain(affine(8, 6), cuba(6), width=8, act=6), None, convention)
+    compile_program(artifact, chip("int"))
+    ((name, value),) = asked.items()
+    with pytest.raises(RuleError, match=f"^rule convention: .*{name} '{value}'.* on int sends one"):
+        compile_program(changed(artifact, **asked), chip("int"))

@@ -227,8 +227,10 @@ def test_states_within_the_registers_pass_and_one_unit_more_does_not():
     pushed, limit = check_of(voltage_bias=np.array([7]))
     assert seen(pushed, (limit - 7) // 2, 0)
     assert not seen(pushed, (limit - 7) // 2 + 1, 0)
-    # below zero nothing is doubled
-    assert seen(pushed, -1, -limit)
+    # below zero only the bias is left to push
+    for bias, passes in ((limit, True), (limit + 1, False)):
+        pushed, _ = check_of(voltage_bias=np.array([bias]))
+        assert seen(pushed, -5, -9) == passes
 
 
 def test_membranes_that_nothing_resets_are_looked_at_as_they_are():

@@ -206,6 +206,10 @@ def test_an_unknown_rounding_is_refused():
         quantised(floats([[1.0]]), "speck2f", "up")
 
 
+def test_an_axon_without_weights_beside_others_is_no_reason_to_refuse():
+    assert whole(quantised(floats([[1.0, 0.5], [0.0, 0.0]]), "speck2f")) == [[127, 64], [0, 0]]
+
+
 def test_a_layer_without_weights_is_no_reason_to_refuse():
     assert quantised(floats([[0.0]], threshold=0.0), "speck2f").threshold.tolist() == [0]
 

@@ -156,6 +156,12 @@ def test_effective_decays_without_an_offset_may_be_nothing_or_all():
     assert (layer.current_decay[0], layer.membrane_decay[0]) == (4096, 0)
 
 
+def test_an_axon_without_weights_beside_others_is_no_reason_to_refuse():
+    assert (
+        quantise(floats([[1.0, 0.5], [0.0, 0.0]]), FIXED).synapses[0].weight[1].tolist() == [0] * 2
+    )
+
+
 def test_a_layer_without_weights_is_no_reason_to_refuse():
     layer = replace(floats([[0.0]]), threshold=np.array([0.5]))
     assert quantise(layer, FIXED).threshold.tolist() == [131071 * 64]

@@ -323,6 +323,11 @@ def test_choices_that_a_chip_does_not_have_are_refused(name, choice, message):
         compile_program(artifact, chip(name), choice)
 
 
+def test_a_neuron_without_weights_beside_others_is_no_reason_to_refuse():
+    hidden, _ = compiled(two_layers([[0.5], [0]], [[2, 1]])).layers
+    assert hidden.synapses[0].weight.tolist() == [[127, 0]]
+
+
 def test_a_layer_without_weights_is_no_layer_that_lost_them():
     hidden, output = compiled(two_layers([[0.5], [-0.125]], [[0, 0]])).layers
     assert hidden.synapses[0].weight.any()
@@ -403,3 +408,8 @@ def test_a_delay_of_the_graph_takes_the_place_of_a_later_start(steps, starts):
     program = compiled(artifact, limits=False)
     assert [a.start for a in program.layers] == starts
     assert not any("at once" in remark for remark in program.remarks)
+
+
+def test_one_threshold_that_is_lost_is_enough_to_refuse():
+    with pytest.raises(RuleError, match=r"^rule threshold-range: .* threshold 0.001 becomes 0"):
+        compiled(with_hidden(v_threshold=[1.0, 1e-3]))

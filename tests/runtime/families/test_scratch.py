@@ -41,11 +41,11 @@ def test_users_of_scratch_memory_share_it():
 def kernel(batch, threshold, decays=(2047, 1024), weight=1):
     """A layer of one neuron that keeps 1/2 and 3/4, for windows of 5 timesteps."""
     fixed = chip("loihi1").arithmetic
-    weights = np.full((1, 1), weight, np.int16)
+    weights = np.full((2, 1), weight, np.int16)
     neuron = layer(
-        fixed, "n", weights, (Synapses("input", weights, 1),), decays=decays, threshold=threshold
+        fixed, "n", weights.T, (Synapses("input", weights, 1),), decays=decays, threshold=threshold
     )
-    program = Program(chip("loihi1"), Convention(1e-3), "input", 1, (neuron,), "n", None)
+    program = Program(chip("loihi1"), Convention(1e-3), "input", 2, (neuron,), "n", None)
     return LayerKernel(program, neuron, fixed, (5, batch), False, Scratch(8))
 
 
@@ -60,7 +60,7 @@ FOURTH = (1 << 24) // 3 // 4
         (4, FOURTH + 1, 1, np.float64),
         (3, FOURTH, 1, np.float64),
         # where nothing proves that the registers hold the states, in a batch of any size
-        (1, FOURTH, 255 << 7, np.float32),
+        (1, FOURTH, (1 << 15) - 1, np.float32),
     ],
 )
 def test_states_are_short_where_many_or_unproven_ones_fit(batch, threshold, weight, dtype):
