@@ -401,3 +401,48 @@ def test_a_chip_refuses_the_spikes_and_the_floor_that_it_has_not(asked):
     ((name, value),) = asked.items()
     with pytest.raises(RuleError, match=f"^rule convention: .*{name} '{value}'.* on int sends one"):
         compile_program(changed(artifact, **asked), chip("int"))
+
+
+def test_several_inputs_stand_side_by_side_in_the_matrix_of_a_layer():
+    one, two = np.arange(1.0, 7.0).reshape(3, 2), -np.arange(1.0, 13.0).reshape(3, 4)
+    nodes = {
+        "a": nir.Input(np.array([2])), "b": nir.Input(np.array([4])),
+        "wa": nir.Linear(one), "wb": nir.Linear(two), "l1": cuba(3),
+        "output": nir.Output(np.array([3])),
+    }  # fmt: skip
+    network = graph("a->wa, wa->l1, b->wb, wb->l1, l1->output", **nodes)
+    program = compile_program(Artifact(network, None, CONVENTION), chip("ideal"))
+    (only,) = program.layers[0].synapses
+    np.testing.assert_allclose(only.weight, np.hstack([one, two]).T)
+    assert (program.width, [port.name for port in program.inputs]) == (6, ["a", "b"])
+
+
+def test_the_output_is_the_layer_on_the_chip_that_leaves_it_first():
+    readout = nir.LI(*(np.full(2, v) for v in (0.01, 1.0, 0.0)))
+    nodes = {
+        "input": nir.Input(np.array([8])), "first": nir.Output(np.array([6])),
+        "second": nir.Output(np.array([2])), "w1": affine(8, 6), "w2": affine(6, 5),
+        "w3": affine(5, 2), "l1": cuba(6), "l2": cuba(5), "r": readout,
+    }  # fmt: skip
+    edges = "input->w1, w1->l1, l1->w2, w2->l2, l2->w3, w3->r, r->second, l1->first"
+    artifact = Artifact(graph(edges, **nodes), None, CONVENTION)
+    program = compile_program(artifact, chip("loihi1:membrane_output=none"))
+    assert [each.name for each in program.host] == ["r"]
+    assert program.output == "l1"
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({}, "mixed"),
+        ({"sign_mode": "mixed"}, None),
+        ({"weight_bits": 1}, None),
+        ({"weight_bits": 2}, "mixed"),
+    ],
+)
+def test_weights_of_both_signs_can_share_a_list_where_a_bit_is_left_for_the_sign(options, found):
+    fixed = chip("loihi1", **options).arithmetic
+    other = fixed.with_one_list()
+    assert (other and other.sign_mode) == found
+    assert fixed.weights_have_signs is (fixed.sign_mode == "mixed")
+    assert fixed.weight_lists == (1 if fixed.weights_have_signs else 2)

@@ -14,6 +14,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.cuba.bounds import (
+    Bounds,
     bounds,
     exact_ticks,
     single,
@@ -266,3 +267,12 @@ def test_what_the_kernels_do_not_compute_never_passes(registers, never):
     check = _OverflowCheck(a, used, bounds(program, a, used, None), None)
     assert seen(check, 0, 0) == (not never)
     assert not (never and check.proven)
+
+
+@pytest.mark.parametrize("name", ["current", "above", "below"])
+def test_bounds_that_fill_a_register_to_the_last_unit_are_proven(name):
+    narrow = replace(WIDE.arithmetic, current=Register(24, "clip"), membrane=Register(24, "clip"))
+    nothing = Bounds(partial=0, drive=0.0, current=0.0, above=0.0, below=0.0)
+    for most, is_proven in ((float((1 << 23) - 1), True), (float(1 << 23), False)):
+        limits = replace(nothing, **{name: most})
+        assert _OverflowCheck(the_layer(), narrow, limits, None).proven == is_proven

@@ -249,8 +249,13 @@ def test_a_trace_without_recordings_is_refused(file):
         verify(file(record))
 
 
-def test_many_events_of_an_axon_are_as_many_additions_one_after_another():
+@pytest.mark.parametrize(
+    "state",
+    [Register(16, "saturate"), Register(16, "saturate", (-20_000, 30_000)), Register(16, "wrap")],
+)
+def test_many_events_of_an_axon_are_as_many_additions_one_after_another(state):
     registers, rng = chip("xylo-a2").arithmetic, np.random.default_rng(0)
+    registers = replace(registers, state=state)
     for count in (1, 2, 15, 31):
         start = registers.state.fit(rng.integers(-33_000, 33_000, 4000))
         weight = rng.integers(-128, 128, 4000) << rng.integers(0, 8, 4000)
