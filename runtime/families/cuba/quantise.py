@@ -80,7 +80,7 @@ def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
     starts = used if len(used) <= limit else _starts(used, _least_ratio(used, limit))
     if not len(starts):
         return scale
-    level = starts[(np.searchsorted(starts, whole, "right") - 1).clip(min=0)]
+    level = starts[np.searchsorted(starts, whole, "right") - 1]
     return np.asarray(np.divide(level, thresholds, out=scale.copy(), where=whole > 0))
 
 

@@ -141,7 +141,7 @@ def _peak(current: Floats, membrane: Floats) -> Floats:
     """
     t = _TIMES[:, None] + 1.0
     apart = np.abs(current - membrane) > 1e-6
-    difference = np.where(apart, current - membrane, 1.0)
     nearly = t * np.maximum(current, membrane) ** (t - 1)
-    response = np.where(apart, (current**t - membrane**t) / difference, nearly)
+    rest = current**t - membrane**t
+    response = np.divide(rest, current - membrane, out=nearly, where=apart)
     return np.asarray(response.max(axis=0))

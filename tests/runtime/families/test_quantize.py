@@ -345,3 +345,30 @@ def test_the_largest_magnitude_of_nothing_is_0():
     assert magnitude(np.array([])) == 0
     assert magnitude(np.array([-3.5, 3.0])) == 3.5
     assert magnitude(np.array([[-0.25, 0.125]])) == 0.25
+
+
+def test_a_layer_of_zeros_has_a_scale_of_one():
+    assert quantise(floats([[0.0]], threshold=0.0), FIXED).scale == pytest.approx(1 / 64)
+
+
+@pytest.mark.parametrize("bias", [1.0, -1.0])
+def test_thresholds_are_no_limit_for_readouts(bias):
+    fixed = chip("int", threshold_bits=4).arithmetic
+    readout = replace(floats([[0.5]], threshold=np.inf, bias=bias), spiking=False)
+    # 127 / 1, and not 15 / 1
+    assert quantise(readout, fixed).bias.tolist() == [127 * bias]
+
+
+def test_the_exponent_of_a_readout_is_that_of_its_whole_scale():
+    layer = floats(np.ones((40, 1)), threshold=np.inf, bias=0.5, alpha=0.0, beta=0.25)
+    layer = replace(layer, spiking=False)
+    # 40 that arrive at once leave an exponent of 1, also where headroom asks for half of the scale
+    for share, weight, bias in ((1.0, 255, 128), (0.5, 128, 64)):
+        found = quantise(layer, FIXED, share=share)
+        assert found.synapses[0].weight.ravel().tolist() == [weight << 1] * 40
+        assert found.bias.tolist() == [bias << 1]
+
+
+def test_the_smallest_threshold_of_sigma_delta_neurons_is_one_state_unit():
+    small = replace(floats([[1.0, 1.0]]), threshold=np.array([1e-9, 0.5]), graded=True)
+    assert quantise(small, FIXED).threshold.tolist() == [1, 8160]

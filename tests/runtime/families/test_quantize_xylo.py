@@ -413,3 +413,27 @@ def test_a_delay_of_the_graph_takes_the_place_of_a_later_start(steps, starts):
 def test_one_threshold_that_is_lost_is_enough_to_refuse():
     with pytest.raises(RuleError, match=r"^rule threshold-range: .* threshold 0.001 becomes 0"):
         compiled(with_hidden(v_threshold=[1.0, 1e-3]))
+
+
+def test_hidden_layers_share_the_scale_of_the_one_that_needs_the_smallest():
+    build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0}
+    for first, second in ((0.5, 0.25), (0.25, 0.5)):
+        nodes = [nir.Linear(np.full((1, 1), first)), cuba(1, **build)]
+        nodes += [nir.Linear(np.full((1, 1), second)), cuba(1, **build)]
+        nodes += [nir.Linear(np.ones((1, 1))), cuba(1, **build)]
+        layers = compiled(Artifact(chain(*nodes, width=1, act=1), None, CONVENTION)).layers
+        # 127 / (0.5 / (1 - 1/2))
+        assert [a.threshold.tolist() for a in layers] == [[127], [127], [64]]
+
+
+def test_thresholds_leave_room_for_a_weight_shift():
+    weak = two_layers([[0.001], [0.0005]], [[1, 1]])
+    hidden, _ = compiled(weak, shifted(3)).layers
+    # 32767 / 8 = 4095.9 for each float unit of threshold, in units of 8
+    assert hidden.threshold.tolist() == [32767, 32767]
+    assert hidden.synapses[0].weight.tolist() == [[8 << 3, 4 << 3]]
+
+
+def test_one_threshold_of_zero_is_enough_to_refuse():
+    with pytest.raises(RuleError, match="^rule threshold-range: .* threshold 0; a membrane"):
+        compiled(with_hidden(v_threshold=[0.0, 1.0]))

@@ -11,6 +11,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
@@ -195,7 +196,9 @@ def test_registers_hold_so_many_net_spikes_as_a_plain_loop_finds(seed, spiking):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_what_fits_to_the_last_unit_is_no_reason_to_speak(sign):
     # without memory a spike of each axon arrives at once: 300 of 255, 64 state units each
-    weight, arriving = sign * np.full((300, 1), 255), 300 * 255 * 64
+    weight, arriving = np.full((330, 1), sign * 255), 300 * 255 * 64
+    # what is 0, or of the other sign, takes nothing off
+    weight[300:315], weight[315:] = 0, -sign
     # one unit more, and 299 are the most that still fit
     for extra, number in ((0, None), (1, 299)):
         pushed = whole(weight, voltage_bias=np.array([-sign * (LIMIT - arriving + extra)]))
@@ -278,6 +281,9 @@ def reach(weights, a, b, bias, voltage_bias):
         ([1.0] * 9, (0.5, 0.25), 0.0, -20.0),
         ([1.0] * 9, (0.5, 0.25), 3.0, 20.0),
         ([1.0] * 300, (0.0, 0.0), 0.0, 0.0),
+        # 260 at once leave no exponent, and 140 would
+        ([1.0] * 200, (0.0, 0.0), 60.0, 0.0),
+        ([1.0] * 200, (0.0, 0.0), -60.0, 0.0),
     ],
 )
 def test_the_exponent_is_the_largest_that_leaves_half_of_each_register(
@@ -309,6 +315,7 @@ UNIT = 255 * 64
     [
         ({"voltage_bias": -4000.0}, 4000 * UNIT / (4095 << 7)),
         ({"bias": 4000.0}, (1 + 4000) * UNIT / (LIMIT / 2)),
+        ({"bias": 384.0}, (1 + 384) * UNIT / (LIMIT / 2)),  # 1.5
         # 64 spikes, and a bias that adds up to 1000 times itself
         ({"voltage_bias": -30.0, "beta": 0.999}, (64 + 30_000) * UNIT / (LIMIT / 2)),
     ],
@@ -317,3 +324,59 @@ def test_what_would_fill_more_than_there_is_shrinks_the_scale_to_just_that(field
     layer = float_layer([[1.0]], "out", threshold=np.inf, **{"beta": 0.0, **fields})
     exponent, share = exponent_and_share(replace(layer, spiking=False), LOIHI1, 255.0)
     assert (exponent, share) == (0, pytest.approx(1 / filled))
+
+
+NARROW = Register(20, "clip")
+
+
+@pytest.mark.parametrize("name", ["current", "push", "membrane"])
+def test_the_narrowest_register_sets_the_exponent(name):
+    layer = float_layer(np.ones((40, 1)), "out", threshold=np.inf, beta=0.0)
+    narrow = replace(LOIHI1, **{name: NARROW})
+    exponents = [
+        exponent_and_share(replace(layer, spiking=False), r, 255.0)[0] for r in (LOIHI1, narrow)
+    ]
+    # 40 * 16320 that arrive at once are a third of the accumulator, and more than 2**19
+    assert exponents == [1, 0]
+
+
+def test_a_readout_of_zeros_has_no_exponent():
+    layer = replace(float_layer([[0.0]], "out", threshold=np.inf, beta=0.5), spiking=False)
+    assert exponent_and_share(layer, LOIHI1, 1.0) == (0, 1.0)
+    unbiased = replace(LOIHI1, bias_mantissa_max=0)
+    assert exponent_and_share(layer, unbiased, 1.0) == (0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "spiking", "looked_at"),
+    [
+        ("push", True, True),
+        ("current", True, True),
+        ("membrane", True, False),
+        ("membrane", False, True),
+    ],
+)
+def test_the_narrowest_register_that_is_not_reset_says_what_is_held(name, spiking, looked_at):
+    layer = whole([[255]], 4096, 2048, spiking)
+    narrow = replace(LOIHI1, **{name: NARROW})
+    peak = 1 if spiking else 2
+    limit = NARROW.limit if looked_at else LIMIT
+    sentence = range_of(layer, narrow, None)
+    assert f" {limit // (255 * 64 * peak)} net spikes" in sentence
+
+
+def test_a_window_holds_so_many_arrivals_of_the_peak_of_one():
+    # a current of 1 halves, and a membrane without a leak comes to 2
+    layer, each = whole([[255]], 2048, 4096), 255 * 64 * 2
+    assert held(layer, LIMIT // each) is None
+    assert held(layer, LIMIT // each + 1) == LIMIT // each
+
+
+def test_a_neuron_without_weights_is_none_that_adds_up():
+    assert held(whole([[0, 255]], 0, 4096)) == LIMIT // (255 * 64)
+    assert held(whole([[0, 0]], 0, 4096)) is None
+
+
+def test_weights_of_one_count_in_state_units_of_one():
+    fine = replace(LOIHI1, mantissa_shift=0)
+    assert f" {LIMIT} net spikes" in range_of(whole([[1]], 0, 4096), fine, None)
