@@ -17,7 +17,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.families.cuba.neurons import arriving
-from tests.networks import chain, cuba
+from tests.networks import chain, cuba, popsan
 from tests.programs import layer, random_programs, rasters
 
 CHIP = chip("loihi1")
@@ -190,3 +190,13 @@ def test_membranes_in_float_before_their_reset_say_which_neurons_spiked(reset):
     network = chain(*nodes, keeping, width=8, act=5)
     program = compile_program(Artifact(network, None, Convention(1e-3, reset)), chip("ideal"))
     check_before_reset(program, rasters(program, 2, 12, 0.4, seed=1)[0])
+
+
+def test_floats_overflow_nowhere_and_have_no_refractory_period():
+    program = compile_program(popsan(), chip("ideal"))
+    of = program.layers[0]
+    state = LayerState.zero(of, 2)
+    for row in rasters(program, 2, 9, 0.5, seed=0)[0].swapaxes(0, 1):
+        result = program.chip.arithmetic.update(program, of, [row], state)
+        assert not result.overflows.any()
+        assert not state.refractory.any()

@@ -276,3 +276,20 @@ def test_bounds_that_fill_a_register_to_the_last_unit_are_proven(name):
     for most, is_proven in ((float((1 << 23) - 1), True), (float(1 << 23), False)):
         limits = replace(nothing, **{name: most})
         assert _OverflowCheck(the_layer(), narrow, limits, None).proven == is_proven
+
+
+def test_the_neuron_with_the_highest_peak_says_how_many_spikes_are_few():
+    weight = np.full((1, 2), 200, np.int16)
+    axons = (Synapses("input", weight, delay=1),)
+    both = layer(WIDE.arithmetic, "n", weight.T, axons, decays=(2047, 1024), threshold=64)
+    # 1 and 1.25 are their peaks, in either order
+    for keeps in ([0, 3072], [3072, 0]):
+        one = replace(both, membrane_decay=np.array(keeps))
+        assert spikes_without_overflow(one, WIDE.arithmetic, 5, 10 * 200 * 64) == 8
+    pulled = replace(both, bias=np.array([-3000, 0]))
+    assert spikes_without_overflow(pulled, WIDE.arithmetic, 5, 100) == -1
+
+
+def test_weights_in_state_units_bound_the_timesteps_without_rounding():
+    coarse = the_layer(threshold=np.array([1 << 12]), membrane_decay=np.array([2048]))
+    assert exact_ticks(coarse, WIDE.arithmetic) == 6

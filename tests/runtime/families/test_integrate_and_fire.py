@@ -400,3 +400,20 @@ def test_a_late_reset_needs_all_of_its_three_conditions(wrong):
 
 def test_without_kinds_of_rounding_there_are_no_ablation_steps():
     assert chip("speck2f").arithmetic.ablation_steps == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "bits", "own", "thresholds", "reached"),
+    [
+        ("speck2f", 16, True, (1, 32767), True),
+        ("truenorth", 20, False, (1, 262143), True),
+        ("odin", 9, True, (1, 255), True),
+        ("spiker", 16, True, (1, 32766), False),
+    ],
+)
+def test_what_design_rules_ask_of_the_arithmetic(name, bits, own, thresholds, reached):
+    arithmetic = chip(name).arithmetic
+    assert arithmetic.state_bits == (bits,)
+    assert arithmetic.own_weights is own
+    assert arithmetic.threshold_range == thresholds
+    assert arithmetic.spikes_at_threshold is reached

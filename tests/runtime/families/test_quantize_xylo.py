@@ -8,9 +8,12 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import NEVER
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import compile_program, float_program
+from spikedeploy.runtime.compiler.wiring import wiring
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, ConfigError, RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
@@ -211,6 +214,27 @@ def test_a_convention_with_delay_is_what_xylo_does():
     assert not any("at once" in remark for remark in program.remarks)
 
 
+def test_layers_start_at_once_where_that_is_wanted():
+    rng = np.random.default_rng(0)
+    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3), stagger=False)
+    assert [layer.start for layer in program.layers] == [0, 0, 0]
+    assert not any("at once" in remark for remark in program.remarks)
+
+
+def test_the_slowest_path_says_when_a_layer_starts():
+    build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0}
+    nodes = {name: nir.Linear(np.ones((1, 1))) for name in "abcd"}
+    nodes |= {name: cuba(1, **build) for name in ("l1", "l2", "l3")}
+    nodes |= {"input": nir.Input(np.array([1])), "output": nir.Output(np.array([1]))}
+    edges = "input->a, a->l1, l1->b, b->l2, l1->c, c->l3, l2->d, d->l3, l3->output"
+    program = compiled(Artifact(graph(edges, **nodes), None, CONVENTION))
+    [remark] = [r for r in program.remarks if "at once" in r]
+    assert remark == (
+        "'l1' -> 'l3' would need a delay of 2 on Xylo; all layers start at once, and outputs come "
+        "2 rows late"
+    )
+
+
 def test_a_skip_from_the_input_is_heard_at_once():
     rng = np.random.default_rng(0)
     program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3, skip=True))
@@ -399,7 +423,7 @@ def test_a_bias_of_one_neuron_is_enough_to_start_at_once():
     assert remark.endswith("all layers start at once, and outputs come 1 rows late")
 
 
-@pytest.mark.parametrize(("steps", "starts"), [(0, [0, 1]), (1, [0, 0])])
+@pytest.mark.parametrize(("steps", "starts"), [(0, [0, 1]), (1, [0, 0]), (2, [0, 0])])
 def test_a_delay_of_the_graph_takes_the_place_of_a_later_start(steps, starts):
     late = nir.Delay(np.full(2, steps * 1e-3))
     build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0}
@@ -407,7 +431,9 @@ def test_a_delay_of_the_graph_takes_the_place_of_a_later_start(steps, starts):
     artifact = Artifact(chain(*nodes, cuba(1, **build), width=1, act=1), None, CONVENTION)
     program = compiled(artifact, limits=False)
     assert [a.start for a in program.layers] == starts
-    assert not any("at once" in remark for remark in program.remarks)
+    late = [remark for remark in program.remarks if "at once" in remark]
+    assert bool(late) == (steps == 2)
+    assert all("'n2' -> 'n5' would need a delay of 2 on Xylo" in remark for remark in late)
 
 
 def test_one_threshold_that_is_lost_is_enough_to_refuse():
@@ -434,6 +460,73 @@ def test_thresholds_leave_room_for_a_weight_shift():
     assert hidden.synapses[0].weight.tolist() == [[8 << 3, 4 << 3]]
 
 
-def test_one_threshold_of_zero_is_enough_to_refuse():
-    with pytest.raises(RuleError, match="^rule threshold-range: .* threshold 0; a membrane"):
-        compiled(with_hidden(v_threshold=[0.0, 1.0]))
+def test_a_bias_and_a_current_of_some_neurons_are_enough_for_a_remark():
+    some = with_hidden(tau_syn=[1e-3, 2e-3])
+    assert not [r for r in compiled(some).remarks if "its bias is added" in r]
+    some.graph.nodes["n1"].bias[:] = [0.0, 0.1]
+    assert [r for r in compiled(some).remarks if "its bias is added" in r]
+    weights = nir.Affine(np.ones((2, 2)), np.array([0.0, 0.1]))
+    build = {"alpha": 0.5, "beta": 0.75, "threshold": 1.0}
+    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, **build), weights, cuba(2, **build)]
+    late = compiled(Artifact(chain(*nodes, width=1, act=2), None, CONVENTION))
+    assert [a.start for a in late.layers] == [0, 0]
+
+
+def with_loop(first, bias):
+    """The network of two layers, whose hidden neurons hear each other through weights of 0."""
+    artifact = two_layers([[first], [first]], [[1, 1]], bias=(bias, bias))
+    nodes = {**artifact.graph.nodes, "loop": nir.Linear(np.zeros((2, 2)))}
+    edges = [*artifact.graph.edges, ("n2", "loop"), ("loop", "n2")]
+    return replace(artifact, graph=nir.NIRGraph(nodes, edges))
+
+
+def test_weights_are_looked_for_in_every_source():
+    hidden, _ = compiled(with_loop(0.5, 0)).layers
+    assert hidden.synapses[0].weight.any()
+    with pytest.raises(RuleError, match=r"every weight becomes 0. The largest, 0\.001,"):
+        compiled(with_loop(0.0005, 1))
+
+
+def test_a_scale_that_all_neurons_share_is_one_number():
+    hidden, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]])).layers
+    assert np.ndim(hidden.scale) == 0
+    each, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=CHANNEL).layers
+    assert np.ndim(each.scale) == 1
+
+
+def test_membranes_that_forget_at_once_have_a_dash_of_0():
+    nodes = [nir.Linear(np.ones((1, 1))), cuba(1), nir.Linear(np.ones((1, 1))), cuba(1)]
+    nodes[1].tau_mem[:] = 0.3e-3
+    convention = replace(CONVENTION, integrator="exponential")
+    hidden, _ = compiled(Artifact(chain(*nodes, width=1, act=1), None, convention)).layers
+    assert hidden.membrane_decay.tolist() == [0]
+
+
+def test_a_neuron_has_two_currents_and_a_membrane_of_16_bits():
+    arithmetic = A2.arithmetic
+    assert arithmetic.state_bits == (16, 16, 16)
+    assert chip("xylo-imu").arithmetic.state_bits == (16, 16)
+    assert arithmetic.threshold_range == (1, 32767)
+    assert arithmetic.describe().weights == "8 bits with the sign"
+
+
+def test_biases_of_xylo_are_added_to_the_membrane_alone():
+    artifact = two_layers([[1], [1]], [[1, 1]], bias=[0.1, -0.3])
+    floats = float_program(artifact, A2, wiring(artifact.graph, CONVENTION)).layers[0]
+    assert floats.bias.tolist() == [0, 0]
+    assert floats.voltage_bias.tolist() == [0.2, -0.6]
+
+
+def test_a_readout_of_xylo_fills_its_weights_and_never_spikes():
+    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, alpha=0.5, beta=0.75, threshold=1.0)]
+    readout = nir.LI(tau=np.full(1, 4e-3), r=np.full(1, 4.0), v_leak=np.zeros(1))
+    nodes += [nir.Linear(np.array([[1.0, 0.5]])), readout]
+    for bits in (0, 15):
+        program = compiled(Artifact(chain(*nodes, width=1, act=1), None, CONVENTION), shifted(bits))
+        last = program.layers[-1]
+        assert last.synapses[0].weight.tolist() == [[127 << bits], [64 << bits]]
+        assert last.threshold.tolist() == [NEVER]
+    raster = np.full((1, 9, 1), 15, np.uint8)
+    found = trace(program, raster)[last.name]
+    assert found.membrane.any()
+    assert not found.spikes.any()

@@ -15,7 +15,7 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.readouts import NET_EVENTS, exponent_and_share, range_of
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from tests.float_layers import float_layer
@@ -380,3 +380,13 @@ def test_a_neuron_without_weights_is_none_that_adds_up():
 def test_weights_of_one_count_in_state_units_of_one():
     fine = replace(LOIHI1, mantissa_shift=0)
     assert f" {LIMIT} net spikes" in range_of(whole([[1]], 0, 4096), fine, None)
+
+
+def test_an_exponent_is_7_at_most():
+    assert LOIHI1.weight_exponent_max == 7
+
+
+def test_a_refractory_period_is_one_timestep_or_more():
+    assert chip("loihi1", refractory=1).arithmetic.refractory == 1
+    with pytest.raises(ChipError, match="refractory is 0; the least is 1"):
+        chip("loihi1", refractory=0)

@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.registers import Register, shift_decay
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.families.xylo.neurons import _added
+from spikedeploy.runtime.families.xylo.neurons import _added, _fired
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -325,3 +325,29 @@ def test_a_timestep_equals_that_of_a_plain_loop(core, seed):
             found = result.spikes, result.active, result.overflows
             assert tuple(each[0].tolist() for each in found) == expected
             assert (state.current[0].tolist(), state.membrane[0].tolist()) == (currents, membranes)
+
+
+@pytest.mark.parametrize(
+    ("current", "weight", "count", "after", "lost"),
+    [
+        (32764, 1, 5, 32767, 2),
+        (32764, 1, 3, 32767, 0),
+        (-32765, -1, 5, -32768, 2),
+        (-32765, -1, 3, -32768, 0),
+        (32767, 0, 5, 32767, 0),
+        (-32768, 0, 5, -32768, 0),
+        (0, 2, 3, 6, 0),
+    ],
+)
+def test_additions_that_do_not_fit_are_counted_to_the_last_unit(
+    current, weight, count, after, lost
+):
+    registers = chip("xylo-a2").arithmetic
+    found = _added(registers, np.array([current]), np.array([weight]), count)
+    assert [each.tolist() for each in found] == [[after], [lost]]
+
+
+def test_each_neuron_spikes_within_its_own_budget():
+    spikes, left = _fired(np.array([100, 100, 100, 9]), np.array([10] * 4), np.array([1, 3, 0, 9]))
+    assert spikes.tolist() == [1, 3, 0, 0]
+    assert left.tolist() == [90, 70, 100, 9]
