@@ -2,7 +2,8 @@
 
 An operator, a constant, a choice between two functions, a negation or a returned value becomes
 another. Left alone: what stands outside of functions (tables, defaults), texts and what is raised
-(messages), annotations, decorators, `strict=` of zip, and what only type checkers read.
+(messages), annotations, decorators, `strict=` of zip, the -1 of a reshape, and what only type
+checkers read.
 """
 
 import ast
@@ -120,7 +121,7 @@ def _walk(node: ast.AST, function: str, names: tuple[str, ...]) -> Iterator[Plac
         if field in ("decorator_list", "annotation", "returns", "bases", "type_comment"):
             continue
         for index, child in enumerate(value if isinstance(value, list) else [value]):
-            if not isinstance(child, ast.AST) or _left_alone(child):
+            if not isinstance(child, ast.AST) or _left_alone(child) or _free_axis(node, child):
                 continue
             inner, name = names, function
             if isinstance(child, _SCOPES):
@@ -143,6 +144,14 @@ def _left_alone(node: ast.AST) -> bool:
             return True
         case ast.Call(func=ast.Name(id="field" | "TypeVar" | "cast" | "NewType")):
             return True
+    return False
+
+
+def _free_axis(parent: ast.AST, node: ast.AST) -> bool:
+    """The -1 of a reshape: to NumPy any number below 0 means the same."""
+    match parent:
+        case ast.Call(func=ast.Attribute(attr="reshape")):
+            return ast.unparse(node) == "-1"
     return False
 
 

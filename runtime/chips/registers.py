@@ -127,3 +127,8 @@ def rounded(values: NDArray[Any], rounding: Rounding) -> NDArray[np.int64]:
     # the product with a scale may fall a last bit short of the whole number that it means
     whole = np.rint(values) if rounding == "nearest" else np.trunc(values * (1 + 1e-12))
     return whole.astype(np.int64)
+
+
+def magnitude(values: NDArray[Any]) -> float:
+    """The largest magnitude; 0 where there are no values."""
+    return float(np.abs(values).max(initial=0))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer, Network
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.chips.registers import Register, magnitude
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 from spikedeploy.runtime.families.cuba.quantise import quantise
@@ -100,7 +100,7 @@ def single(layer: Layer, registers: CubaRegisters) -> int:
     factors = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
     # the odd part of a decay is what makes a product longer
     odd = factors // np.maximum(factors & -factors, 1)
-    return _SINGLE // max(int(odd.max(initial=0)), 2)
+    return _SINGLE // int(odd.max(initial=2))
 
 
 def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
@@ -136,7 +136,7 @@ def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
 
 
 def _largest(values: NDArray[Any]) -> int:
-    return int(np.abs(values.astype(np.int64)).max(initial=0))
+    return int(magnitude(values.astype(np.int64)))
 
 
 def _leaky(
@@ -182,7 +182,7 @@ def _overflow_ratio(
 ) -> float:
     """How many times the largest that fits its register a number of the layer can become."""
     worst = bounds(network, layer, registers, timesteps)
-    push = worst.current + float(np.abs(layer.voltage_bias).max(initial=0))
+    push = worst.current + magnitude(layer.voltage_bias)
     return max(
         worst.drive / registers.accumulator.limit,
         worst.current / registers.current.limit,

@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
 from spikedeploy.runtime.chips.limits import ENDS, READOUTS, WEIGHTS, Limits, SynapticMemory
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, rounded
+from spikedeploy.runtime.chips.registers import Rounding, magnitude, rounded
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.neurons import (
@@ -169,7 +169,7 @@ def _quantised(layer: Layer, weight_max: int, rounding: Rounding) -> Layer:
 
 def _scale(layer: Layer, weight_max: int) -> float:
     """w_scale = weight_max / max|w| over all synapses into the population."""
-    largest = max(float(np.abs(s.weight).max(initial=0.0)) for s in layer.synapses)
+    largest = max(magnitude(s.weight) for s in layer.synapses)
     scale = weight_max / largest if largest > 0 else 1.0
     if not np.isfinite(scale):
         raise RuleError(
@@ -185,7 +185,7 @@ def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
     if name == "threshold" and not layer.spiking:
         return layer.threshold.astype(np.float32)
     values = np.asarray(getattr(layer, name), np.float64)
-    largest = float(np.abs(values).max(initial=0.0))
+    largest = magnitude(values)
     if largest * scale > _LARGEST:
         rule = "threshold-range" if name == "threshold" else "bias"
         raise RuleError(

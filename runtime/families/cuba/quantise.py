@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, rounded
+from spikedeploy.runtime.chips.registers import Rounding, magnitude, rounded
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 from spikedeploy.runtime.families.cuba.readouts import exponent_and_share
@@ -50,7 +50,7 @@ def _mantissas_per_unit(
     scale = np.full(layer.size, np.inf)
     for limit, arrays in limits:
         found = _largest(arrays)
-        found = found if granularity == "channel" else np.full(layer.size, found.max(initial=0.0))
+        found = found if granularity == "channel" else np.full(layer.size, magnitude(found))
         scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
     scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
@@ -80,7 +80,7 @@ def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
     starts = used if len(used) <= limit else _starts(used, _least_ratio(used, limit))
     if not len(starts):
         return scale
-    level = starts[(np.searchsorted(starts, whole, "right") - 1).clip(min=0)]
+    level = starts[np.searchsorted(starts, whole, "right") - 1]
     return np.asarray(np.divide(level, thresholds, out=scale.copy(), where=whole > 0))
 
 
@@ -162,13 +162,9 @@ def _check_bias(layer: Layer, registers: CubaRegisters) -> None:
     if not registers.bias_mantissa_max and layer.voltage_bias.any():
         raise RuleError(
             f"rule bias: layer {layer.name!r}: a voltage bias of "
-            f"{_magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
+            f"{magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
             "or take another reading of the chip."
         )
-
-
-def _magnitude(values: Floats) -> float:
-    return float(np.abs(values).max(initial=0.0))
 
 
 def _synapses(
@@ -200,7 +196,7 @@ def _thresholds(
 def _threshold(
     layer: Layer, scale: Scale, registers: CubaRegisters, rounding: Rounding
 ) -> Integers:
-    if layer.threshold.min(initial=0.0) < 0:
+    if (layer.threshold < 0).any():
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
             "below 0; the chip's thresholds are unsigned. Train with positive thresholds."
@@ -245,7 +241,7 @@ def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rou
 
 def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> None:
     """A layer with weights must not lose all of them to the range of its threshold or bias."""
-    before = max(_magnitude(s.weight) for s in layer.synapses)
+    before = max(magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
         if not layer.spiking:
             raise RuleError(
@@ -255,7 +251,7 @@ def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> No
             )
         raise RuleError(
             f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
-            f"{before:g}, is too small beside its threshold ({_magnitude(layer.threshold):g}, of "
+            f"{before:g}, is too small beside its threshold ({magnitude(layer.threshold):g}, of "
             f"at most {registers.threshold_max} mantissas) or bias. Scale the weights up, or the "
             "others down."
         )

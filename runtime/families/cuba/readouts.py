@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
 Floats = NDArray[np.float64]
@@ -43,13 +44,13 @@ def exponent_and_share(
     states = min(registers.current.limit, registers.push.limit, registers.membrane.limit)
     widest_bias = registers.bias_mantissa_max << registers.bias_exponent_max
     filled = max(
-        _most(_reach(layer) * unit) / (_SHARE * states),
-        _most(np.abs(layer.voltage_bias) * unit) / max(widest_bias, 1),
+        magnitude(_reach(layer) * unit) / (_SHARE * states),
+        magnitude(layer.voltage_bias * unit) / max(widest_bias, 1),
     )
     if filled > 1:
         return 0, 1 / filled
     # whatever arrives at once is to fit the accumulator, or kernels would be slow
-    filled = max(filled, _most(_arriving(layer) * unit) / registers.accumulator.limit)
+    filled = max(filled, magnitude(_arriving(layer) * unit) / registers.accumulator.limit)
     widest = int(np.log2(_WIDEST // registers.weight_max))
     most = min(registers.weight_exponent_max, widest)
     return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
@@ -81,7 +82,7 @@ def range_of(
     if timesteps is not None:
         steady = np.minimum(steady, timesteps * _peak(current, membrane))
     proven = np.multiply(largest, steady, out=np.zeros(layer.size), where=largest > 0) + bias
-    if _most(proven) <= held:
+    if magnitude(proven) <= held:
         return ""
     room = np.divide(held - bias, each, out=np.full(layer.size, np.inf), where=each > 0)
     look = "; `spikedeploy drift` shows what recorded inputs fill" if drifts else ""
@@ -140,11 +141,7 @@ def _peak(current: Floats, membrane: Floats) -> Floats:
     """
     t = _TIMES[:, None] + 1.0
     apart = np.abs(current - membrane) > 1e-6
-    difference = np.where(apart, current - membrane, 1.0)
     nearly = t * np.maximum(current, membrane) ** (t - 1)
-    response = np.where(apart, (current**t - membrane**t) / difference, nearly)
+    rest = current**t - membrane**t
+    response = np.divide(rest, current - membrane, out=nearly, where=apart)
     return np.asarray(response.max(axis=0))
-
-
-def _most(values: Floats) -> float:
-    return float(np.max(values, initial=0.0))

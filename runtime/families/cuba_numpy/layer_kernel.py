@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer, LayerState
+from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState
 from spikedeploy.runtime.families.cuba.bounds import (
@@ -62,7 +63,7 @@ class _OverflowCheck:
         self._open = limits.current > self._limit or max(limits.above, limits.below) > self._limit
         # membranes that no spike resets are all kept, and looked at as they are
         self._open_above = layer.spiking and limits.above > self._limit
-        pushed = min(limits.current, current) + np.abs(layer.voltage_bias).max(initial=0)
+        pushed = min(limits.current, current) + magnitude(layer.voltage_bias)
         # refractory, and accumulators and pushes that overflow, are left to the interpreter
         self._never = (
             fixed.refractory > 1

@@ -49,9 +49,7 @@ class _DelayBuffer:
     def delayed(
         self, source: str, delay: int, output_spikes: dict[str, Raster], timesteps: int
     ) -> Raster:
-        """The T rows of a source that arrive in this window."""
-        if delay == 0:
-            return output_spikes[source]
+        """The T rows of a source that arrive in this window, at least one row late."""
         first = self._longest - delay
         rows = self._tails[source][first : first + timesteps]
         if delay < timesteps:
@@ -220,7 +218,9 @@ class NumpyPipeline:
             ]
             output_spikes[layer.name] = kernel.run(presynaptic)
         self._output_spikes = output_spikes
-        spikes = delayed(self._program.output, self._lag, output_spikes, timesteps)
+        spikes = output_spikes[self._program.output]
+        if self._lag:
+            spikes = delayed(self._program.output, self._lag, output_spikes, timesteps)
         self._buffer.keep(output_spikes)
         return spikes.rows
 
@@ -229,12 +229,12 @@ class NumpyPipeline:
         self._observed, self._recorded, presynaptic = [], [], []
         for row in rows:
             # the kernels use their memory again for the next row
-            presynaptic.append(self._window(row[None], None)[0].copy())
+            presynaptic.append(self._window(row[None], None).copy())
             if self.schedule.counting:
                 self._observed.append(self._counter.observe(self._output_spikes))
             if self.schedule.trace:
                 self._recorded.append(self._recordings())
-        return np.stack(presynaptic)
+        return np.concatenate(presynaptic)
 
     def _recordings(self) -> dict[str, Recording]:
         """What each layer did when it last ran."""

@@ -32,7 +32,7 @@ class Raster:
     def axons(self) -> NDArray[np.intp]:
         """Which axons spiked at least once; batch 1."""
         if self._axons is None:
-            self._axons = np.logical_or.reduce(self.bits[:, 0], 0).nonzero()[0]
+            self._axons = np.logical_or.reduce(self.bits.squeeze(1), 0).nonzero()[0]
         return self._axons
 
     def per_axon(self) -> NDArray[Any]:

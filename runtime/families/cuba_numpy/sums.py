@@ -106,13 +106,13 @@ class SparseSum:
         self._unit = out.dtype.type(unit)
         self._sums = aligned(out.shape, weight.dtype)
         self._bias = _filled(self._sums, bias)
-        self._rows = list(self._sums[:, 0])
+        self._rows = list(self._sums.squeeze(1))
         self._fetched = scratch.like(weight)
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums."""
         take, add, fetched = self.weight.take, np.add.reduce, self._fetched
-        for spikes, row in zip(raster.bits[:, 0], self._rows, strict=True):
+        for spikes, row in zip(raster.bits.squeeze(1), self._rows, strict=True):
             axons = spikes.nonzero()[0]
             # "clip" never has anything to clip here, and needs no second buffer
             add(take(axons, 0, fetched[: len(axons)], "clip"), 0, None, row)
@@ -130,7 +130,7 @@ class ActiveRows:
     def __init__(self, weight: Weights, bias: Weights, out: Floats, scratch: Scratch) -> None:
         self.weight = weight
         # (T, N)
-        self._out = out[:, 0]
+        self._out = out.squeeze(1)
         self._sums = _product(self._out, weight)
         self._bias = _filled(self._sums, bias)
         self._fetched = scratch.like(weight)
@@ -138,7 +138,7 @@ class ActiveRows:
     def __call__(self, raster: Raster) -> None:
         """Write the sums."""
         weight, axons = self.weight, raster.axons()
-        spikes = raster.rows[:, 0].take(axons, 1).astype(weight.dtype)
+        spikes = raster.rows.squeeze(1).take(axons, 1).astype(weight.dtype)
         spikes.dot(weight.take(axons, 0, self._fetched[: len(axons)], "clip"), self._sums)
         if self._bias is not None:
             np.add(self._sums, self._bias, self._sums)

@@ -77,10 +77,10 @@ class Wave:
         self._output_spikes = np.zeros((CHUNK + rows, width + neurons), np.bool_)
         self._input = self._output_spikes[:timesteps, :width]
         self._states = np.zeros((rows + 1, 2, 1, neurons))
-        self._drive = np.zeros((rows, 1, neurons))
+        self._drive = np.empty((rows, 1, neurons))
         self._block, bias = _block(program, fixed, self._places)
-        self._presynaptic = np.zeros((CHUNK, len(self._block)), np.float32)
-        self._arrived = np.zeros((CHUNK, neurons), np.float32)
+        self._presynaptic = np.empty((CHUNK, len(self._block)), np.float32)
+        self._arrived = np.empty((CHUNK, neurons), np.float32)
         self._bias = np.tile(bias, (CHUNK, 1)) if bias.any() else None
         stack = _stacked(layers)
         spikes = self._output_spikes[CHUNK:, None, width:]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer
-from spikedeploy.runtime.chips.registers import Rounding, rounded
+from spikedeploy.runtime.chips.registers import Rounding, magnitude, rounded
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
 
@@ -190,7 +190,7 @@ def _threshold(
     rounding: Rounding,
     limits: bool,
 ) -> Integers:
-    if layer.threshold.min(initial=0.0) < 0:
+    if (layer.threshold < 0).any():
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
             f"below 0; {chip_name} is emulated with thresholds of 0 and above. Train with those."
@@ -213,7 +213,7 @@ def _leak(layer: Layer, rules: IntegrateAndFireRules, scale: float, rounding: Ro
     if rules.leak == "shift":
         with np.errstate(divide="ignore"):
             # shift = int(|log2(1 - beta)|)
-            shift = np.where(lost > 0, np.abs(np.log2(lost)), 0.0)
+            shift = np.abs(np.log2(lost))
         return np.where(lost > 0, np.minimum(np.trunc(shift), rules.leak_max), _NO_LEAK).astype(int)
     # leak = (1 - beta) threshold / 2
     amount = rounded(lost * layer.threshold * scale / 2, rounding)
@@ -221,7 +221,7 @@ def _leak(layer: Layer, rules: IntegrateAndFireRules, scale: float, rounding: Ro
 
 
 def _check_alive(layer: Layer, quantised: Layer, chip_name: str) -> None:
-    before = max(float(np.abs(s.weight).max(initial=0.0)) for s in layer.synapses)
+    before = max(magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
         raise RuleError(
             f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "

@@ -32,7 +32,7 @@ from spikedeploy.runtime.chips.layer import (
     Synapses,
 )
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, rounded
+from spikedeploy.runtime.chips.registers import Rounding, magnitude, rounded
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.xylo.layers import check_output, xylo_layers
@@ -65,8 +65,8 @@ def _scales(
         return each
     outputs = {network.output} if network.output_apart else set()
     common: dict[str, Floats] = {}
-    for population in (each.keys() - outputs, outputs):
-        least = min((each[name].min() for name in population), default=1.0)
+    for population in filter(None, (each.keys() - outputs, outputs)):
+        least = min(each[name].min() for name in population)
         common |= {name: np.full(each[name].shape, least) for name in population}
     return common
 
@@ -135,7 +135,7 @@ def _synapses(
 
 def _check_alive(layer: Layer, quantised: Sequence[Synapses]) -> None:
     """A layer with weights must not lose all of them to its threshold or to another layer."""
-    before = max(np.abs(s.weight).max(initial=0.0) for s in layer.synapses)
+    before = max(magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.weight.any() for s in quantised):
         raise RuleError(
             f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "

@@ -117,7 +117,7 @@ def _added(
             current, over = registers.state.fit_counted(current + weight)
             lost = lost + over
         return current, lost
-    low, high = registers.state.fit(np.array([-1 << 40, 1 << 40]))
+    low, high = -registers.state.limit - 1, registers.state.limit
     # additions of one weight saturate for good, so their order does not matter
     room = np.where(weight > 0, high - current, current - low)
     fitting = np.where(weight == 0, count, room // np.maximum(np.abs(weight), 1))

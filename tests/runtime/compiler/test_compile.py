@@ -11,6 +11,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses, starting
 from spikedeploy.runtime.compiler import linear
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
@@ -288,3 +289,160 @@ def test_what_trains_with_another_reset_is_told_how_snntorch_says_it():
     zero = Artifact(chain(affine(8, 6), lif(6), width=8, act=6), None, CONVENTION)
     with pytest.raises(RuleError, match=r"with that reset, give it as an option"):
         compile_program(zero, chip("xylo-a2"))
+
+
+def placed(matrix):
+    """A layer whose spikes reach the output through this matrix (act, N)."""
+    act, size = np.shape(matrix)
+    nodes = [affine(8, size, gain=5.0), cuba(size), nir.Linear(np.array(matrix, float))]
+    return Artifact(chain(*nodes, width=8, act=act), None, CONVENTION)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.eye(3),
+        [[1, 0, 0], [0, 0, 1], [0, 1, 0]],
+        [[1, 1], [0, 0]],
+        [[1, 0], [0, 2]],
+        [[1, 1], [0, 1]],
+        [[0, 1], [1, 0]],
+        [[1, 0, 0], [0, 1, 0]],
+        [[1, 0], [0, 1], [0, 0]],
+    ],
+)
+def test_only_the_identity_passes_spikes_on_as_they_are(matrix):
+    artifact = placed(matrix)
+    program = compile_program(artifact, chip("ideal"))
+    assert (program.readout is None) == np.array_equal(matrix, np.eye(3))
+    given = raster(program)
+    expected = FloatGraph(artifact).run(given)["output"]
+    assert expected.any()
+    np.testing.assert_allclose(Machine(program, 3).infer(given), expected)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 2)])
+def test_a_bias_of_a_convolution_is_that_of_its_channel(shape):
+    rng = np.random.default_rng(0)
+    convolution = nir.Conv2d(
+        input_shape=shape, weight=rng.normal(size=(4, 1, 1, 1)), stride=1, padding=0,
+        dilation=1, groups=1, bias=np.array([1.0, -2.0, 3.0, 4.0]),
+    )  # fmt: skip
+    nodes = [convolution, nir.Flatten({"input": np.array([4, *shape])}, 0, -1)]
+    size = 4 * shape[0] * shape[1]
+    network = chain(*nodes, cuba(size, threshold=3.0), width=(1, *shape), act=size)
+    artifact = Artifact(network, None, CONVENTION)
+    (only,) = compile_program(artifact, chip("ideal")).layers
+    assert only.bias.tolist() == np.repeat([1.0, -2.0, 3.0, 4.0], size // 4).tolist()
+
+
+def test_impulses_are_sent_a_few_at_a_time_and_fill_no_more_memory_than_they_may(monkeypatch):
+    sent = []
+    respond = linear.Linear._respond
+
+    def spied(self, region, start, biased=False):
+        sent.extend(len(rows) for parts in start.values() for rows in parts.values())
+        return respond(self, region, start, biased)
+
+    monkeypatch.setattr(linear.Linear, "_respond", spied)
+    nodes = [affine(7, 3), affine(3, 40), affine(40, 5)]
+    artifact = Artifact(chain(*nodes, cuba(5), width=7, act=5), None, CONVENTION)
+    (whole,) = compile_program(artifact, chip("ideal")).layers
+    assert sent == [7, 5]
+    # 40 numbers in the widest node for each impulse
+    for enough, chunks in ((80, [2, 2, 2, 1]), (79, [1] * 7), (1, [1] * 7)):
+        monkeypatch.setattr(linear, "_ENOUGH", enough)
+        sent.clear()
+        (few,) = compile_program(artifact, chip("ideal")).layers
+        assert sent[: len(chunks)] == chunks
+        np.testing.assert_allclose(few.synapses[0].weight, whole.synapses[0].weight)
+    monkeypatch.setattr(linear, "_ENOUGH", 1 << 22)
+    monkeypatch.setattr(linear, "_MOST", 3)
+    sent.clear()
+    compile_program(artifact, chip("ideal"))
+    assert sent[:3] == [3, 3, 1]
+
+
+def test_a_spike_cannot_arrive_at_once_at_a_layer_that_came_before():
+    weight = np.ones((1, 1))
+    wires = (Synapses("input", weight, 0), Synapses("a", weight, 1))
+    fine = layer(chip("loihi1").arithmetic, "a", weight, wires, decays=(0, 0), threshold=64)
+
+    def program(delay):
+        looped = replace(fine, synapses=(wires[0], replace(wires[1], delay=delay)))
+        return Program(chip("ideal"), CONVENTION, "input", 1, (looped,), "a", None)
+
+    assert program(1).lags == ((0, 1),)
+    with pytest.raises(RuleError, match=r"^rule delay: layer 'a': the synapses from 'a' deliver"):
+        program(0)
+
+
+def test_finding_a_matrix_may_take_exactly_so_many_multiplications(monkeypatch):
+    # 4 kernels of 9 weights at 3 x 3 places, and what they put out, for each of 25 impulses
+    convolution = nir.Conv2d(
+        input_shape=(5, 5), weight=np.ones((4, 1, 3, 3)), stride=1, padding=0, dilation=1,
+        groups=1, bias=np.zeros(4),
+    )  # fmt: skip
+    nodes = [convolution, nir.Flatten({"input": np.array([4, 3, 3])}, 0, -1), cuba(36)]
+    artifact = Artifact(chain(*nodes, width=(1, 5, 5), act=36), None, CONVENTION)
+    needed = 25 * (4 * 9 * 9 + 36)
+    monkeypatch.setattr(linear, "_HARDEST", needed)
+    compile_program(artifact, chip("ideal"))
+    monkeypatch.setattr(linear, "_HARDEST", needed - 1)
+    with pytest.raises(RuleError, match=f"takes {needed} multiplications; at most {needed - 1}"):
+        compile_program(artifact, chip("ideal"))
+
+
+@pytest.mark.parametrize("asked", [{"spikes": "many"}, {"floor": "zero"}, {"floor": "threshold"}])
+def test_a_chip_refuses_the_spikes_and_the_floor_that_it_has_not(asked):
+    convention = replace(CONVENTION, reset="subtract")
+    artifact = Artifact(chain(affine(8, 6), cuba(6), width=8, act=6), None, convention)
+    compile_program(artifact, chip("int"))
+    ((name, value),) = asked.items()
+    with pytest.raises(RuleError, match=f"^rule convention: .*{name} '{value}'.* on int sends one"):
+        compile_program(changed(artifact, **asked), chip("int"))
+
+
+def test_several_inputs_stand_side_by_side_in_the_matrix_of_a_layer():
+    one, two = np.arange(1.0, 7.0).reshape(3, 2), -np.arange(1.0, 13.0).reshape(3, 4)
+    nodes = {
+        "a": nir.Input(np.array([2])), "b": nir.Input(np.array([4])),
+        "wa": nir.Linear(one), "wb": nir.Linear(two), "l1": cuba(3),
+        "output": nir.Output(np.array([3])),
+    }  # fmt: skip
+    network = graph("a->wa, wa->l1, b->wb, wb->l1, l1->output", **nodes)
+    program = compile_program(Artifact(network, None, CONVENTION), chip("ideal"))
+    (only,) = program.layers[0].synapses
+    np.testing.assert_allclose(only.weight, np.hstack([one, two]).T)
+    assert (program.width, [port.name for port in program.inputs]) == (6, ["a", "b"])
+
+
+def test_the_output_is_the_layer_on_the_chip_that_leaves_it_first():
+    readout = nir.LI(*(np.full(2, v) for v in (0.01, 1.0, 0.0)))
+    nodes = {
+        "input": nir.Input(np.array([8])), "first": nir.Output(np.array([6])),
+        "second": nir.Output(np.array([2])), "w1": affine(8, 6), "w2": affine(6, 5),
+        "w3": affine(5, 2), "l1": cuba(6), "l2": cuba(5), "r": readout,
+    }  # fmt: skip
+    edges = "input->w1, w1->l1, l1->w2, w2->l2, l2->w3, w3->r, r->second, l1->first"
+    artifact = Artifact(graph(edges, **nodes), None, CONVENTION)
+    program = compile_program(artifact, chip("loihi1:membrane_output=none"))
+    assert [each.name for each in program.host] == ["r"]
+    assert program.output == "l1"
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({}, "mixed"),
+        ({"sign_mode": "mixed"}, None),
+        ({"weight_bits": 1}, None),
+        ({"weight_bits": 2}, "mixed"),
+    ],
+)
+def test_weights_of_both_signs_can_share_a_list_where_a_bit_is_left_for_the_sign(options, found):
+    fixed = chip("loihi1", **options).arithmetic
+    other = fixed.with_one_list()
+    assert (other and other.sign_mode) == found
+    assert fixed.weights_have_signs is (fixed.sign_mode == "mixed")
+    assert fixed.weight_lists == (1 if fixed.weights_have_signs else 2)

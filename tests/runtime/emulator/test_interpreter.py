@@ -1,14 +1,24 @@
 """The specification, worked out by hand."""
 
-import numpy as np
+from dataclasses import replace
 
+import nir
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.layer import LayerState, Synapses
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from tests.programs import layer
+from spikedeploy.runtime.families.cuba.neurons import arriving
+from tests.networks import chain, cuba, popsan
+from tests.programs import layer, random_programs, rasters
 
 CHIP = chip("loihi1")
 
@@ -69,3 +79,124 @@ def test_a_bias_acts_from_the_first_timestep_and_on_the_membrane_only():
     # 100, then 50 + 100 > 128: spike, then 0 + 100
     assert ran.membrane.ravel().tolist() == [100, 0, 100]
     assert ran.spikes.ravel().tolist() == [0, 1, 0]
+
+
+def fitted(x, register):
+    """A number as the register holds it, and whether it did not fit."""
+    half = 1 << (register.bits - 1)
+    held = {
+        "none": lambda: x,
+        "wrap": lambda: (x + half) % (2 * half) - half,
+        "wrap-once": lambda: x - 2 * half * (x > half) + 2 * half * (x <= -half),
+        "clip": lambda: min(max(x, 1 - half), half - 1),
+        "saturate": lambda: min(max(x, -half), half - 1),
+    }[register.overflow]()
+    if register.between is not None:
+        held = min(max(held, register.between[0]), register.between[1])
+    return held, held != x
+
+
+def plain_step(fixed, subtract, layer, n, arrived, before):
+    """A timestep of one neuron in integers of Python: its new state, spike, activity, overflows."""
+    current, membrane, resting = before
+
+    def kept(x, factor):
+        return abs(x) * int(factor) // 4096 * (1 if x > 0 else -1)
+
+    drive, lost = fitted(arrived * 64, fixed.accumulator)
+    current, wrapped = fitted(kept(current, layer.current_decay[n]) + drive, fixed.current)
+    push, turned = fitted(current + int(layer.voltage_bias[n]), fixed.push)
+    raised, clipped = fitted(kept(membrane, layer.membrane_decay[n]) + push, fixed.membrane)
+    active = membrane != 0 or current != 0 or layer.voltage_bias[n] != 0
+    threshold, spike = int(layer.threshold[n]), False
+    if resting:
+        after, resting = 0, resting - 1
+    elif raised > threshold:
+        after, resting, spike = (raised - threshold) * subtract, fixed.refractory - 1, True
+    else:
+        after = raised
+    return (current, after, resting), spike, active, lost + wrapped + turned + clipped
+
+
+@settings(max_examples=40, deadline=None)
+@given(random_programs(), st.sampled_from(["zero", "subtract"]), st.integers(0, 2**32 - 1))
+def test_a_timestep_equals_that_of_a_plain_loop(program, reset, seed):
+    rng, fixed = np.random.default_rng(seed), program.chip.arithmetic
+    program = replace(program, convention=replace(program.convention, reset=reset))
+    of = program.layers[-1]
+    state = LayerState.zero(of, 1)
+    plain = {n: (0, 0, 0) for n in range(min(of.size, 5))}
+    for _ in range(8):
+        spikes = [(rng.random((1, len(s.weight))) < 0.4).astype(np.uint8) for s in of.synapses]
+        arrived = of.bias.astype(int)
+        for s, row in zip(of.synapses, spikes, strict=True):
+            arrived = arrived + s.weight[row[0] > 0].astype(int).sum(axis=0)
+        result = fixed.update(program, of, spikes, state)
+        for n, before in plain.items():
+            plain[n], spike, active, lost = plain_step(
+                fixed, reset == "subtract", of, n, int(arrived[n]), before
+            )
+            found = state.current[0, n], state.membrane[0, n], state.refractory[0, n]
+            assert found == plain[n]
+            assert (result.spikes[0, n], result.active[0, n]) == (spike, active)
+            assert result.overflows[0, n] == lost
+
+
+@pytest.mark.parametrize("shift", [0, 1, 3])
+def test_sums_of_a_negative_exponent_are_rounded_down_together(shift):
+    fixed = CHIP.arithmetic
+    weight = np.array([[5, -5], [6, -6]], np.int16)
+    lists = (Synapses("a", weight, 1, shift=shift), Synapses("b", weight, 1))
+    both = replace(layer(fixed, "n", weight.T, lists, decays=(0, 0), threshold=64))
+    both = replace(both, bias=np.array([1, 2]))
+    row = np.ones((1, 2), np.uint8)
+    assert arriving(both, [row, row]).tolist() == [
+        [1 + (11 >> shift) + 11, 2 + (-11 >> shift) - 11]
+    ]
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_programs(), st.sampled_from(["zero", "subtract"]), st.integers(0, 2**32 - 1))
+def test_membranes_before_their_reset_say_which_neurons_spiked(program, reset, seed):
+    fixed = replace(program.chip.arithmetic, refractory=1)
+    convention = replace(program.convention, reset=reset)
+    chosen = replace(program.chip, arithmetic=fixed)
+    layers = tuple(
+        # some membranes lose nothing
+        replace(a, membrane_decay=np.where(np.arange(a.size) % 3, a.membrane_decay, 4096))
+        for a in program.layers
+    )
+    program = replace(program, chip=chosen, convention=convention, layers=layers)
+    check_before_reset(program, rasters(program, 2, 6, 0.3, seed)[0])
+
+
+def check_before_reset(program, raster):
+    arithmetic, convention = program.chip.arithmetic, program.convention
+    for name, ran in trace(program, raster).items():
+        of = program.layer(name)
+        before = arithmetic.before_reset(of, convention, ran.current, ran.membrane, ran.spikes)
+        np.testing.assert_array_equal(before > of.threshold, ran.spikes)
+        after = before - of.threshold if convention.reset == "subtract" else 0.0
+        np.testing.assert_array_equal(np.where(ran.spikes, after, before), ran.membrane)
+
+
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+def test_membranes_in_float_before_their_reset_say_which_neurons_spiked(reset):
+    rng = np.random.default_rng(0)
+    neurons = cuba(6, threshold=1.0)
+    neurons.v_leak[:] = rng.normal(size=6) / 4
+    keeping = nir.IF(np.full(5, 1000.0), np.ones(5))
+    nodes = [nir.Linear(rng.normal(size=(6, 8))), neurons, nir.Linear(rng.normal(size=(5, 6)))]
+    network = chain(*nodes, keeping, width=8, act=5)
+    program = compile_program(Artifact(network, None, Convention(1e-3, reset)), chip("ideal"))
+    check_before_reset(program, rasters(program, 2, 12, 0.4, seed=1)[0])
+
+
+def test_floats_overflow_nowhere_and_have_no_refractory_period():
+    program = compile_program(popsan(), chip("ideal"))
+    of = program.layers[0]
+    state = LayerState.zero(of, 2)
+    for row in rasters(program, 2, 9, 0.5, seed=0)[0].swapaxes(0, 1):
+        result = program.chip.arithmetic.update(program, of, [row], state)
+        assert not result.overflows.any()
+        assert not state.refractory.any()

@@ -179,3 +179,16 @@ ROUNDING = 1e-12  # of sums of some tens of weights around 1
 def _with_real_weights(layer, rng):
     synapses = tuple(replace(s, weight=rng.normal(size=s.weight.shape) / 4) for s in layer.synapses)
     return replace(layer, synapses=synapses)
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_programs(), runs)
+def test_a_backend_shows_the_membranes_and_spikes_that_it_recorded(program, run):
+    machine = Machine(program, run[0], trace=True)
+    machine.infer(rasters(program, *run)[0])
+    for name, found in machine.recordings.items():
+        for shown, recorded in (
+            (machine._backend.membranes(name), found.membrane),
+            (machine._backend.spikes(name), found.spikes),
+        ):
+            np.testing.assert_array_equal(shown, recorded.swapaxes(0, 1))

@@ -11,17 +11,19 @@ from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.families.cuba.neurons import sigma_delta
+from spikedeploy.runtime.families.cuba.neurons import float_sigma_delta, sigma_delta
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.metrics.energy import energy, energy_table
 from spikedeploy.runtime.metrics.host_work import host_work
 from spikedeploy.runtime.metrics.neurobench import neurobench
+from tests.float_layers import float_layer
 from tests.graded import GRADED, INPUT, OUTPUT, SIGMA, delta_network, one_neuron, rasters
 
 GRADED_CHIPS = ("ideal", "loihi2")
@@ -246,3 +248,57 @@ def test_graded_spikes_beyond_their_bits_are_clipped_and_counted_on_loihi2():
     found = sigma_delta(registers, registers.graded_bits, layer, np.zeros((1, 1), np.int64), state)
     assert found.spikes.tolist() == [[most]]
     assert found.overflows.tolist() == [[1]]
+
+
+def plain_sigma_delta(fixed, bits, of, n, arrived, sigma, sent):
+    """A timestep of one sigma-delta neuron: sigma, what is sent, activity, overflows."""
+    bias, threshold = of.voltage_bias[n], of.threshold[n]
+    active = sigma != 0 or bias != 0
+    if fixed is None:
+        drive, sigma, lost = arrived, sigma + arrived, 0
+        apart = max(sigma + bias, 0) / threshold - sent
+        whole = int(np.sign(apart) * np.floor(abs(apart) + 0.5)) if abs(apart) >= 1 else 0
+        return sigma, whole, active or drive != 0, lost
+
+    def held(x, register):
+        most = (1 << (register.bits - 1)) - 1
+        return (x, 0) if abs(x) <= most else (max(min(x, most), -most), 1)
+
+    drive, first = held(arrived * 64, fixed.accumulator)
+    sigma, second = held(sigma + drive, fixed.membrane)
+    raised, third = held(sigma + int(bias), fixed.push)
+    apart, threshold = max(raised, 0) - sent * int(threshold), int(threshold)
+    whole = (2 * abs(apart) + threshold) // (2 * threshold) if abs(apart) >= threshold else 0
+    most = (1 << (bits - 1)) - 1
+    lost = first + second + third + (whole > most)
+    return sigma, min(whole, most) * (1 if apart > 0 else -1), active or drive != 0, lost
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("in_float", [False, True])
+def test_a_timestep_equals_that_of_a_plain_loop(seed, in_float):
+    rng, size = np.random.default_rng(seed), 5
+    narrow = {name: Register(14, "clip") for name in ("accumulator", "membrane", "push")}
+    fixed = None if in_float else replace(chip("loihi2").arithmetic, **narrow)
+    of = float_layer(rng.integers(-6, 7, (4, size)), "n", threshold=200.0)
+    bias = rng.integers(-900, 900, size) * rng.integers(0, 2, size)
+    of = replace(of, graded=True, voltage_bias=bias, membrane_decay=np.ones(size, int))
+    if not in_float:
+        whole = (replace(of.synapses[0], weight=of.synapses[0].weight.astype(np.int16)),)
+        of = replace(of, threshold=np.full(size, 200), synapses=whole, bias=np.zeros(size, int))
+    state, plain = LayerState.zero(of, 1), [(0, 0)] * size
+    for step in range(12):
+        spikes = rng.integers(-40, 41, (1, 4)) * (step % 3 > 0)
+        arrived = (spikes @ of.synapses[0].weight.astype(int))[0]
+        if in_float:
+            result = float_sigma_delta(53, of, arrived[None].astype(float), state)
+        else:
+            result = sigma_delta(fixed, 6, of, arrived[None], state)
+        for n, (sigma, sent) in enumerate(plain):
+            sigma, graded, active, lost = plain_sigma_delta(
+                fixed, 6, of, n, int(arrived[n]), sigma, sent
+            )
+            plain[n] = sigma, sent + graded
+            assert (state.membrane[0, n], state.sent[0, n]) == plain[n]
+            found = result.spikes[0, n], result.active[0, n], result.overflows[0, n]
+            assert found == (graded, active, lost)

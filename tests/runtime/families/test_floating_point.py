@@ -8,6 +8,7 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
@@ -117,3 +118,46 @@ def test_what_arrives_is_added_up_in_float32():
     expected = layer.bias + spikes.astype(np.float32) @ weight
     np.testing.assert_array_equal(arriving(wide, [spikes]), expected)
     assert (expected != (layer.bias + weight.astype(float).sum(axis=0)).astype(np.float32)).any()
+
+
+@pytest.mark.parametrize(("spikes", "fires"), [("reached", True), ("above", False)])
+def test_ideal_neurons_spike_at_their_threshold_where_the_convention_says_so(spikes, fires):
+    nodes = nir.Linear(np.ones((2, 1))), nir.IF(np.full(2, 1000.0), np.array([1.0, 2.0]))
+    convention = Convention(1e-3, spikes=spikes)
+    artifact = Artifact(chain(*nodes, width=1, act=2), None, convention)
+    program = compile_program(artifact, chip("ideal"))
+    raster = np.ones((1, 4, 1), np.uint8)
+    found = trace(program, raster)["n2"].spikes
+    np.testing.assert_array_equal(found, FloatGraph(artifact).run(raster)["n2"])
+    assert bool(found[0, 0, 0]) == fires
+
+
+def test_the_largest_weight_of_all_sources_sets_the_scale():
+    artifact = popsan()
+    layer = compile_program(artifact, chip("ideal")).layers[0]
+    for factor in (0.0, 0.5, 2.0):
+        other = replace(layer.synapses[0], weight=factor * layer.synapses[0].weight)
+        both = replace(layer, synapses=(other, *layer.synapses))
+        network = replace(compile_program(artifact, chip("ideal")), layers=(both,))
+        (found,) = CHIP.arithmetic.quantise(network, PLAIN, "spinnaker2", None, limits=True)
+        most = max(int(np.abs(s.weight).max()) for s in found.synapses)
+        assert most == 127
+        largest = max(factor, 1.0) * np.abs(layer.synapses[0].weight).max()
+        assert found.scale == pytest.approx(largest / 127)
+    silent = replace(
+        layer, synapses=(replace(layer.synapses[0], weight=np.zeros((3, layer.size))),)
+    )
+    network = replace(network, layers=(silent,))
+    (found,) = CHIP.arithmetic.quantise(network, PLAIN, "spinnaker2", None, limits=True)
+    assert found.scale == 1.0
+
+
+def test_numbers_are_described_in_a_few_words():
+    assert CHIP.arithmetic.describe() == ("CuBa-LIF", "8 bits with the sign", "float32")
+    assert chip("ideal").arithmetic.describe() == ("CuBa-LIF", "float64", "float64")
+    split = chip("loihi1").arithmetic
+    assert split.describe()[:2] == ("CuBa-LIF", "8 bits and sign")
+    mixed = replace(split, sign_mode="mixed")
+    assert mixed.describe()[:2] == ("CuBa-LIF", "8 bits with the sign")
+    assert split.threshold_range == (64, 131071 << 6)
+    assert split.state_bits == (24, 24)

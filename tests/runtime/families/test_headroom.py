@@ -9,13 +9,17 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.families.cuba.bounds import bounds, with_headroom
+from tests.float_layers import float_layer
 from tests.networks import chain, cuba, lif, popsan
 
 PROVEN = Quantisation(headroom="proven")
+LOIHI1 = chip("loihi1").arithmetic
 
 
 def crowd(axons=600, threshold=100.0, size=1):
@@ -94,3 +98,51 @@ def test_a_membrane_without_a_leak_has_no_headroom_that_can_be_proven():
     )
     with pytest.raises(RuleError, match="layer 'n2': no scale keeps its membranes"):
         compile_program(Artifact(graph, None, Convention(1e-3)), chip("loihi1"), PROVEN)
+
+
+def proven(layer, registers, granularity, timesteps=20):
+    """The layer alone in a network, with headroom."""
+    network = replace(compile_program(popsan(), chip("ideal")), layers=(layer,))
+    (found,) = with_headroom(registers, network, Quantisation(granularity), timesteps)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_neurons_with_scales_of_their_own_have_the_headroom_that_each_needs_alone(seed):
+    rng = np.random.default_rng(seed)
+    narrow = replace(LOIHI1, membrane=Register(20, "clip"), current=Register(19, "clip"))
+    layer = float_layer(rng.normal(size=(30, 4)), "n", alpha=0.5, beta=0.9, threshold=20.0)
+    vary = {"threshold": np.array([20.0, 2.0, 90.0, 5.0]), "voltage_bias": rng.normal(size=4)}
+    layer = replace(layer, **vary)
+    together = proven(layer, narrow, "channel")
+    assert (together.scale > 1 / (255 * 64)).any()
+    for n in range(4):
+        one = replace(
+            layer,
+            synapses=(replace(layer.synapses[0], weight=layer.synapses[0].weight[:, n : n + 1]),),
+            **{
+                name: getattr(layer, name)[n : n + 1]
+                for name in ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
+            },
+        )
+        alone = proven(one, narrow, "channel")
+        assert alone.synapses[0].weight[:, 0].tolist() == together.synapses[0].weight[:, n].tolist()
+        assert alone.threshold[0] == together.threshold[n]
+        assert alone.scale[0] == together.scale[n]
+
+
+@pytest.mark.parametrize("name", ["accumulator", "current", "push", "membrane"])
+def test_the_register_that_is_too_narrow_is_filled_and_does_not_overflow(name):
+    narrow = replace(LOIHI1, **{name: Register(18, "clip")})
+    layer = float_layer(np.ones((30, 1)), "n", alpha=0.5, beta=0.9, threshold=0.5, voltage_bias=-7)
+    found = proven(layer, narrow, "layer")
+    network = replace(compile_program(popsan(), chip("ideal")), layers=(found,))
+    worst = bounds(network, found, narrow, 20)
+    most = {
+        "accumulator": worst.drive,
+        "current": worst.current,
+        "push": worst.current + abs(int(found.voltage_bias[0])),
+        "membrane": max(worst.above, worst.below),
+    }[name]
+    # a thousandth is given up in a round, and weights are whole
+    assert 0.9 < most / ((1 << 17) - 1) <= 1

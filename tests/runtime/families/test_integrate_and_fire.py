@@ -220,15 +220,15 @@ def test_spiker_at_its_threshold_does_not_spike():
 
 
 def plainly(program, raster):
-    """Membranes and spikes (T, N) of one copy, in integers of Python, neuron by neuron."""
+    """Membranes, spikes, activity and overflows (T, N) of one copy, neuron by neuron."""
     point, layer = program.chip.arithmetic, program.layers[0]
     subtract = program.convention.reset == "subtract"
     low, high = -(1 << (point.membrane.bits - 1)), (1 << (point.membrane.bits - 1)) - 1
-    low = low if point.floor is None else max(low, point.floor)
-    membranes, spikes = [], []
+    floor = low if point.floor is None else max(low, point.floor)
+    membranes, spikes, active, overflows = [], [], [], []
     v = [0] * layer.size
     for row in raster:
-        counts = [0] * layer.size
+        counts, lost, busy = [0] * layer.size, [0] * layer.size, [x != 0 for x in v]
         for n in range(layer.size):
             threshold, leak = int(layer.threshold[n]), int(layer.membrane_decay[n])
             weights = [
@@ -260,7 +260,10 @@ def plainly(program, raster):
             if point.leak_order == "first" and point.checks == "event" and over(v[n]):
                 counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
             for group in groups:
-                v[n] = min(max(v[n] + sum(group), low), high)
+                held = min(max(v[n] + sum(group), low), high)
+                lost[n] += held != v[n] + sum(group)
+                busy[n] |= sum(group) != 0
+                v[n] = max(held, floor)
                 if point.checks == "event" and over(v[n]):
                     counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
             v[n] = leaked(v[n]) if point.leak_order == "last" else v[n]
@@ -272,7 +275,9 @@ def plainly(program, raster):
                     break
         membranes.append(list(v))
         spikes.append(counts)
-    return membranes, spikes
+        active.append(busy)
+        overflows.append(lost)
+    return membranes, spikes, active, overflows
 
 
 @settings(max_examples=120, deadline=None)
@@ -303,9 +308,11 @@ def test_the_interpreter_equals_a_plain_loop(name, reset, seed, bits):
         )
     raster = rng.integers(0, 3, (1, 15, 7)).astype(np.uint8)
     found = trace(program, raster)["layer"]
-    membranes, spikes = plainly(program, raster[0].tolist())
+    membranes, spikes, active, overflows = plainly(program, raster[0].tolist())
     assert found.membrane[0].tolist() == membranes
     assert found.spikes[0].tolist() == spikes
+    assert found.active[0].tolist() == active
+    assert found.overflows[0].tolist() == overflows
 
 
 def test_copies_of_a_batch_do_not_meet():
@@ -324,6 +331,7 @@ def test_copies_of_a_batch_do_not_meet():
     ("name", "options", "message"),
     [
         ("odin", {"weight_bits": 0}, "weight_bits is 0; choose 1 to 16"),
+        ("odin", {"weight_bits": 17}, "weight_bits is 17; choose 1 to 16"),
         ("speck2f", {"weight_bits": 1}, "weight_bits is 1; choose 2 to 16"),
         ("speck2f", {"spikes_max": 256}, "spikes_max is 256; choose 1 to 255"),
         ("speck2f", {"spikes_max": 0}, "spikes_max is 0; choose 1 to 255"),
@@ -335,6 +343,7 @@ def test_copies_of_a_batch_do_not_meet():
         ("odin", {"queue": "on", "leak_order": "last"}, "queue is 'on': it holds single events"),
         ("truenorth", {"queue": "on"}, "queue is 'on', and the chip's queue has no entries"),
         ("odin", {"queue_entries": -1}, "queue_entries is -1; choose 0 to 65536"),
+        ("odin", {"queue_entries": 65537}, "queue_entries is 65537; choose 0 to 65536"),
         ("odin", {"host": "stream"}, "host 'stream' is unknown"),
     ],
 )
@@ -343,10 +352,68 @@ def test_an_impossible_arithmetic_is_refused(name, options, message):
         chip(name, **options)
 
 
-@pytest.mark.parametrize("most", [1, 255])
-def test_the_ends_of_what_can_be_chosen_belong_to_it(most):
-    assert chip("speck2f", spikes_max=most).spikes_max == most
+@pytest.mark.parametrize(
+    ("name", "option", "value"),
+    [
+        ("speck2f", "spikes_max", 1),
+        ("speck2f", "spikes_max", 255),
+        ("speck2f", "weight_bits", 2),
+        ("odin", "weight_bits", 1),
+        ("odin", "weight_bits", 16),
+        ("odin", "floor", 0),
+        ("odin", "floor", -1),
+        ("odin", "queue_entries", 0),
+        ("odin", "queue_entries", 1 << 16),
+    ],
+)
+def test_the_ends_of_what_can_be_chosen_belong_to_it(name, option, value):
+    assert getattr(chip(name, **{option: value}).arithmetic, option) == value
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "weights", "biases", "threshold", "leak"),
+    [
+        # two's complement, or a magnitude where axons have the sign; a bias without a register is
+        # a weight; what is compared with ">" has to be below the largest membrane
+        ("speck2f", {}, (-128, 127), (-128, 127), (1 << 15) - 1, 0),
+        ("truenorth", {}, (-256, 255), (-256, 255), (1 << 18) - 1, 255),
+        ("odin", {}, (-7, 7), (-7, 7), 255, 127),
+        ("tinyodin", {}, (-8, 7), (-8, 7), 2047, 127),
+        ("spiker", {}, (-16, 15), (-16, 15), (1 << 15) - 2, 15),
+        ("odin", {"weight_bits": 5, "bias_bits": 3}, (-31, 31), (-4, 3), 255, 127),
+        ("odin", {"membrane": 8, "leak_bits": 7}, (-7, 7), (-7, 7), 127, 127),
+        ("odin", {"membrane": 7, "leak_bits": 7}, (-7, 7), (-7, 7), 63, 63),
+        ("odin", {"threshold_bits": 4, "fires": "above"}, (-7, 7), (-7, 7), 15, 127),
+    ],
+)
+def test_bits_say_how_large_numbers_are(name, options, weights, biases, threshold, leak):
+    rules = chip(name, **options).arithmetic
+    assert (rules.weight_range, rules.bias_range) == (weights, biases)
+    assert (rules.threshold_max, rules.leak_max) == (threshold, leak)
+
+
+@pytest.mark.parametrize("wrong", [{"leak_order": "last"}, {"checks": "event"}, {"spikes_max": 2}])
+def test_a_late_reset_needs_all_of_its_three_conditions(wrong):
+    with pytest.raises(ChipError, match="reset_at is 'leak'"):
+        chip("spiker", **wrong)
 
 
 def test_without_kinds_of_rounding_there_are_no_ablation_steps():
     assert chip("speck2f").arithmetic.ablation_steps == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "bits", "own", "thresholds", "reached"),
+    [
+        ("speck2f", 16, True, (1, 32767), True),
+        ("truenorth", 20, False, (1, 262143), True),
+        ("odin", 9, True, (1, 255), True),
+        ("spiker", 16, True, (1, 32766), False),
+    ],
+)
+def test_what_design_rules_ask_of_the_arithmetic(name, bits, own, thresholds, reached):
+    arithmetic = chip(name).arithmetic
+    assert arithmetic.state_bits == (bits,)
+    assert arithmetic.own_weights is own
+    assert arithmetic.threshold_range == thresholds
+    assert arithmetic.spikes_at_threshold is reached

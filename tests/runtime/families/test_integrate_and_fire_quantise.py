@@ -206,5 +206,59 @@ def test_an_unknown_rounding_is_refused():
         quantised(floats([[1.0]]), "speck2f", "up")
 
 
+def test_an_axon_without_weights_beside_others_is_no_reason_to_refuse():
+    assert whole(quantised(floats([[1.0, 0.5], [0.0, 0.0]]), "speck2f")) == [[127, 64], [0, 0]]
+
+
 def test_a_layer_without_weights_is_no_reason_to_refuse():
     assert quantised(floats([[0.0]], threshold=0.0), "speck2f").threshold.tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "rule"),
+    [
+        ({"current_decay": np.array([0.5, 0.0])}, "primitive"),
+        ({"membrane_decay": np.array([1.0, 0.9])}, "decay-range"),
+        ({"threshold": np.array([-0.5, 1.0])}, "threshold-range"),
+        ({"threshold": np.array([1.0, 1e-4])}, "threshold-range"),
+    ],
+)
+def test_one_neuron_that_the_chip_does_not_have_is_enough(fields, rule):
+    with pytest.raises(RuleError, match=f"^rule {rule}: layer 'if1'"):
+        quantised(replace(floats([[1.0, 1.0]]), **fields), "odin")
+
+
+def test_without_limits_only_the_thresholds_that_are_lost_become_the_smallest():
+    layer = replace(floats([[1.0] * 3]), threshold=np.array([1e-4, 2.0, 0.0]))
+    assert quantised(layer, "odin", limits=False).threshold.tolist() == [1, 14, 0]
+
+
+def test_a_layer_of_zeros_has_a_scale_of_one():
+    layer = quantised(floats([[0.0]], threshold=0.0), "speck2f")
+    assert (layer.scale, layer.threshold.tolist(), layer.voltage_bias.tolist()) == (1.0, [0], [0])
+
+
+@pytest.mark.parametrize(
+    ("fields", "scale"),
+    [
+        ({"threshold": 0.25}, 127 / 0.5),
+        ({"threshold": 1000.0}, 32767 / 1000),
+        ({"bias": -3.0}, 128 / 3),
+        ({"bias": 3.0}, 127 / 3),
+        ({"bias": 2.0, "voltage_bias": 1.0}, 127 / 3),
+    ],
+)
+def test_the_first_number_that_fills_its_bits_sets_the_scale(fields, scale):
+    layer = quantised(floats([[0.5, -0.25]], **{"threshold": 0.0, **fields}), "speck2f")
+    assert layer.scale == pytest.approx(1 / scale)
+
+
+def test_a_leak_is_no_larger_than_its_bits():
+    beta = np.array([1 - 2.0**-20, 1 - 2.0**-15, 1 - 2.0**-14])
+    layer = replace(floats([[1.0] * 3]), membrane_decay=beta)
+    assert quantised(layer, "spiker").membrane_decay.tolist() == [15, 15, 14]
+    lossy = replace(floats([[1.0] * 3], threshold=30.0), membrane_decay=np.array([0.0, 0.5, 1.0]))
+    # thresholds of 210, of which 105 and 52.5
+    assert quantised(lossy, "odin", limits=False).membrane_decay.tolist() == [105, 52, 0]
+    few = quantised(lossy, "odin", limits=False, leak_bits=6)
+    assert few.membrane_decay.tolist() == [63, 52, 0]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
+from spikedeploy.runtime.chips.registers import Register, magnitude
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.cuba.quantise import quantise, stored
 from tests.float_layers import float_layer
@@ -155,6 +156,11 @@ def test_effective_decays_without_an_offset_may_be_nothing_or_all():
     assert (layer.current_decay[0], layer.membrane_decay[0]) == (4096, 0)
 
 
+def test_an_axon_without_weights_beside_others_is_no_reason_to_refuse():
+    layer = quantise(floats([[1.0, 0.5], [0.0, 0.0]]), FIXED)
+    assert layer.synapses[0].weight.tolist() == [[255, 128], [0, 0]]
+
+
 def test_a_layer_without_weights_is_no_reason_to_refuse():
     layer = replace(floats([[0.0]]), threshold=np.array([0.5]))
     assert quantise(layer, FIXED).threshold.tolist() == [131071 * 64]
@@ -245,3 +251,124 @@ def test_an_unknown_choice_is_refused_by_name(wrong):
 def test_a_tuning_that_is_no_factor_is_refused(value):
     with pytest.raises(ConfigError, match="clip_ratio"):
         Tuning(clip_ratio=value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "rule"),
+    [
+        ({"threshold": np.array([0.5, -0.5])}, "threshold-range"),
+        ({"threshold": np.array([1e-4, 0.5])}, "threshold-range"),
+        ({"current_decay": np.array([1.0, 0.5])}, "decay-range"),
+        ({"membrane_decay": np.array([0.5, 0.0])}, "decay-range"),
+    ],
+)
+def test_one_neuron_that_the_chip_cannot_hold_is_enough(fields, rule):
+    with pytest.raises(RuleError, match=f"^rule {rule}: layer 'lif1'"):
+        quantise(replace(floats([[1.0, 1.0]]), **fields), FIXED)
+
+
+def test_a_threshold_of_zero_stays_zero_beside_others():
+    layer = replace(floats([[1.0, 1.0]]), threshold=np.array([0.0, 0.5]))
+    assert quantise(layer, FIXED).threshold.tolist() == [0, 128 * 64]  # 127.5 to the even one
+
+
+def test_a_bias_that_the_chips_neurons_lack_is_refused_with_the_largest():
+    fixed = chip("loihi1", bias_mantissa_max=0).arithmetic
+    assert not quantise(floats([[1.0, 1.0]]), fixed).voltage_bias.any()
+    biased = replace(floats([[1.0, 1.0]]), voltage_bias=np.array([0.25, 0.0]))
+    with pytest.raises(RuleError, match=r"^rule bias: layer 'lif1': a voltage bias of 0\.25;"):
+        quantise(biased, fixed)
+
+
+@pytest.mark.parametrize(
+    ("spiking", "found"),
+    [(True, "too small beside its threshold .1e.06, of"), (False, "too small beside its bias")],
+)
+def test_what_makes_every_weight_0_is_named(spiking, found):
+    layer = floats([[1e-6]], threshold=1e6 if spiking else np.inf, bias=0 if spiking else 1e3)
+    with pytest.raises(RuleError, match=found):
+        quantise(replace(layer, spiking=spiking), FIXED)
+
+
+def test_weights_that_become_0_are_refused_beside_a_source_whose_weights_are_0():
+    layer = floats([[1e-3]], threshold=1e6)
+    nothing = replace(layer.synapses[0], source="other", weight=0 * layer.synapses[0].weight)
+    for synapses in ((nothing, *layer.synapses), (*layer.synapses, nothing)):
+        with pytest.raises(RuleError, match=r"every weight becomes 0. The largest, 0\.001,"):
+            quantise(replace(layer, synapses=synapses), FIXED)
+    kept = replace(layer, synapses=(nothing, replace(nothing, weight=np.array([[1e6]]))))
+    assert quantise(kept, FIXED).synapses[1].weight.any()
+
+
+@pytest.mark.parametrize(
+    ("rule", "exponent", "kept"),
+    [
+        ("exact", 3, [255 << 3, -254 << 3]),
+        ("exact", -3, [31, -32]),
+        # what a single weight adds ends with the accumulator: 2**21 - 1 in units of 64
+        ("weight", 7, [32640, -32512]),
+        ("weight", -3, [31, -32]),
+    ],
+)
+def test_a_weight_with_an_exponent_counts_so_many_times_rounded_down(rule, exponent, kept):
+    fixed = chip("loihi1", exponents=rule, accumulator=Register(22, "clip")).arithmetic
+    assert stored(np.array([255, -254]), fixed, exponent).tolist() == kept
+
+
+def test_a_weight_that_the_accumulator_cannot_hold_is_clipped_by_itself():
+    fixed = chip("loihi1", exponents="weight", accumulator=Register(16, "clip")).arithmetic
+    # 32767 >> 6
+    assert stored(np.array([255, -254, 3]), fixed, 2).tolist() == [511, -511, 12]
+    plain = chip("loihi1", exponents="exact", accumulator=Register(16, "clip")).arithmetic
+    assert stored(np.array([255, -254, 3]), plain, 2).tolist() == [1020, -1016, 12]
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["nearest", "truncate"]))
+def test_a_voltage_bias_is_as_near_as_its_smallest_exponent_allows(seed, rounding):
+    rng = np.random.default_rng(seed)
+    most = 4095 << 7
+    wanted = (rng.normal(size=8) * 2.0 ** rng.integers(0, 20, 8)).clip(-most, most)
+    layer = replace(floats(np.full((1, 8), 255.0), threshold=100.0), voltage_bias=wanted / 64)
+    found = quantise(layer, FIXED, Quantisation(rounding=rounding))
+    assert found.scale == pytest.approx(1 / 64)
+    for value, held in zip(wanted, found.voltage_bias.tolist(), strict=True):
+        step = 1
+        while abs(value) / step > 4095 and step < 128:
+            step *= 2
+        assert held % step == 0
+        assert abs(held) <= most
+        assert abs(held - value) <= (0.5 if rounding == "nearest" else 1.0) * step * (1 + 1e-9)
+
+
+def test_the_largest_magnitude_of_nothing_is_0():
+    assert magnitude(np.array([])) == 0
+    assert magnitude(np.array([-3.5, 3.0])) == 3.5
+    assert magnitude(np.array([[-0.25, 0.125]])) == 0.25
+
+
+def test_a_layer_of_zeros_has_a_scale_of_one():
+    assert quantise(floats([[0.0]], threshold=0.0), FIXED).scale == pytest.approx(1 / 64)
+
+
+@pytest.mark.parametrize("bias", [1.0, -1.0])
+def test_thresholds_are_no_limit_for_readouts(bias):
+    fixed = chip("int", threshold_bits=4).arithmetic
+    readout = replace(floats([[0.5]], threshold=np.inf, bias=bias), spiking=False)
+    # 127 / 1, and not 15 / 1
+    assert quantise(readout, fixed).bias.tolist() == [127 * bias]
+
+
+def test_the_exponent_of_a_readout_is_that_of_its_whole_scale():
+    layer = floats(np.ones((40, 1)), threshold=np.inf, bias=0.5, alpha=0.0, beta=0.25)
+    layer = replace(layer, spiking=False)
+    # 40 that arrive at once leave an exponent of 1, also where headroom asks for half of the scale
+    for share, weight, bias in ((1.0, 255, 128), (0.5, 128, 64)):
+        found = quantise(layer, FIXED, share=share)
+        assert found.synapses[0].weight.ravel().tolist() == [weight << 1] * 40
+        assert found.bias.tolist() == [bias << 1]
+
+
+def test_the_smallest_threshold_of_sigma_delta_neurons_is_one_state_unit():
+    small = replace(floats([[1.0, 1.0]]), threshold=np.array([1e-9, 0.5]), graded=True)
+    assert quantise(small, FIXED).threshold.tolist() == [1, 8160]

@@ -1,5 +1,8 @@
 """Readout layers in Loihi's integers: exponent, room, and the choices of quantisation."""
 
+import re
+from dataclasses import replace
+
 import nir
 import numpy as np
 import pytest
@@ -8,12 +11,14 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.cuba.readouts import NET_EVENTS, exponent_and_share
+from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.families.cuba.readouts import NET_EVENTS, exponent_and_share, range_of
 from spikedeploy.runtime.float_model.graph import FloatGraph
+from tests.float_layers import float_layer
 from tests.networks import chain
 from tests.readouts import DT, INPUTS, cubali, events, network
 
@@ -130,3 +135,258 @@ def test_proven_headroom_holds_for_readouts_that_leak_fast():
 def test_proven_headroom_refuses_readouts_that_hardly_leak(kind):
     with pytest.raises(RuleError, match=r"rule (headroom|weight-bits): layer 'fast'"):
         compile_program(network(kind), chip("loihi1"), Quantisation(headroom="proven"))
+
+
+LIMIT = (1 << 23) - 1
+
+
+def whole(weight, current=0, membrane=0, spiking=False, **fields):
+    """A quantised layer with weights (M, N), and what its states keep of 4096."""
+    made = float_layer(weight, "out", threshold=64.0 if spiking else NEVER)
+    ones = np.ones(made.size, np.int64)
+    decays = {"current_decay": current * ones, "membrane_decay": membrane * ones}
+    return replace(made, spiking=spiking, **decays, **fields)
+
+
+def held(layer, timesteps=None):
+    """How many net spikes its registers hold; None where nothing is said."""
+    sentence = range_of(layer, LOIHI1, timesteps)
+    return int(re.search(r"hold (\d+) net spikes", sentence)[1]) if sentence else None
+
+
+def response(layer, n, arrivals):
+    """Largest membrane of a neuron (its current, where it spikes) after these arrivals of 1."""
+    a, b = layer.current_decay[n] / 4096, layer.membrane_decay[n] / 4096
+    current = membrane = most = 0.0
+    for x in arrivals:
+        current = a * current + x
+        membrane = (0 if layer.spiking else b) * membrane + current
+        most = max(most, membrane)
+    return most
+
+
+def plainly_held(layer):
+    """The same, from what one spike and one in every timestep come to."""
+    rooms = []
+    for n in range(layer.size):
+        weights = [float(w) for s in layer.synapses for w in s.weight[:, n]]
+        settled = response(layer, n, [1] * 4000)
+        lost = 1 if layer.spiking else 1 - layer.membrane_decay[n] / 4096
+        steady = abs(layer.bias[n]) * 64 * settled + abs(layer.voltage_bias[n]) / lost
+        if heaviest := max(map(abs, weights)):
+            peak = response(layer, n, [1] + [0] * 60)
+            rooms.append((LIMIT - steady) / (heaviest * 64 * peak))
+    return int(max(min(rooms), 0))
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("spiking", [False, True])
+def test_registers_hold_so_many_net_spikes_as_a_plain_loop_finds(seed, spiking):
+    rng = np.random.default_rng(seed)
+    weight = rng.integers(-2000, 2001, (60, 3)) * rng.choice([0, 1, 1], 3)
+    weight[0, 0] = 2000
+    # a settled response takes fewer than 4000 timesteps, a peak fewer than 60
+    layer = whole(weight, 4085, 2048, spiking, voltage_bias=rng.integers(-30000, 30000, 3))
+    layer = replace(layer, bias=rng.integers(-20, 21, 3))
+    found = held(layer)
+    assert found == plainly_held(layer)
+    assert found > 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_fits_to_the_last_unit_is_no_reason_to_speak(sign):
+    # without memory a spike of each axon arrives at once: 300 of 255, 64 state units each
+    weight, arriving = np.full((330, 1), sign * 255), 300 * 255 * 64
+    # what is 0, or of the other sign, takes nothing off
+    weight[300:315], weight[315:] = 0, -sign
+    # one unit more, and 299 are the most that still fit
+    for extra, number in ((0, None), (1, 299)):
+        pushed = whole(weight, voltage_bias=np.array([-sign * (LIMIT - arriving + extra)]))
+        assert held(pushed) == number
+
+
+def test_weights_of_both_signs_do_not_add_up():
+    both = np.array([[5000], [-5000]] * 20)
+    assert held(whole(both)) is None
+    assert held(whole(np.abs(both))) == LIMIT // (5000 * 64)
+
+
+def test_biases_that_fill_the_registers_leave_room_for_no_spike():
+    assert held(whole([[255]], voltage_bias=np.array([LIMIT + 1000]))) == 0
+    assert held(whole([[0]], voltage_bias=np.array([LIMIT + 1000]))) == 10**9
+
+
+def test_windows_that_end_bound_what_adds_up():
+    # without any leak membranes hold the sum of 1, 2, ..: at most T arrivals of T each
+    layer = whole([[255]], current=0, membrane=4096)
+    most = LIMIT // (255 * 64)
+    assert held(layer, most) is None
+    assert held(layer, most + 1) == most
+    assert held(layer) == most
+
+
+def test_a_bias_without_a_leak_adds_up_over_4096_timesteps():
+    layer = whole([[255]], membrane=4096, voltage_bias=np.array([-100]))
+    assert held(layer) == (LIMIT - 4096 * 100) // (255 * 64)
+    layer = whole([[255]], membrane=4096, bias=np.array([-1]))
+    assert held(layer) == (LIMIT - 4096 * 64) // (255 * 64)
+    # sigma-delta neurons add theirs once
+    graded = whole([[255]], membrane=4096, voltage_bias=np.array([-100]), graded=True)
+    assert held(replace(graded, spiking=True)) == (LIMIT - 100) // (255 * 64)
+
+
+def test_the_current_of_neurons_that_spike_is_looked_at_where_it_hardly_leaks():
+    heavy = np.full((1, 1), 5000)
+    for current, spoken in ((4079, False), (4080, True)):
+        assert (held(whole(heavy, current, 4096, spiking=True)) is not None) == spoken
+    both = whole(np.full((1, 2), 5000), spiking=True)
+    assert held(replace(both, current_decay=np.array([0, 4095]))) == LIMIT // (5000 * 64)
+
+
+@pytest.mark.parametrize(
+    ("fields", "kind"),
+    [
+        ({}, "readout"),
+        ({"spiking": True}, "layer"),
+        ({"spiking": True, "graded": True}, "sigma-delta layer"),
+    ],
+)
+def test_the_sentence_names_the_kind_of_layer_and_where_to_look(fields, kind):
+    layer = replace(whole([[5000]], 4096, 4096), **fields)
+    sentence = range_of(layer, LOIHI1, None)
+    assert sentence.startswith(f"{kind} 'out': its leaks do not bound")
+    assert "spikedeploy drift" in sentence
+    assert "spikedeploy drift" not in range_of(layer, LOIHI1, None, drifts=False)
+
+
+def reach(weights, a, b, bias, voltage_bias):
+    """What a float neuron is reckoned to reach: NET_EVENTS spikes, or all that can arrive."""
+    layer = whole(np.array(weights)[:, None], 4096 * a, 4096 * b)
+    peak, settled = response(layer, 0, [1] + [0] * 60), response(layer, 0, [1] * 3000)
+    one_sign = max(sum(w for w in weights if w > 0), -sum(w for w in weights if w < 0))
+    spikes = min(NET_EVENTS * max(map(abs, weights)) * peak, one_sign * settled)
+    return spikes + abs(bias) * settled + abs(voltage_bias) / (1 - b)
+
+
+@pytest.mark.parametrize(
+    ("weights", "decays", "bias", "voltage_bias"),
+    [
+        ([1.0], (0.0, 0.0), 0.0, 0.0),
+        ([1.0, -0.9, 0.5], (0.5, 0.25), 0.0, 0.0),
+        ([0.5, -0.9, -0.9], (0.5, 0.25), 0.0, 0.0),
+        ([1.0] * 40, (0.5, 0.5), 0.0, 0.0),
+        ([1.0] * 40, (0.99, 0.5), 0.0, 0.0),
+        ([1.0] * 40, (0.5, 0.99), 0.0, 0.0),
+        ([1.0] * 9, (0.5, 0.25), -4.0, 0.0),
+        ([1.0] * 9, (0.5, 0.25), 0.0, -20.0),
+        ([1.0] * 9, (0.5, 0.25), 3.0, 20.0),
+        ([1.0] * 300, (0.0, 0.0), 0.0, 0.0),
+        # 260 at once leave no exponent, and 140 would
+        ([1.0] * 200, (0.0, 0.0), 60.0, 0.0),
+        ([1.0] * 200, (0.0, 0.0), -60.0, 0.0),
+    ],
+)
+def test_the_exponent_is_the_largest_that_leaves_half_of_each_register(
+    weights, decays, bias, voltage_bias
+):
+    layer = float_layer(
+        np.array(weights)[:, None], "out", bias=bias, voltage_bias=voltage_bias,
+        threshold=np.inf, alpha=decays[0], beta=decays[1],
+    )  # fmt: skip
+    layer = replace(layer, spiking=False)
+    unit = 255 * 64
+    one_sign = max(sum(w for w in weights if w > 0), -sum(w for w in weights if w < 0))
+    filled = max(
+        reach(weights, *decays, bias, voltage_bias) * unit / (LIMIT / 2),
+        abs(voltage_bias) * unit / (4095 << 7),
+        (one_sign + abs(bias)) * unit / LOIHI1.accumulator.limit,
+    )
+    exponent, share = exponent_and_share(layer, LOIHI1, 255.0)
+    assert share == 1.0
+    # 128 times 255 is the most that 16 bits store
+    assert exponent == np.clip(np.floor(np.log2(1 / filled)), 0, 7)
+
+
+UNIT = 255 * 64
+
+
+@pytest.mark.parametrize(
+    ("fields", "filled"),
+    [
+        ({"voltage_bias": -4000.0}, 4000 * UNIT / (4095 << 7)),
+        ({"bias": 4000.0}, (1 + 4000) * UNIT / (LIMIT / 2)),
+        ({"bias": 384.0}, (1 + 384) * UNIT / (LIMIT / 2)),  # 1.5
+        # 64 spikes, and a bias that adds up to 1000 times itself
+        ({"voltage_bias": -30.0, "beta": 0.999}, (64 + 30_000) * UNIT / (LIMIT / 2)),
+    ],
+)
+def test_what_would_fill_more_than_there_is_shrinks_the_scale_to_just_that(fields, filled):
+    layer = float_layer([[1.0]], "out", threshold=np.inf, **{"beta": 0.0, **fields})
+    exponent, share = exponent_and_share(replace(layer, spiking=False), LOIHI1, 255.0)
+    assert (exponent, share) == (0, pytest.approx(1 / filled))
+
+
+NARROW = Register(20, "clip")
+
+
+@pytest.mark.parametrize("name", ["current", "push", "membrane"])
+def test_the_narrowest_register_sets_the_exponent(name):
+    layer = float_layer(np.ones((40, 1)), "out", threshold=np.inf, beta=0.0)
+    narrow = replace(LOIHI1, **{name: NARROW})
+    exponents = [
+        exponent_and_share(replace(layer, spiking=False), r, 255.0)[0] for r in (LOIHI1, narrow)
+    ]
+    # 40 * 16320 that arrive at once are a third of the accumulator, and more than 2**19
+    assert exponents == [1, 0]
+
+
+def test_a_readout_of_zeros_has_no_exponent():
+    layer = replace(float_layer([[0.0]], "out", threshold=np.inf, beta=0.5), spiking=False)
+    assert exponent_and_share(layer, LOIHI1, 1.0) == (0, 1.0)
+    unbiased = replace(LOIHI1, bias_mantissa_max=0)
+    assert exponent_and_share(layer, unbiased, 1.0) == (0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "spiking", "looked_at"),
+    [
+        ("push", True, True),
+        ("current", True, True),
+        ("membrane", True, False),
+        ("membrane", False, True),
+    ],
+)
+def test_the_narrowest_register_that_is_not_reset_says_what_is_held(name, spiking, looked_at):
+    layer = whole([[255]], 4096, 2048, spiking)
+    narrow = replace(LOIHI1, **{name: NARROW})
+    peak = 1 if spiking else 2
+    limit = NARROW.limit if looked_at else LIMIT
+    sentence = range_of(layer, narrow, None)
+    assert f" {limit // (255 * 64 * peak)} net spikes" in sentence
+
+
+def test_a_window_holds_so_many_arrivals_of_the_peak_of_one():
+    # a current of 1 halves, and a membrane without a leak comes to 2
+    layer, each = whole([[255]], 2048, 4096), 255 * 64 * 2
+    assert held(layer, LIMIT // each) is None
+    assert held(layer, LIMIT // each + 1) == LIMIT // each
+
+
+def test_a_neuron_without_weights_is_none_that_adds_up():
+    assert held(whole([[0, 255]], 0, 4096)) == LIMIT // (255 * 64)
+    assert held(whole([[0, 0]], 0, 4096)) is None
+
+
+def test_weights_of_one_count_in_state_units_of_one():
+    fine = replace(LOIHI1, mantissa_shift=0)
+    assert f" {LIMIT} net spikes" in range_of(whole([[1]], 0, 4096), fine, None)
+
+
+def test_an_exponent_is_7_at_most():
+    assert LOIHI1.weight_exponent_max == 7
+
+
+def test_a_refractory_period_is_one_timestep_or_more():
+    assert chip("loihi1", refractory=1).arithmetic.refractory == 1
+    with pytest.raises(ChipError, match="refractory is 0; the least is 1"):
+        chip("loihi1", refractory=0)

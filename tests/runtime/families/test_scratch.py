@@ -1,9 +1,15 @@
-"""Memory begins with a cache line and is used again."""
+"""Memory begins with a cache line and is used again; numbers are as short as they can be."""
 
 import numpy as np
 import pytest
 
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
 from spikedeploy.runtime.families.cuba_numpy.raster import LINE, Scratch, aligned, as_aligned
+from tests.programs import layer
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32, np.float64])
@@ -30,3 +36,36 @@ def test_users_of_scratch_memory_share_it():
     first[:] = 1
     second[:] = 0
     assert not first.any()
+
+
+def kernel(batch, threshold, decays=(2047, 1024), weight=1):
+    """A layer of one neuron that keeps 1/2 and 3/4, for windows of 5 timesteps."""
+    fixed = chip("loihi1").arithmetic
+    weights = np.full((2, 1), weight, np.int16)
+    neuron = layer(
+        fixed, "n", weights.T, (Synapses("input", weights, 1),), decays=decays, threshold=threshold
+    )
+    program = Program(chip("loihi1"), Convention(1e-3), "input", 2, (neuron,), "n", None)
+    return LayerKernel(program, neuron, fixed, (5, batch), False, Scratch(8))
+
+
+# float32 decays states up to a third of 2**24 exactly
+FOURTH = (1 << 24) // 3 // 4
+
+
+@pytest.mark.parametrize(
+    ("batch", "threshold", "weight", "dtype"),
+    [
+        (4, FOURTH, 1, np.float32),
+        (4, FOURTH + 1, 1, np.float64),
+        (3, FOURTH, 1, np.float64),
+        # where nothing proves that the registers hold the states, in a batch of any size
+        (1, FOURTH, (1 << 15) - 1, np.float32),
+    ],
+)
+def test_states_are_short_where_many_or_unproven_ones_fit(batch, threshold, weight, dtype):
+    assert kernel(batch, threshold, weight=weight).states.dtype == dtype
+
+
+def test_a_layer_that_has_not_run_was_not_interpreted():
+    assert kernel(1, 64).ordinary

@@ -5,7 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.families.cuba_numpy.raster import Raster, Scratch
+from spikedeploy.runtime.families.cuba_numpy.raster import (
+    Raster,
+    Scratch,
+)
 from spikedeploy.runtime.families.cuba_numpy.sums import (
     FEW,
     LARGE,
@@ -121,3 +124,33 @@ def test_the_density_of_the_spikes_decides(axons, timesteps, way):
     assert chosen(rows, "gather", "union", "dense") == [way]
     # where rows are not added one by one, the whole matrix is multiplied
     assert chosen(rows, "union", "dense") == [{"gather": "dense"}.get(way, way)]
+
+
+def test_where_the_axons_spike_just_so_often_rows_are_still_added_one_by_one():
+    # 2.5 spikes of each of 50 axons
+    rows = np.zeros((5, 1, 100), np.bool_)
+    rows[:2, 0, :50] = rows[2, 0, :25] = True
+    assert chosen(rows, "gather", "union", "dense") == ["gather"]
+    rows[2, 0, 25] = True
+    assert chosen(rows, "gather", "union", "dense") == ["dense"]
+
+
+@pytest.mark.parametrize("dtype", [np.bool_, np.uint8, np.int64])
+@pytest.mark.parametrize("timesteps", [1, 255, 256, 300])
+def test_a_raster_counts_every_spike(timesteps, dtype):
+    rows = np.zeros((timesteps, 1, 4), dtype)
+    rows[:, 0, 1] = rows[-1, 0, 3] = 1
+    raster = Raster(rows)
+    for _ in range(2):  # found, and found again
+        assert raster.spikes() == timesteps + 1
+        assert raster.axons().tolist() == [1, 3]
+        assert raster.per_axon().tolist() == [[0, timesteps, 0, 1]]
+    assert Raster(0 * rows).spikes() == 0
+    # eight bits hold counts up to 255
+    assert raster.per_axon().dtype == (np.uint8 if timesteps < 256 else np.int64)
+
+
+def test_spikes_in_one_byte_are_not_copied():
+    rows = np.zeros((5, 2, 3), np.uint8)
+    assert np.shares_memory(Raster(rows).bits, rows)
+    assert Raster(rows.astype(np.int64)).bits.dtype == np.bool_

@@ -78,3 +78,13 @@ def test_choices_are_said_in_words():
         "a scale for each channel with at most 4 thresholds, rounding 'truncate', headroom 'none', "
         "weights shifted by 2 bits"
     )
+
+
+def test_a_threshold_of_one_is_a_level():
+    assert levelled(np.array([1.5, 5.5]), np.ones(2), 1).tolist() == [1.0, 1.0]
+    assert levelled(np.array([1.5, 5.5]), np.ones(2), 2).tolist() == [1.0, 5.0]
+
+
+def test_thresholds_that_are_all_0_leave_the_scales_as_they_are():
+    assert levelled(np.array([0.5, 3.0]), np.array([1.0, 0.0]), 1).tolist() == [0.5, 3.0]
+    assert levelled(np.array([9.0, 5.0]), np.array([0.0, 1.0]), 1).tolist() == [9.0, 5.0]

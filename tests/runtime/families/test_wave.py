@@ -1,5 +1,6 @@
 """Layers that are advanced together in one stack do what each does alone."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.compiler.program import Program, Readout
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.families.cuba_numpy.wave import CHUNK, LARGEST, SHORTEST, suits
-from tests.programs import chains, rasters
+from tests.programs import chains, layer, rasters
 
 windows = st.integers(SHORTEST, SHORTEST + 2 * CHUNK)
 
@@ -67,3 +73,71 @@ def test_states_that_are_kept_are_no_wave(program, kept):
     machine = Machine(program)
     machine.infer(rasters(program, 1, SHORTEST, 0.3, 0)[0])
     assert (machine._backend._wave is None) == kept
+
+
+@settings(max_examples=10, deadline=None)
+@given(chains(), st.integers(0, 2**32 - 1))
+def test_a_copy_of_a_wave_shows_the_states_of_the_original(program, seed):
+    machine = Machine(program)
+    machine.infer(rasters(program, 1, SHORTEST, 1.0, seed)[0])
+    other = deepcopy(machine)
+    for name in machine.membrane:
+        np.testing.assert_array_equal(other.membrane[name], machine.membrane[name])
+        np.testing.assert_array_equal(other.current[name], machine.current[name])
+
+
+def stack(*weights):
+    """One layer behind the other, in registers in which everything fits."""
+    wide = Register(60, "none")
+    on = chip("loihi1", accumulator=wide, current=wide, push=wide, membrane=wide)
+    sources = ["input", *(f"layer{k}" for k in range(1, len(weights) + 1))]
+    layers = [
+        layer(
+            on.arithmetic, sources[k + 1], weight.T, (Synapses(sources[k], weight, 1),),
+            decays=(2047, 1024), threshold=640, start=k + 1,
+        )
+        for k, weight in enumerate(weights)
+    ]  # fmt: skip
+    width = len(weights[0])
+    return Program(on, Convention(1e-3), "input", width, tuple(layers), sources[-1], None)
+
+
+def suited(program, timesteps=SHORTEST, batch=1):
+    return suits(program, program.chip.arithmetic, timesteps, batch)
+
+
+ONE = np.ones((1, 1), np.int16)
+
+
+def test_so_many_weights_are_worth_a_wave_and_one_axon_more_is_not():
+    # (width + 2 neurons) * 2 neurons, zeros included
+    program = stack(ONE, ONE)
+    assert suited(replace(program, width=LARGEST // 2 - 2))
+    assert not suited(replace(program, width=LARGEST // 2 - 1))
+
+
+def test_a_wave_needs_two_layers_and_its_shortest_window():
+    assert suited(stack(ONE, ONE))
+    assert not suited(stack(ONE))
+    assert not suited(stack(ONE, ONE), timesteps=SHORTEST - 1)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_sums_beyond_what_float32_holds_are_no_wave(place):
+    # 64 * 262143 is the largest multiple of 64 below 2**24
+    weights = [ONE, ONE]
+    program = stack(*weights)
+    for total, fits in ((262143, True), (262144, False)):
+        biased = replace(program.layers[place], bias=np.array([total - 1]))
+        layers = [biased if k == place else other for k, other in enumerate(program.layers)]
+        assert suited(replace(program, layers=tuple(layers))) == fits
+
+
+def test_what_arrives_late_is_no_wave():
+    program = stack(ONE, ONE)
+    one = np.ones((1, 1))
+    assert suited(replace(program, readout=Readout(one, one[0], lag=0)))
+    assert not suited(replace(program, readout=Readout(one, one[0], lag=1)))
+    first, second = program.layers
+    slow = replace(second, synapses=(replace(second.synapses[0], delay=2),))
+    assert not suited(replace(program, layers=(first, slow)))

@@ -1,19 +1,24 @@
 """Xylo's arithmetic worked out by hand, and how its traces are read."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.chips.registers import Register, shift_decay
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.families.xylo.neurons import _added
+from spikedeploy.runtime.families.xylo.neurons import _added, _fired
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
+from tests.xylo_networks import random_cores
 
 
 def network(weights, counts, **params):
@@ -244,8 +249,13 @@ def test_a_trace_without_recordings_is_refused(file):
         verify(file(record))
 
 
-def test_many_events_of_an_axon_are_as_many_additions_one_after_another():
+@pytest.mark.parametrize(
+    "state",
+    [Register(16, "saturate"), Register(16, "saturate", (-20_000, 30_000)), Register(16, "wrap")],
+)
+def test_many_events_of_an_axon_are_as_many_additions_one_after_another(state):
     registers, rng = chip("xylo-a2").arithmetic, np.random.default_rng(0)
+    registers = replace(registers, state=state)
     for count in (1, 2, 15, 31):
         start = registers.state.fit(rng.integers(-33_000, 33_000, 4000))
         weight = rng.integers(-128, 128, 4000) << rng.integers(0, 8, 4000)
@@ -257,3 +267,87 @@ def test_many_events_of_an_axon_are_as_many_additions_one_after_another():
         np.testing.assert_array_equal(found, current)
         np.testing.assert_array_equal(times, lost)
         assert lost.any()
+
+
+def plain_timestep(network, of, presynaptic, currents, membranes):
+    """One timestep of a layer in integers of Python: states, spikes, activity and overflows."""
+    chosen = network.chip.arithmetic
+    low, high = -(1 << 15), (1 << 15) - 1
+    lost = [0] * of.size
+
+    def held(x, n):
+        kept = min(max(x, low), high)
+        lost[n] += kept != x
+        return kept
+
+    def leaking(x, dash):
+        return x >> int(dash) if x >> int(dash) else (x > 0) - (x < 0)
+
+    for synapses, counts in zip(of.synapses, presynaptic, strict=True):
+        for axon, count in enumerate(counts):
+            most = chosen.events_max if synapses.source == network.input else count
+            for n in range(of.size):
+                for _ in range(min(count, most)):
+                    raised = currents[synapses.current][n] + int(synapses.weight[axon, n])
+                    currents[synapses.current][n] = held(raised, n)
+    spikes, active = [0] * of.size, [False] * of.size
+    is_output = of.name == network.output
+    budget = chosen.output_spikes_max if is_output else chosen.spikes_max
+    for n in range(of.size):
+        for k, row in enumerate(currents):
+            row[n] -= leaking(row[n], of.current_decay[k, n])
+        bias = int(of.voltage_bias[n])
+        active[n] = membranes[n] != 0 or any(row[n] for row in currents) or bias != 0
+        leak = -leaking(membranes[n], of.membrane_decay[n])
+        leak = leak - 65536 if leak == 32768 else leak
+        change = held(held(sum(row[n] for row in currents) + leak, n) + bias, n)
+        membranes[n] = held(membranes[n] + change, n)
+        while membranes[n] >= of.threshold[n] and spikes[n] < budget:
+            spikes[n], membranes[n] = spikes[n] + 1, membranes[n] - int(of.threshold[n])
+    return spikes, active, lost
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_cores(), st.integers(0, 2**32 - 1))
+def test_a_timestep_equals_that_of_a_plain_loop(core, seed):
+    program, _ = core
+    rng = np.random.default_rng(seed)
+    for of in program.layers:
+        of = replace(of, aliases=())
+        state = LayerState.zero(of, 1)
+        currents, membranes = [[0] * of.size for _ in of.current_decay], [0] * of.size
+        for _ in range(5):
+            given_ = [rng.integers(0, 20, (1, len(s.weight))) for s in of.synapses]
+            result = program.chip.arithmetic.update(program, of, given_, state)
+            expected = plain_timestep(
+                program, of, [row[0].tolist() for row in given_], currents, membranes
+            )
+            found = result.spikes, result.active, result.overflows
+            assert tuple(each[0].tolist() for each in found) == expected
+            assert (state.current[0].tolist(), state.membrane[0].tolist()) == (currents, membranes)
+
+
+@pytest.mark.parametrize(
+    ("current", "weight", "count", "after", "lost"),
+    [
+        (32764, 1, 5, 32767, 2),
+        (32764, 1, 3, 32767, 0),
+        (-32765, -1, 5, -32768, 2),
+        (-32765, -1, 3, -32768, 0),
+        (32767, 0, 5, 32767, 0),
+        (-32768, 0, 5, -32768, 0),
+        (0, 2, 3, 6, 0),
+    ],
+)
+def test_additions_that_do_not_fit_are_counted_to_the_last_unit(
+    current, weight, count, after, lost
+):
+    registers = chip("xylo-a2").arithmetic
+    found = _added(registers, np.array([current]), np.array([weight]), count)
+    assert [each.tolist() for each in found] == [[after], [lost]]
+
+
+def test_each_neuron_spikes_within_its_own_budget():
+    spikes, left = _fired(np.array([100, 100, 100, 9]), np.array([10] * 4), np.array([1, 3, 0, 9]))
+    assert spikes.tolist() == [1, 3, 0, 0]
+    assert left.tolist() == [90, 70, 100, 9]
