@@ -181,11 +181,11 @@ def run(
     if json:
         print_json(document)
     else:
+        print_run(document, shown == "all")
         if video:
             typer.echo(f"wrote {video}")
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
-        print_run(document, shown == "all")
 
 
 def compare(

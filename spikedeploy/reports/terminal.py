@@ -83,11 +83,11 @@ def print_run(document: Mapping[str, Any], everything: bool = False) -> None:
             for remark in remarks:
                 if remark.startswith("fault "):  # what was asked for; the rest is in the tables
                     print_text(remark)
-    if hint := energy_hint(document["rows"]):
-        print_text(hint)
     if "real_time" in document:
         print_real_time(document["real_time"])
     print_text(verdict(document))
+    if hint := energy_hint(document["rows"]):
+        print_text(hint)
     if not everything:
         print_text("Sizes, operations, other energies, remarks: --tables all")
 

@@ -117,8 +117,9 @@ def test_compare_first_shows_one_table_of_80_columns(command, stroll):
 
 def test_run_prints_one_line_of_verdict_and_all_tables_when_asked(command, stroll):
     _, out, _ = command("run", "stroll/popsan", "--episodes", 2)
-    said, hint = out.splitlines()[-2:]
+    said, energy, hint = out.splitlines()[-3:]
     assert said.startswith("popsan · loihi1: return ")
+    assert energy.startswith("Energy: ")
     assert "in 2 episodes, " in said
     assert "SOPs a control step" in said
     assert said.endswith("by horowitz45-int8.")
