@@ -3,7 +3,7 @@
 from pathlib import Path
 
 PAGE = Path(__file__).parent.parent / "docs/firmware.md"
-_OWN, PEERS = "firmware", "peers"  # places of the tables on the page
+_OWN, PEERS, NETWORKS = "firmware", "peers", "networks"  # places of the tables on the page
 _HEAD = (
     "policy", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most", "RV32 instructions", "at most",
     "host [µs]", "runtime / C", "spikes compared", "steps that differ",
@@ -12,6 +12,10 @@ _HEAD = (
 _PEER_HEAD = (
     "policy", "C by", "return", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most",
     "with FPU", "host [ns]", "times sparse",
+)  # fmt: skip
+_NETWORK_HEAD = (
+    "spiking layers of", "C by", "ROM [kB]", "M4 instructions", "at most", "with FPU",
+    "host [ns]", "times ours", "counts unlike float",
 )  # fmt: skip
 _COUNTS = ("instructions", "instructions_max")
 
@@ -53,6 +57,26 @@ def _peer_cells(row: dict) -> list[str]:
         _count(unit, "instructions"),
         f"{row['host_ns']:,.0f}",
         f"{row['ratio']:.2f}",
+    ]
+
+
+def network_table(rows: list[dict]) -> str:
+    """Spiking networks alone, ours and snn-mlir's, as a table in Markdown."""
+    lines = [_line(_NETWORK_HEAD), _line(["---", "---", *["---:"] * (len(_NETWORK_HEAD) - 2)])]
+    return "\n".join([*lines, *(_line(_network_cells(row)) for row in rows)]) + "\n"
+
+
+def _network_cells(row: dict) -> list[str]:
+    soft, unit = row["cortex-m4"], row["cortex-m4f"]
+    return [
+        row["policy"],
+        row["by"],
+        _thousands(soft, "rom"),
+        *(_count(soft, key) for key in _COUNTS),
+        _count(unit, "instructions"),
+        f"{row['host_ns']:,.0f}",
+        f"{row['ratio']:.2f}",
+        f"{row['unlike']:,} of {row['counts']:,}",
     ]
 
 

@@ -69,19 +69,17 @@ def verify(
     from spikedeploy.reports.terminal import print_replays
 
     played = {"--network": network, "--chip": chip, "--input": input_}
+    convention = {"dt": dt, "reset": reset, "integrator": integrator, "delay": delay}
+    given: dict[str, Any] = {**convention, "like": like, "written_by": from_, "layer": layer}
     if any(played.values()) or traces[0].suffix in (".npy", ".npz"):
-        options = {
-            "layer": layer,
-            "limits": limits == "on",
-            "quantisation": quantisation(quantise, None, "none", None, 0),
-            "dt": dt,
-            "reset": reset,
-            "integrator": integrator,
-            "delay": delay,
-            "like": like,
-            "written_by": from_,
-        }
+        rounded = quantisation(quantise, None, "none", None, 0)
+        options = {**given, "limits": limits == "on", "quantisation": rounded}
         _verify_activity(traces, played, options, json)
+    if any(value is not None for value in given.values()):
+        raise typer.BadParameter(
+            "--layer, --dt and what else says how a network is read go with "
+            "--network; a trace file says it itself"
+        )
     replays = []
     for path in traces:
         replays.append(replay_trace(path))

@@ -8,6 +8,7 @@ import pytest
 
 from spikedeploy.emulation.open_loop import emulate_file
 from tests.networks import cuba, graph, lif
+from tests.paths import GOLDEN
 
 STEPS, CHANNELS, HIDDEN, CLASSES = 40, 12, 9, 7
 LAYER = "lif1.lif"
@@ -143,6 +144,12 @@ def test_what_is_no_number_of_spikes_is_refused(command, braille, tmp_path):
         code, _, err = verify(command, saved(tmp_path / "a.npy", wrong), network, source)
         assert code == 2
         assert "counts of them" in err
+
+
+def test_options_of_a_network_are_refused_for_trace_files(command):
+    code, _, err = command("verify", GOLDEN / "lava_A_popsan_decays.json", "--dt", "1e-3")
+    assert code == 2
+    assert "--layer" in err
 
 
 def test_an_array_alone_is_refused_with_the_options_that_it_needs(command, tmp_path):
