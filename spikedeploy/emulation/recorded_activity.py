@@ -5,7 +5,7 @@ counts (bins, B, *N) of several samples where a chip's events had no timesteps.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ class RecordedActivity:
         )
 
     def remarks(self) -> list[str]:
-        """The first difference, and how the array was read where that is not plain."""
+        """The first difference, how the array was read, and where the chip departs from the file."""
         first = [f"first difference: {self.difference}"] if self.difference else []
         return [*first, *self.reading]
 
@@ -96,12 +96,15 @@ def against_activity(
     artifact = load(network, **convention)
     samples = _samples(inputs, artifact)
     played = [
-        emulate_artifact(artifact, chip, rows, limits=limits, quantisation=quantisation).spikes
+        emulate_artifact(artifact, chip, rows, limits=limits, quantisation=quantisation)
         for rows in samples
     ]
-    spikes = {name: np.stack([each[name] for each in played]) for name in played[0]}
+    names = played[0].spikes
+    spikes = {name: np.stack([each.spikes[name] for each in played]) for name in names}
     wanted = found if isinstance(found, dict) else {layer: found}
-    return [_layer(recording, chip, name, rows, spikes) for name, rows in wanted.items()]
+    first, *others = (_layer(recording, chip, name, rows, spikes) for name, rows in wanted.items())
+    # of the network, so once
+    return [replace(first, reading=(*first.reading, *played[0].remarks)), *others]
 
 
 def _recorded(path: Path) -> Raster | dict[str, Raster]:

@@ -109,6 +109,7 @@ def test_counts_of_several_samples_are_compared_without_their_times(command, tmp
     assert code == 0
     assert "20 timesteps of 48 neurons in 2 samples: 96 of 96 numbers agree" in out
     assert "times are not compared" in out
+    assert "limits off" in command("verify", recording, *words, *more, "--limits", "off")[1]
 
 
 def test_a_shape_that_no_layer_has_is_refused_with_those_that_there_are(command, braille, tmp_path):
