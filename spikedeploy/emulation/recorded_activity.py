@@ -65,7 +65,7 @@ class RecordedActivity:
         )
 
     def remarks(self) -> list[str]:
-        """The first difference, how the array was read, and where the chip departs from the file."""
+        """The first difference, how the array was read, where the chip departs from the file."""
         first = [f"first difference: {self.difference}"] if self.difference else []
         return [*first, *self.reading]
 
