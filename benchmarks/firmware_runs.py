@@ -1,14 +1,13 @@
 """One shipped policy as C: built, compared with the runtime, counted under qemu, timed."""
 
 import ctypes
-import shutil
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.firmware_targets import SOURCES, called, must, on, present
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.artifact.artifact import Artifact, load
@@ -18,63 +17,27 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.shipping.export_c import export_c
 
-SOURCES = Path(__file__).parent / "firmware"
 _STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off")
 _FIRST_SEED = 10_000
-# compiler, its options, where memory lies, and the machine of qemu
-TARGETS = {
-    "cortex-m4": (
-        "arm-none-eabi",
-        ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
-        (0x0, 0x400000, 0x20000000, 0x400000),
-        ("qemu-system-arm", "-M", "mps2-an386", "-semihosting"),
-    ),
-    "rv32imac": (
-        "riscv64-unknown-elf",
-        ("-march=rv32imac", "-mabi=ilp32"),
-        (0x80000000, 0x800000, 0x80800000, 0x800000),
-        ("qemu-system-riscv32", "-M", "virt", "-bios", "none", "-semihosting"),
-    ),
-}
 
 
 def measured(name: str, folder: Path, episodes: int) -> dict:
     """All numbers of a policy, by name."""
     written = export_c(name, "loihi1", folder)
-    row = {"policy": name, "passed": _called(["make", "-s", "CC=gcc", "test"], folder)[0]}
+    row = {"policy": name, "passed": called(["make", "-s", "CC=gcc", "test"], folder)[0]}
     row |= _compared(name, folder, episodes)
     row |= _timed(name, folder)
     row |= {"ram": written.costs.ram, "sops": written.costs.sops, "events": written.costs.events}
-    for target in TARGETS:
-        found = _on(target, folder) if _present(target) else {}
+    for target in ("cortex-m4", "rv32imac"):
+        found = on(target, folder) if present(target) else {}
         row["passed"] &= found.pop("passed", True)
         row[target] = found
     return row
 
 
-def _present(target: str) -> bool:
-    tools, _, _, machine = TARGETS[target]
-    return bool(shutil.which(f"{tools}-gcc") and shutil.which(machine[0]))
-
-
-def _called(words: list[str], folder: Path) -> tuple[bool, str]:
-    """Whether a command succeeds, and its output."""
-    ended = subprocess.run(
-        words, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
-    )
-    return ended.returncode == 0, ended.stdout + ended.stderr
-
-
-def _must(words: list[str], folder: Path) -> str:
-    passed, output = _called(words, folder)
-    if not passed:
-        raise RuntimeError(f"{' '.join(words)}: {output[-2000:]}")
-    return output
-
-
 def _library(folder: Path, name: str, *more: str) -> ctypes.CDLL:
     words = ["gcc", *_STRICT, "-O3", "-march=native", "-fPIC", "-shared", "-I.", "-o", name]
-    _must([*words, "policy.c", "codec.c", *more, "-lm"], folder)
+    must([*words, "policy.c", "codec.c", *more, "-lm"], folder)
     return ctypes.CDLL(str(folder / name))
 
 
@@ -136,43 +99,18 @@ def _timed(name: str, folder: Path) -> dict:
     action = (ctypes.c_double * 64)()
     rows = [row.ctypes.data_as(ctypes.c_void_p) for row in seen]
     loaded.policy_reset()
-    own = _best(lambda: [loaded.policy_step(row, action) for row in rows])
-    empty = _best(lambda: [loaded.policy_net_layer(99, 0, action) for _ in rows])
-    runtime = _best(lambda: [player.act(row) for row in seen])
+    own = best(lambda: [loaded.policy_step(row, action) for row in rows])
+    empty = best(lambda: [loaded.policy_net_layer(99, 0, action) for _ in rows])
+    runtime = best(lambda: [player.act(row) for row in seen])
     spent = max(own - empty, 0.0) / len(rows)
     return {"host_ns": 1e9 * spent, "ratio": runtime / len(rows) / spent}
 
 
-def _best(task: Callable[[], object]) -> float:
+def best(task: Callable[[], object]) -> float:
+    """Seconds of the quickest of seven attempts."""
     spent = []
     for _ in range(7):
         begun = time.perf_counter()
         task()
         spent.append(time.perf_counter() - begun)
     return min(spent)
-
-
-def _on(target: str, folder: Path) -> dict:
-    """Self-test, instructions and sizes on a microcontroller."""
-    tools, options, places, machine = TARGETS[target]
-    names = ("__flash", "__flash_size", "__ram", "__ram_size")
-    memory = [f"-Wl,--defsym={n}={v:#x}" for n, v in zip(names, places, strict=True)]
-    build = [f"{tools}-gcc", *options, "-std=c99", "-O2", "-ffp-contract=off", "-I."]
-    host = ["--specs=picolibc.specs", "--oslib=semihost", "--crt0=hosted", *memory]
-    run = [*machine, "-nographic", "-icount", "shift=0", "-kernel"]
-    both = ["policy.c", "codec.c"]
-    _must([*build, *host, "-DPOLICY_PROBE", *both, "selftest.c", "-lm", "-o", "self.elf"], folder)
-    passed, output = _called([*run, "self.elf"], folder)
-    _must([*build, *host, *both, str(SOURCES / "count.c"), "-lm", "-o", "count.elf"], folder)
-    mean, worst = map(int, _must([*run, "count.elf"], folder).split()[:2])
-    alone = ["--specs=picolibc.specs", "-nostartfiles", "-Wl,-e,main", "-Wl,--gc-sections"]
-    least = [*build, "-ffunction-sections", *alone, *memory, *both, str(SOURCES / "least.c")]
-    _must([*least, "-o", "least.elf"], folder)
-    text, data, bss = map(int, _must([f"{tools}-size", "least.elf"], folder).split()[6:9])
-    return {
-        "passed": passed and "0 differ" in output,
-        "instructions": mean,
-        "instructions_max": worst,
-        "rom": text + data,
-        "static": data + bss,
-    }

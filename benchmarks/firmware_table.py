@@ -1,14 +1,22 @@
-"""The table of docs/firmware.md."""
+"""The tables of docs/firmware.md."""
 
 from pathlib import Path
 
 PAGE = Path(__file__).parent.parent / "docs/firmware.md"
-START, END = "<!-- firmware -->\n", "<!-- end of firmware -->\n"
+_OWN, PEERS, NETWORKS = "firmware", "peers", "networks"  # places of the tables on the page
 _HEAD = (
     "policy", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most", "RV32 instructions", "at most",
     "host [µs]", "runtime / C", "spikes compared", "steps that differ",
 )  # fmt: skip
 
+_PEER_HEAD = (
+    "policy", "C by", "return", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most",
+    "with FPU", "host [ns]", "times sparse",
+)  # fmt: skip
+_NETWORK_HEAD = (
+    "spiking layers of", "C by", "ROM [kB]", "M4 instructions", "at most", "with FPU",
+    "host [ns]", "times ours", "counts unlike float",
+)  # fmt: skip
 _COUNTS = ("instructions", "instructions_max")
 
 
@@ -20,11 +28,56 @@ def table(rows: list[dict]) -> str:
 
 def written(rows: list[dict], episodes: int) -> None:
     """Put the table, and what it is of, into the page."""
-    text = PAGE.read_text(encoding="utf-8")
-    head, rest = text.split(START)
-    _, tail = rest.split(END)
     said = f"Of {episodes} episodes each, made by `python benchmarks/firmware.py --write`:\n\n"
-    PAGE.write_text(f"{head}{START}{said}{table(rows)}{END}{tail}", encoding="utf-8")
+    put(_OWN, said + table(rows))
+
+
+def put(place: str, text: str) -> None:
+    """Put a text between the marks of a place on the page."""
+    start, end = f"<!-- {place} -->\n", f"<!-- end of {place} -->\n"
+    head, rest = PAGE.read_text(encoding="utf-8").split(start)
+    _, tail = rest.split(end)
+    PAGE.write_text(f"{head}{start}{text}{end}{tail}", encoding="utf-8")
+
+
+def peer_table(rows: list[dict]) -> str:
+    """Policies beside those of other tools, as a table in Markdown."""
+    lines = [_line(_PEER_HEAD), _line(["---", "---", *["---:"] * (len(_PEER_HEAD) - 2)])]
+    return "\n".join([*lines, *(_line(_peer_cells(row)) for row in rows)]) + "\n"
+
+
+def _peer_cells(row: dict) -> list[str]:
+    soft, unit = row["cortex-m4"], row["cortex-m4f"]
+    return [
+        row["policy"],
+        row["by"],
+        f"{row['return']:,.1f}",
+        *(_thousands(soft, key) for key in ("rom", "static")),
+        *(_count(soft, key) for key in _COUNTS),
+        _count(unit, "instructions"),
+        f"{row['host_ns']:,.0f}",
+        f"{row['ratio']:.2f}",
+    ]
+
+
+def network_table(rows: list[dict]) -> str:
+    """Spiking networks alone, ours and snn-mlir's, as a table in Markdown."""
+    lines = [_line(_NETWORK_HEAD), _line(["---", "---", *["---:"] * (len(_NETWORK_HEAD) - 2)])]
+    return "\n".join([*lines, *(_line(_network_cells(row)) for row in rows)]) + "\n"
+
+
+def _network_cells(row: dict) -> list[str]:
+    soft, unit = row["cortex-m4"], row["cortex-m4f"]
+    return [
+        row["policy"],
+        row["by"],
+        _thousands(soft, "rom"),
+        *(_count(soft, key) for key in _COUNTS),
+        _count(unit, "instructions"),
+        f"{row['host_ns']:,.0f}",
+        f"{row['ratio']:.2f}",
+        f"{row['unlike']:,} of {row['counts']:,}",
+    ]
 
 
 def _cells(row: dict) -> list[str]:

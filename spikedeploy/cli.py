@@ -20,7 +20,7 @@ COMMANDS = {
         "emulate": "open_loop",
         "check": "checks",
         "drift": "open_loop",
-        "verify": "checks",
+        "verify": "replays",
         "interop": "interop",
         "reproduce": "evidence",
     },

@@ -1,7 +1,11 @@
 /* The least program that has all of the policy: its size is what the policy takes. */
 #include "policy.h"
 
-double least_observation[POLICY_OBSERVATIONS];
+#ifndef OBSERVATION
+#define OBSERVATION double
+#endif
+
+OBSERVATION least_observation[POLICY_OBSERVATIONS];
 policy_action_t least_action[POLICY_ACTIONS];
 
 int main(void)

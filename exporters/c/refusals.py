@@ -12,8 +12,24 @@ from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 
 _PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
-_KEYWORDS = {"auto", "double", "int", "struct", "break", "else", "long", "switch", "case", "enum"}
-_FILES = {"codec", "selftest", "vectors"}  # written beside PREFIX.c
+# what PREFIX.h, PREFIX.c and libPREFIX.so, which `make lib` writes, would stand in the place of;
+# of headers those of C99 to C23 and of POSIX, and what these include
+_TAKEN = {
+    "a header of C or its systems": """
+        assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal
+        stdalign stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn
+        string tgmath threads time uchar wchar wctype aio cpio dirent dlfcn endian fcntl fmtmsg
+        fnmatch ftw glob grp iconv langinfo libgen libintl malloc memory monetary mqueue ndbm netdb
+        nl_types poll pthread pwd regex sched search semaphore spawn strings stropts syslog tar
+        termios trace ulimit unistd utime utmpx values wordexp alloca features""",
+    "a reserved word of C": """
+        alignas alignof asm auto bool break case char const constexpr continue default do double
+        else enum extern false for fortran goto if inline int long main nullptr register restrict
+        return short signed sizeof static static_assert struct switch thread_local true typedef
+        typeof typeof_unqual union unsigned void volatile while""",
+    "a library of the system": "asan c crypt dl gcc gcc_s m resolv rt stdc ubsan util",
+    "a file that is written beside it": "codec selftest vectors",
+}
 _DECAY_BITS = 24
 
 
@@ -80,8 +96,14 @@ def check_codec(codec: Codec) -> None:
 
 def check_prefix(prefix: str) -> None:
     """Refuse what cannot begin the names of C."""
-    if not _PREFIX.fullmatch(prefix) or prefix in _KEYWORDS | _FILES:
+    if not _PREFIX.fullmatch(prefix):
         raise ConfigError(
             f"--prefix {prefix[:40]!r}: names of C begin with it; choose a small letter, then "
             "letters, digits and '_', 31 at most."
         )
+    for what, names in _TAKEN.items():
+        if prefix in names.split():
+            raise ConfigError(
+                f"--prefix {prefix!r} is the name of {what}; {prefix}.h, {prefix}.c and "
+                f"lib{prefix}.so would stand in its place. Choose another, such as {prefix}_policy."
+            )

@@ -7,7 +7,8 @@ options      options that several commands share
 closed_loop  run, compare, demo: policies in their environments
 serving      serve
 open_loop    emulate, drift: networks on recorded spikes
-checks       check, verify, doctor
+checks       check, doctor
+replays      verify
 evidence     reproduce
 interop      interop
 training     train, visualize

@@ -1,4 +1,4 @@
-"""`check`, `verify` and `doctor`: a network, recorded traces, and this machine."""
+"""`check` and `doctor`: a network, and this machine."""
 
 import os
 import platform
@@ -129,30 +129,6 @@ def _check_against(
         for line in found.lines():
             typer.echo(line)
     raise typer.Exit(0 if found.equal else 1)
-
-
-def verify(
-    traces: Annotated[list[Path], typer.Argument(metavar="TRACE.json…", help="Trace files.")],
-    json: Json = False,
-) -> None:
-    """Replay traces; say equal or the first difference, and exit 1 if any differs.
-
-    Exit code 2: none differs, and a file cannot be replayed.
-    """
-    from spikedeploy.console import print_json
-    from spikedeploy.emulation.trace_replay import replay_trace
-    from spikedeploy.reports.terminal import print_replays
-
-    replays = []
-    for path in traces:
-        replays.append(replay_trace(path))
-        if not json:
-            print_replays(replays[-1:])
-    if json:
-        print_json([each.as_json() for each in replays])
-    if any(each.verdict is not None and not each.equal for each in replays):
-        raise typer.Exit(1)
-    raise typer.Exit(0 if all(each.equal for each in replays) else 2)
 
 
 RUN = ("numpy", "nir", "h5py", "gymnasium", "mujoco", "onnxruntime", "matplotlib", "av")

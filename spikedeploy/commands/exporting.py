@@ -21,6 +21,7 @@ from spikedeploy.commands.options import (
 if TYPE_CHECKING:
     from spikedeploy.shipping.export_nir import RewrittenNir
     from spikedeploy.shipping.export_run import ExportedPolicy
+    from spikedeploy.shipping.export_xylo import WrittenSpecification
 
 Checkpoint = Annotated[
     str | None,
@@ -42,8 +43,8 @@ def export(
     to: Annotated[
         str | None,
         typer.Option(
-            help="Format: nir or c for spiking policies, onnx for float ones, or for one step of "
-            "a spiking one; or card.",
+            help="Format: nir, c or xylo for spiking policies, onnx for float ones, or for one "
+            "step of a spiking one; or card.",
             show_default="as -o ends, else as the policy is",
         ),
     ] = None,
@@ -59,7 +60,9 @@ def export(
     observations: Annotated[
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
-    chip: Annotated[str, typer.Option(help="Chip whose integers are written; c only.")] = "loihi1",
+    chip: Annotated[
+        str, typer.Option(help="Chip whose integers are written; c and xylo.")
+    ] = "loihi1",
     prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
     state: Annotated[
         States | None,
@@ -90,8 +93,13 @@ def export(
         options = {**given, "state": state}
         _export_for(run, to, output, for_, nir_compat, observations, options, force, json)
         return
+    if to == "xylo":
+        _export_xylo(run, chip, output, observations, given, force, json)
+        return
     if any(value is not None for value in given.values()):
-        raise typer.BadParameter("--from, --dt and --reset go with --for or --nir-compat")
+        raise typer.BadParameter(
+            "--from, --dt and --reset go with --for, --nir-compat or --to xylo"
+        )
     if to == "c":
         _export_c(run, chip, output, observations, prefix, force, json)
         return
@@ -153,8 +161,28 @@ def _export_for(
     _end_with(written, json, remarks, remarks=remarks)
 
 
+def _export_xylo(
+    policy: str,
+    chip: str,
+    output: Path | None,
+    timesteps: int,
+    options: Mapping[str, Any],
+    force: bool,
+    json: bool,
+) -> None:
+    """Write the specification, and say whether it computes the same."""
+    from spikedeploy.shipping.export_xylo import export_xylo
+
+    written = export_xylo(policy, chip, output, timesteps, options, force)
+    remarks = list(written.remarks)
+    _end_with(written, json, remarks, remarks=remarks)
+
+
 def _end_with(
-    written: "ExportedPolicy | RewrittenNir", json: bool, said: Sequence[str], **more: object
+    written: "ExportedPolicy | RewrittenNir | WrittenSpecification",
+    json: bool,
+    said: Sequence[str],
+    **more: object,
 ) -> None:
     """Say what was written and whether it passed; `more` is for JSON. Exit 1 where it did not."""
     from spikedeploy.console import print_json, say

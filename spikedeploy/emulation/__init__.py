@@ -9,6 +9,7 @@ drift_inputs   inputs for a drift: a raster, random spikes, or what a policy obs
 drift_report   where a chip leaves the float twin, with or without calibration
 design_report  a network against the design rules of chips
 recorded_spikes  what the author's framework computed, against the float twin
+recorded_activity  spikes recorded on silicon, against an emulated chip
 recorded_difference  the first difference of both, and its likeliest cause
 trace_replay   recorded traces against the emulator's arithmetic
 """

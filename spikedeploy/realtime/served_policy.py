@@ -15,6 +15,8 @@ from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
 
+SPARED = 5.0  # [s] without a request in which a client keeps its place though others wait for one
+
 
 class ServedPolicy:
     """A policy on a chip, loaded once.
@@ -111,6 +113,9 @@ class ServedEpisode:
 class Clients:
     """The clients that a server knows, each with its episode; those that are idle are forgotten.
 
+    Where there are no more places, a newcomer takes that of whoever asked nothing for longest, if
+    that is longer than SPARED.
+
     policy  that they act with
     most    clients at a time
     idle    [s] without a request after which a client is forgotten
@@ -139,20 +144,27 @@ class Clients:
             return self._entered(client, now).reset(request.seed)
         if client not in self._episodes:
             raise RequestError(
-                f"no episode: send reset first; after {self._idle:g} s without a request it is "
-                "forgotten"
+                f"no episode: send reset first; after {self._idle:g} s without a request, or "
+                f"{SPARED:g} s where others wait for a place, it is forgotten"
             )
         return self._episodes[client].act(request)
 
     def _entered(self, client: bytes, now: float) -> ServedEpisode:
         if client not in self._episodes:
             if len(self._episodes) >= self._most:
-                raise RequestError(
-                    f"there are {self._most} clients already: try again when one has said bye or "
-                    f"was idle for {self._idle:g} s"
-                )
+                self._make_room(now)
             self._episodes[client], self._seen[client] = self._policy.episode(), now
         return self._episodes[client]
+
+    def _make_room(self, now: float) -> None:
+        """Forget who asked nothing for longest; refuse the newcomer where that is not long."""
+        quietest = min(self._episodes, key=self._seen.__getitem__)
+        if now - self._seen[quietest] <= SPARED:
+            raise RequestError(
+                f"there are {self._most} clients already: try again when one has said bye or was "
+                f"idle for {min(SPARED, self._idle):g} s"
+            )
+        del self._episodes[quietest], self._seen[quietest]
 
     def _forget(self, now: float) -> None:
         for client in [c for c, seen in self._seen.items() if now - seen > self._idle]:

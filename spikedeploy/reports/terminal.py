@@ -6,6 +6,7 @@ from typing import Any
 from spikedeploy.console import print_table, print_text
 from spikedeploy.emulation.drift_report import DriftReport
 from spikedeploy.emulation.open_loop import Emulation
+from spikedeploy.emulation.recorded_activity import RecordedActivity
 from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables
@@ -21,8 +22,8 @@ def print_checks(checks: Iterable[ParityCheck]) -> None:
         print_text(f"{'✓' if check.passed else '✗'} {check.name}: {check.detail}")
 
 
-def print_replays(replays: Iterable[ReplayedTrace]) -> None:
-    """Print a line for each trace: ✓ or ✗, the result, and what was not compared."""
+def print_replays(replays: Iterable[ReplayedTrace | RecordedActivity]) -> None:
+    """Print a line for each trace or recorded layer: ✓ or ✗, the result, what was not compared."""
     for replay in replays:
         print(f"{'✓' if replay.equal else '✗'} {replay.path}: {replay.describe()}")
         for remark in replay.remarks():

@@ -1,12 +1,17 @@
 """`export --to c`: what it writes, prints and refuses."""
 
 import json
+import re
+import subprocess
 
 import pytest
 
+from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import NAMES
 from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import export_c, exported_run
+from tests.c_builds import COMPILERS, needs_c
 from tests.networks import event_driven, popsan
 
 CHIP = ("--to", "c", "--chip", "loihi1")
@@ -64,6 +69,10 @@ def test_the_same_policy_is_written_again_and_other_files_are_not(command, file,
         (("hexapod/linear", "--to", "c", "-o", "c"), "is no spiking policy"),
         (("policy.nir", "--to", "c", "-o", "c", "--chip", "ideal"), "computes with"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "A b"), "--prefix"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "stdint"), "a header of C"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "static"), "a reserved word of C"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "m"), "a library of the system"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "vectors"), "written beside it"),
         (("policy.nir", "--to", "c", "-o", "c", "--chip", "odin"), "rule"),
     ],
 )
@@ -72,6 +81,21 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(command, file, tmp_path
     assert code > 0
     assert said in err
     assert not (tmp_path / "c").exists()
+
+
+@needs_c
+def test_no_header_that_the_files_include_can_be_the_prefix(tmp_path):
+    """Of the headers that those include in turn, too: PREFIX.h comes before them by -I."""
+    named = "".join(f"#include <{name}.h>\n" for name in ("math", "stdint", "stdio", "string"))
+    (tmp_path / "all.c").write_text(named)
+    words = [COMPILERS[0], "-M", "all.c"]
+    found = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    stems = set(re.findall(r"/include/(?:[\w-]+-linux-gnu/)?([a-z][a-z0-9_]*)\.h", found))
+    assert {"stdint", "math"} <= stems
+    for stem in stems:
+        with pytest.raises(ConfigError, match="is the name of a header"):
+            check_prefix(stem)
+    check_prefix("stdint_policy")
 
 
 def test_a_network_without_a_codec_is_refused(command, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ import pytest
 
 from spikedeploy.api import load
 from spikedeploy.realtime.protocol import Request, RequestError, largest_request
-from spikedeploy.realtime.served_policy import Clients, ServedPolicy
+from spikedeploy.realtime.served_policy import SPARED, Clients, ServedPolicy
 from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
 
@@ -263,15 +263,38 @@ def test_clients_are_few_and_idle_ones_are_forgotten(policy):
     clients, reset = Clients(policy, most=2, idle=10), Request("reset")
     act = Request("act", observation=[0.0] * policy.observed)
     clients.answer(b"a", reset, 0)
-    clients.answer(b"b", reset, 5)
+    clients.answer(b"b", reset, 4)
     with pytest.raises(RequestError, match="2 clients already"):
-        clients.answer(b"c", reset, 6)
+        clients.answer(b"c", reset, 4.5)
     clients.answer(b"b", act, 8)
-    clients.answer(b"c", reset, 11)  # a was idle for more than 10 s
+    clients.answer(b"d", Request("info"), 11)  # a was idle for more than 10 s
     with pytest.raises(RequestError, match="send reset first"):
         clients.answer(b"a", act, 11)
+    clients.answer(b"c", reset, 11)
     clients.answer(b"c", Request("bye"), 12)
     clients.answer(b"a", reset, 12)
+
+
+def test_a_newcomer_takes_the_place_of_whoever_asked_nothing_for_longest(policy):
+    """Those who hold places and ask nothing keep nobody out for longer than SPARED."""
+    clients, reset = Clients(policy, most=3, idle=60), Request("reset")
+    act = Request("act", observation=[0.0] * policy.observed)
+    for client, now in ((b"holds", 0), (b"holds too", 1), (b"acts", 2)):
+        clients.answer(client, reset, now)
+    clients.answer(b"acts", act, SPARED)
+    with pytest.raises(RequestError, match=f"was idle for {SPARED:g} s"):
+        clients.answer(b"new", reset, SPARED)
+    clients.answer(b"new", reset, SPARED + 0.1)
+    with pytest.raises(RequestError, match="send reset first"):
+        clients.answer(b"holds", act, SPARED + 0.2)
+    assert clients.answer(b"acts", act, SPARED + 0.3)["step"] == 2
+    assert clients.answer(b"holds too", act, SPARED + 0.4)["step"] == 1
+
+
+def test_a_client_that_connects_and_asks_for_no_episode_takes_no_place(policy):
+    clients = Clients(policy, most=1, idle=60)
+    clients.answer(b"a", Request("info"), 0)
+    clients.answer(b"b", Request("reset"), 0)
 
 
 def test_a_request_that_meets_a_bug_is_answered_and_the_server_lives(policy, connect, monkeypatch):

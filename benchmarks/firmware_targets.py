@@ -1,0 +1,100 @@
+"""Microcontrollers under qemu: C of a policy is built for them, run and counted."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+SOURCES = Path(__file__).parent / "firmware"
+_M4_MEMORY = (0x0, 0x400000, 0x20000000, 0x400000)
+_M4_MACHINE = ("qemu-system-arm", "-M", "mps2-an386", "-semihosting")
+# compiler, its options, where memory lies, and the machine of qemu
+TARGETS = {
+    "cortex-m4": (
+        "arm-none-eabi",
+        ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
+        _M4_MEMORY,
+        _M4_MACHINE,
+    ),
+    # the same core with its floating-point unit, of single precision
+    "cortex-m4f": (
+        "arm-none-eabi",
+        ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
+        _M4_MEMORY,
+        _M4_MACHINE,
+    ),
+    "rv32imac": (
+        "riscv64-unknown-elf",
+        ("-march=rv32imac", "-mabi=ilp32"),
+        (0x80000000, 0x800000, 0x80800000, 0x800000),
+        ("qemu-system-riscv32", "-M", "virt", "-bios", "none", "-semihosting"),
+    ),
+}
+
+
+def present(target: str) -> bool:
+    """Whether compiler and emulator of a microcontroller are installed."""
+    tools, _, _, machine = TARGETS[target]
+    return bool(shutil.which(f"{tools}-gcc") and shutil.which(machine[0]))
+
+
+def on(target: str, folder: Path) -> dict:
+    """Self-test, instructions and sizes of an export."""
+    probed = ["-DPOLICY_PROBE", "policy.c", "codec.c", "selftest.c", "-o", "self.elf"]
+    must([*_compiler(target), *_hosted(target), *probed, "-lm"], folder)
+    passed, output = called([*_machine(target), "self.elf"], folder)
+    return {"passed": passed and "0 differ" in output, **counted(target, folder)}
+
+
+def counted(target: str, folder: Path, sources: tuple[str, ...] = ("policy.c", "codec.c")) -> dict:
+    """Instructions of a control step, mean and most; bytes of ROM, and of static memory."""
+    build = [*_compiler(target), *sources]
+    hosted = [*_hosted(target), str(SOURCES / "count.c"), "-lm", "-o", "count.elf"]
+    must([*build, *hosted], folder)
+    mean, worst = map(int, must([*_machine(target), "count.elf"], folder).split()[:2])
+    alone = ["--specs=picolibc.specs", "-nostartfiles", "-Wl,-e,main", "-Wl,--gc-sections"]
+    least = ["-ffunction-sections", *alone, *_memory(target), str(SOURCES / "least.c")]
+    must([*build, *least, "-lm", "-o", "least.elf"], folder)
+    size = must([f"{TARGETS[target][0]}-size", "least.elf"], folder).split()
+    text, data, bss = map(int, size[6:9])
+    return {
+        "instructions": mean,
+        "instructions_max": worst,
+        "rom": text + data,
+        "static": data + bss,
+    }
+
+
+def called(words: list[str], folder: Path) -> tuple[bool, str]:
+    """Whether a command succeeds, and its output."""
+    ended = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    return ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def must(words: list[str], folder: Path) -> str:
+    """The output of a command that has to succeed."""
+    passed, output = called(words, folder)
+    if not passed:
+        raise RuntimeError(f"{' '.join(words)}: {output[-2000:]}")
+    return output
+
+
+def _compiler(target: str) -> list[str]:
+    tools, options, _, _ = TARGETS[target]
+    return [f"{tools}-gcc", *options, "-std=c99", "-O2", "-ffp-contract=off", "-I."]
+
+
+def _hosted(target: str) -> list[str]:
+    semihost = ["--specs=picolibc.specs", "--oslib=semihost", "--crt0=hosted"]
+    return [*semihost, *_memory(target)]
+
+
+def _memory(target: str) -> list[str]:
+    names = ("__flash", "__flash_size", "__ram", "__ram_size")
+    places = TARGETS[target][2]
+    return [f"-Wl,--defsym={n}={v:#x}" for n, v in zip(names, places, strict=True)]
+
+
+def _machine(target: str) -> list[str]:
+    return [*TARGETS[target][3], "-nographic", "-icount", "shift=0", "-kernel"]
