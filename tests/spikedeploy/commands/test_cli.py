@@ -127,7 +127,7 @@ def test_run_prints_one_line_of_verdict_and_all_tables_when_asked(command, strol
     assert "What does an inference cost?" not in out
     _, out, _ = command("run", "stroll/popsan", "--episodes", 2, "--tables", "all")
     assert "What does an inference cost?" in out
-    assert out.splitlines()[-1] == said
+    assert out.splitlines()[-2:] == [said, energy]
 
 
 def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
