@@ -93,9 +93,10 @@ def other_header(path: Path, rng: Rng) -> None:
 def numpy_array(path: Path, rng: Rng) -> None:
     """A .npy file holds other numbers, axes or another type."""
     old = np.load(path)
+    plain = old.real  # after another mutation it may be complex
     values: list[Any] = [
-        old[0], old.ravel()[:0], np.array(1.0), old * np.nan, -old.real.astype(float), old * 1e300,
-        old.real.astype(np.float16), old > 0, old.astype(complex), old.astype("U5"), old[None, None],
+        old[0], old.ravel()[:0], np.array(1.0), old * np.nan, -plain.astype(float), old * 1e300,
+        plain.astype(np.float16), old > 0, old.astype(complex), old.astype("U5"), old[None, None],
         np.zeros(old.shape, "M8[s]"), np.zeros(old.shape, [("a", "f8")]), np.full((2, 1 << 20), 7),
     ]  # fmt: skip
     np.save(path, values[rng.integers(len(values))])

@@ -42,10 +42,11 @@ def part(name: str) -> str:
 
 
 def big_numbers(numbers: Iterable[HeadlineNumber]) -> str:
-    """The numbers that a page leads with."""
+    """The numbers that a page leads with; each thing beside one has a line of its own."""
     cells = (
         f'<div><dt>{escape(each.title)}</dt><dd class="big">{escape(each.number)}</dd>'
-        f'<dd class="beside">{escape(each.beside)}</dd></div>'
+        + "".join(f'<dd class="beside">{escape(part)}</dd>' for part in each.beside.split("; "))
+        + "</div>"
         for each in numbers
     )
     return f'<dl class="figures">{"".join(cells)}</dl>'
