@@ -22,7 +22,7 @@ from benchmarks.fuzz_trials import attempt
 
 SECONDS = 20.0  # for a file, by the clock: other processes may be running
 CPU_SECONDS = 5.0  # that a file may take
-MEGABYTES = 500.0  # that it may take besides the libraries
+MEGABYTES = 500.0  # that it may take besides the libraries and its own size
 NETWORKS = 0.6  # at least this part of the files, where all formats are drawn from
 BYTES = 8 << 30  # of address space, for libraries, their threads and the file
 
@@ -148,7 +148,9 @@ def tried(
         place = traceback.extract_tb(error.__traceback__)[-1]
         violation = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
     seconds, megabytes = _cpu() - began, resident("VmHWM") - libraries
-    if seconds > CPU_SECONDS or megabytes > MEGABYTES:
+    # mutations several times over may write hundreds of megabytes
+    size = path.stat().st_size / 1e6 if path.is_file() else 0.0
+    if seconds > CPU_SECONDS or megabytes > MEGABYTES + size:
         violation = violation or f"{seconds:.1f} s, {megabytes:.0f} MB"
     return Outcome(number, source.name, damage, read, refused, violation, seconds, megabytes)
 
