@@ -17,6 +17,7 @@ BESIDE = (
     "results/**/*.md",
     "results/**/*.png",
     "results/**/*.csv",
+    "results/*.json",
     "examples/notebooks/*.ipynb",
 )
 # a link to a source file, which becomes a page that shows it

@@ -136,6 +136,26 @@ def test_the_paths_that_a_page_names_exist(page):
     assert sorted(path for path in named if not (ROOT / path).exists()) == []
 
 
+def beside():
+    """Files beside docs/ that are on the site, whose builder is not needed to ask it."""
+    tree = ast.parse((ROOT / "docs/site/repository.py").read_text("utf-8"))
+    (patterns,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and node.targets[0].id == "BESIDE"
+    )
+    return {path for pattern in patterns for path in ROOT.glob(pattern)}
+
+
+@pytest.mark.parametrize("page", [*PAGES, *TUTORIALS, *sorted(ROOT.glob("results/*.md"))], ids=name)
+def test_the_links_of_a_page_lead_to_files_of_the_site(page):
+    links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text("utf-8"))
+    found = {(page.parent / link).resolve() for link in links}
+    site = {*beside(), *(ROOT / "docs").rglob("*.*")}
+    assert sorted(path for path in found if path.suffix != ".py" and path not in site) == []
+    assert all(path.exists() for path in found)
+
+
 @pytest.mark.parametrize("page", [*PAGES, *TUTORIALS], ids=name)
 def test_the_modules_that_a_page_names_exist(page):
     named = re.findall(r"spikedeploy(?:\.[a-z_0-9]+)+", page.read_text("utf-8"))
