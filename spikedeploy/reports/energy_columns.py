@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, price, scaled
+from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, price
 
 COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
 
@@ -67,7 +67,7 @@ def _unpriced(row: Row) -> str:
 
 def _static(row: Row) -> str:
     found = row.get("static_energy_j", {})
-    return ", ".join(f"{scaled(value)}J" for value in found.values()) or ABSENT
+    return ", ".join(map(_joules, found.values())) or ABSENT
 
 
 def _level(row: Row) -> str:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from spikedeploy.comparison.summary import macs, smallest_rival
@@ -118,17 +118,21 @@ def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
     ]
     by = f"by {table}" + (", which prices float networks too" if said else "")
     return HeadlineNumber(
-        "energy of a control step", energy(row), "; ".join([by, *said, *_priced_otherwise(row)])
+        "energy of a control step's operations",
+        energy(row),
+        "; ".join([by, *said, *_priced_otherwise(row)]),
     )
 
 
-def _priced_otherwise(row: Row) -> Iterator[str]:
-    """Its energies by the other tables of its chip: `by davies2018 of loihi1: 33.36 nJ`."""
+def _priced_otherwise(row: Row) -> list[str]:
+    """Its energy by the other tables of its chip: `at prices of loihi1: 33.36 nJ by davies2018`."""
     others = [name for name in row["energy_per_inference_j"] if name != quoted_table([row])]
-    for name in others:
-        energy = price("energy_per_inference_j", name, "J", "energy_interval_j")(row)
-        if energy != ABSENT:
-            yield f"by {name} of {row['chip']}: {energy}"
+    energy = {
+        name: price("energy_per_inference_j", name, "J", "energy_interval_j")(row)
+        for name in others
+    }
+    said = ", ".join(f"{cell} by {name}" for name, cell in energy.items() if cell != ABSENT)
+    return [f"at prices of {row['chip']}: {said}"] if said else []
 
 
 def _macs(row: Row) -> str:

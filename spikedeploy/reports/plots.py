@@ -76,7 +76,7 @@ def draw_energy(rows: Sequence[Row], path: Path) -> Path:
 
 def energy_figure(rows: Sequence[Row]) -> "Figure":
     """Joules per inference on a log axis, a marker for each energy table."""
-    from matplotlib.ticker import EngFormatter
+    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
     rows = [row for row in rows if row["energy_per_inference_j"]]
     tables = list(dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"]))
@@ -89,7 +89,11 @@ def energy_figure(rows: Sequence[Row]) -> "Figure":
         )
         axes.scatter([], [], s=60, marker=marker, color="#555555", label=table)
     axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    subs = (1.0,) if high > 100 * low else (1.0, 2.0, 5.0)  # else there is a label or none
+    axes.xaxis.set_major_locator(LogLocator(subs=subs))
     axes.xaxis.set_major_formatter(EngFormatter(unit="J"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("energy per inference, estimated from published tables")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(tables), frameon=False)
     _name_rows(axes, rows)

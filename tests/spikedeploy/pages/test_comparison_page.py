@@ -70,7 +70,7 @@ def test_numbers_say_what_they_leave_out():
         "sac: 116,811 of 300,000 MACs that are not by 0, 2,418 times as many" in operations.beside
     )
     assert energy.number == "0.75 nJ"
-    assert energy.beside.endswith("; by davies2018 of loihi1: 33.00 nJ")
+    assert energy.beside.endswith("; at prices of loihi1: 33.00 nJ by davies2018")
 
 
 def test_runs_have_the_names_of_the_table():
