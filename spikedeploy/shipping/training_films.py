@@ -40,11 +40,12 @@ class TrainingFilms:
 
     def __call__(self, run: Path, step: int, total: int) -> None:
         """Film it, if that is due; what hinders it is said once, and does not end the training."""
-        if self._hindered or not self._due(run, step, total):
+        if self._hindered:
             return
         try:
-            with _generators_kept():
-                _film(run, step)
+            if self._due(run, step, total):
+                with _generators_kept():
+                    _film(run, step)
         except Exception as error:  # of the environment, the screen, the disk
             self._hindered = True
             why = one_line(error) or f"{type(error).__name__}: {error}"
