@@ -126,15 +126,13 @@ def _episode(run: Path) -> tuple[list[Frame], float]:
 
 
 def _small(frame: Frame) -> Frame:
-    """The frame, at most _WIDTH wide."""
+    """A copy of the frame, at most _WIDTH wide."""
     from PIL import Image
 
-    height, width = frame.shape[:2]
-    if width <= _WIDTH:
-        return frame.copy()
-    size = (_WIDTH, round(height * _WIDTH / width))
-    smaller: Frame = np.asarray(Image.fromarray(frame).resize(size))
-    return smaller
+    image = Image.fromarray(frame)
+    image.thumbnail((_WIDTH, frame.shape[0]))
+    small: Frame = np.array(image)
+    return small
 
 
 def _to_tensorboard(film: Path, step: int, shape: tuple[int, ...]) -> None:
