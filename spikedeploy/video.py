@@ -1,6 +1,6 @@
-"""MP4 files through PyAV: frames in, one H.264 file out, written atomically."""
+"""Frames in, one file out, written atomically: H.264 in MP4 through PyAV, or GIF."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 Frame = NDArray[np.uint8]
 _FPS = 25  # nearest possible; rendering takes most of the time
+_UNKNOWN = 1 / 30  # [s] control step where an environment does not say
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,11 @@ class Pace:
     fps: float
 
     @classmethod
-    def of(cls, control_dt: float) -> "Pace":
-        """The pace nearest to FPS for a control step of so many seconds."""
-        every = max(1, round(1 / (_FPS * control_dt)))
-        return cls(every, 1 / (every * control_dt))
+    def of(cls, control_dt: float | None) -> "Pace":
+        """The pace nearest to FPS for a control step of so many seconds, if that is known."""
+        period = control_dt or _UNKNOWN
+        every = max(1, round(1 / (_FPS * period)))
+        return cls(every, 1 / (every * period))
 
 
 @contextmanager
@@ -73,6 +75,31 @@ def _stream(file: "OutputContainer", frame: Frame, fps: float) -> "VideoStream":
     stream.height, stream.width = frame.shape[:2]
     stream.pix_fmt = "yuv420p"
     return stream
+
+
+def gif(path: Path, frames: Iterable[Frame], period: float, remark: str = "") -> int:
+    """Write frames (H, W, 3) uint8 as a GIF that repeats; its size [bytes].
+
+    period  between two frames [s], which a GIF has in whole hundredths
+    remark  in the file's metadata
+    """
+    from PIL import Image
+
+    method = Image.Quantize.MAXCOVERAGE  # keeps the colours of small objects
+    images = (
+        Image.fromarray(np.ascontiguousarray(frame)).quantize(method=method) for frame in frames
+    )
+    with replacing(path) as part:
+        next(images).save(
+            part,
+            format="GIF",
+            save_all=True,
+            append_images=images,
+            duration=10 * round(100 * period),
+            loop=0,
+            comment=remark,
+        )
+    return path.stat().st_size
 
 
 def captioned(frame: Frame, text: str) -> Frame:

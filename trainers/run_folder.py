@@ -7,6 +7,7 @@
     metrics.csv          one row for each logging interval
     curve.png            learning curve
     report.html, card.md, curve.svg   to look at, and to show: written anew at the end
+    films/<step>.gif   episodes, filmed while it was trained
     replay.safetensors   replay buffer of an unfinished run
     checkpoints/{last,best}.safetensors, each with a .json of its numbers to read
 
@@ -41,10 +42,10 @@ from spikedeploy.trainers.versions import versions
 from spikedeploy.trainers.write_errors import said
 
 _POLICY = "policy."  # prefix of the policy's tensors
-_FOLDERS = ("checkpoints", "pool", "ghosts")  # of training, in a run folder
+_FOLDERS = ("checkpoints", "pool", "ghosts", "films")  # of training, in a run folder
 # what `replacing` leaves of a file of training when it is killed; exports have other endings
 _UNFINISHED = re.compile(
-    r"\.(.+\.(json|csv|safetensors|npz)|SHA256SUMS|curve\.(png|svg)|report\.html|card\.md)\.\d+(\.part)?"
+    r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|SHA256SUMS|curve\.(png|svg)|report\.html|card\.md)\.\d+(\.part)?"
 )
 
 

@@ -52,6 +52,7 @@ def train(
     quiet: bool = False,
     interrupt: Interrupt | None = None,
     watch: Callable[[Path], None] | None = None,
+    film: Callable[[Path, int, int], None] | None = None,
 ) -> Path:
     """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
@@ -62,6 +63,7 @@ def train(
     budget: operations of a control step, of a sparse recipe: "sops=480", "macs=500"
     interrupt: requests a stop, and says afterwards whether there was one
     watch: is called with the run folder after each row of metrics
+    film: likewise and at the end, with the step and the steps of the whole training too
     """
     stopped = interrupt or Interrupt()
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
@@ -77,7 +79,7 @@ def train(
         run = RunFolder.find(resume, runs, recipe)
         with locked(run.path):
             runner, config = _resumed(run, kind, recipe, env, config_file, overrides, budget)
-            _learn(runner, config, run, quiet, stopped, watch)
+            _learn(runner, config, run, quiet, stopped, watch, film)
         return run.path
     config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
     config = config if budget is None else with_budget(config, budget)
@@ -85,7 +87,7 @@ def train(
     config = _by_name(config)
     run = RunFolder.create(runs, config)
     with locked(run.path), _removed_if_refused(run):
-        _learn(kind(config, run), config, run, quiet, stopped, watch)
+        _learn(kind(config, run), config, run, quiet, stopped, watch, film)
     return run.path
 
 
@@ -191,12 +193,15 @@ def _learn(
     quiet: bool,
     stopped: Interrupt,
     watch: Callable[[Path], None] | None,
+    film: Callable[[Path, int, int], None] | None,
 ) -> None:
     """Run the algorithm under a progress bar until it ends or is stopped, then draw its curve."""
     with ProgressBar(run.path.name, quiet) as bar, stopped.acknowledged(bar, quiet):
-        journal = Journal(run, runner.columns(config), bar, watch)
+        journal = Journal(run, runner.columns(config), bar, watch, film)
         try:
             runner.learn(journal, stopped)
+            if film is not None and runner.finished:  # the last row may be from before the end
+                film(run.path, runner.step, runner.step)
         finally:
             journal.close()
     stopped.share = None if runner.finished else runner.share

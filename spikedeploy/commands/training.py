@@ -77,6 +77,14 @@ def train(
     ] = None,
     resume: Resume = None,
     runs: Runs = _RUNS,
+    films: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Films of a greedy episode of the best checkpoint so far, evenly over the "
+            "training, the last at its end.",
+        ),
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
@@ -91,10 +99,10 @@ def train(
     if several is not None:
         if seed is not None or resume is not None:
             raise typer.BadParameter("--seeds goes without --seed and --resume")
-        run_seeds(several, jobs, json, runs, recipe or what, **settings)
+        run_seeds(several, jobs, json, runs, recipe or what, films=films, **settings)
     if jobs is not None:
         raise typer.BadParameter("--jobs goes with --seeds")
-    run_training(recipe or what, json, seed=seed, resume=resume, runs=runs, **settings)
+    run_training(recipe or what, json, seed=seed, resume=resume, runs=runs, films=films, **settings)
 
 
 def run_training(
@@ -104,11 +112,13 @@ def run_training(
     seed: int | None,
     resume: str | None,
     runs: Path,
+    films: int = 0,
     remark: Callable[[Path], str] = lambda run: "",
     **settings: Any,  # noqa: ANN401
 ) -> None:
     """Train; print where the run is, and what to do next; stopped by a signal, exit with its code.
 
+    films     of a whole training
     remark    line on a training that ended
     settings  more arguments of trainers.train.train
     """
@@ -117,11 +127,13 @@ def run_training(
     from spikedeploy.console import called, print_json, say
     from spikedeploy.pages.training import LivePage
     from spikedeploy.shipping.exported_run import trained_in
+    from spikedeploy.shipping.training_films import TrainingFilms
     from spikedeploy.trainers.interrupt import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
-    run = learn(recipe, quiet=json, interrupt=interrupt, watch=LivePage(), **more)
+    more |= {"watch": LivePage(), "film": TrainingFilms(films)}
+    run = learn(recipe, quiet=json, interrupt=interrupt, **more)
     _show_run(run)
     if json:
         print_json({"run": str(run)})

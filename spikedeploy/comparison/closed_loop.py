@@ -24,8 +24,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults.request import NONE, Faults
 from spikedeploy.video import Frame, Pace, captioned, mp4
 
-_UNKNOWN = 1 / 30  # [s] control step of a video where an environment does not say
-
 
 def run_policy(
     reference: str,
@@ -73,7 +71,7 @@ def run_policy(
     world: Any = make_env(name, options, render_mode=mode)
     player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
     period = world.unwrapped.CONTROL_DT
-    pace = Pace.of(period or _UNKNOWN)
+    pace = Pace.of(period)
     episodes = []
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds if loop is None else loop.seeds(seeds):

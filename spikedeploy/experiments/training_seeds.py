@@ -77,7 +77,7 @@ def train_seeds(
     """Train with each of the seeds, `count` at a time; Ctrl-C stops them at checkpoints.
 
     logs       folder of a log for each
-    arguments  of trainers.train.train, JSON types
+    arguments  of trainers.train.train, JSON types; and films, of each training
     ended      is called with each that ends
     """
     found: dict[int, SeedTraining] = {}
@@ -101,13 +101,14 @@ def _job(seed: int, folder: Path, logs: Path, arguments: Mapping[str, Any]) -> J
     return Job(name, _PERFORM, logs / f"{arguments['recipe']}-s{seed}.log", given)
 
 
-def perform(place: str, **arguments: Any) -> bool:  # noqa: ANN401
+def perform(place: str, films: int = 0, **arguments: Any) -> bool:  # noqa: ANN401
     """Train (a job of `workers`), and write into the file `place` where; False if interrupted."""
+    from spikedeploy.shipping.training_films import TrainingFilms
     from spikedeploy.trainers.interrupt import Interrupt
     from spikedeploy.trainers.train import train
 
     interrupt = Interrupt()
-    run = train(quiet=True, interrupt=interrupt, **arguments)
+    run = train(quiet=True, interrupt=interrupt, film=TrainingFilms(films), **arguments)
     write_text(Path(place), str(run))
     return interrupt.share is None
 

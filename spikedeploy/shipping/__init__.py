@@ -8,6 +8,7 @@ export_onnx          a .nir file as one step in ONNX
 export_nir           a network for another tool's import, compared with the given one
 export_xylo          a network as a Xylo's specification, compared with the emulated chip
 exported_run         a run folder as its exported file, written where it is missing or old
+training_films       films of a run while it is trained
 publish_run          an exported policy in the zoo, with its card, learning curve and evaluation
 card_page            the page of a card, and both written again after a new evaluation
 record_fields        what a card or report has to say

@@ -23,6 +23,7 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.card_page import KINDS, training_command
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.shipping.publish_run import training_of
+from spikedeploy.shipping.training_films import last_film
 from spikedeploy.trainers.run_folder import RunFolder
 
 CARD, CURVE, FILM = "card.md", "curve.svg", "replay.mp4"
@@ -83,13 +84,14 @@ def _filmed(policy: Path, run: Path) -> Path:
 
 def card_of(run: Path) -> str:
     """The card of a run as Markdown, behind YAML."""
-    found, settings = scores(run), run_record.settings(run)
+    found, settings, film = scores(run), run_record.settings(run), last_film(run)
     parts = [
         "\n".join(["---", *_head(found), "---"]),
         _OURS,
         f"# {found.name}",
         _what(found, settings),
         f"[A greedy episode, filmed]({FILM})" if (run / FILM).is_file() else "",
+        f"![A greedy episode]({film.relative_to(run).as_posix()})" if film else "",
         "## Environment",
         "\n".join(_environment(settings)),
         "## Training",

@@ -46,6 +46,7 @@ LIBRARIES = {
     "spikedeploy": {
         "numpy", "typer", "rich", "matplotlib", "onnxruntime", "av", "PIL", "gymnasium", "torch",
         "pygame", "optuna", "ray", "sqlalchemy", "tomli", "zmq", "markdown_it",
+        "tensorboard",  # films of trainings, where somebody has it
     },
 }  # fmt: skip
 
