@@ -14,7 +14,7 @@ import nir
 import numpy as np
 from nir.serialization import hdf2dict
 
-from spikedeploy.runtime.artifact.hdf5_limits import check_container, check_file, limited_memory
+from spikedeploy.runtime.artifact.hdf5_limits import check_container, check_file
 from spikedeploy.runtime.errors import ArtifactError
 
 # releases that refuse the field v_reset; then all that files were opened with
@@ -49,7 +49,7 @@ def read_graph(path: Path) -> nir.NIRGraph:
     """
     try:
         longest = check_file(path)
-        with limited_memory(path), h5py.File(path, "r") as file:
+        with h5py.File(path, "r") as file:
             check_container(file, path, longest)
             tree = hdf2dict(file["node"])
         if tree["type"] != "NIRGraph":

@@ -6,9 +6,7 @@ unpack a thousand zeros from a byte, and read a damaged heap of texts without en
 
 import math
 import mmap
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -16,13 +14,6 @@ import numpy as np
 
 from spikedeploy.runtime.errors import ArtifactError
 
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None  # type: ignore[assignment]
-
-_MEMORY = Path("/proc/self/statm")  # pages of the process; the first number is all of them
-_ONE_LIMIT = threading.Lock()  # two threads would each restore what the other had set
 # bytes of all parameters: a file with more is taken for a mistake that would exhaust the memory
 _MAX_PARAMETER_BYTES = 1 << 31
 # bytes that a file may unpack to for each that it takes on the disk, and besides those: numbers of
@@ -39,6 +30,11 @@ _MAX_LINKS = 32_768
 # "GCOL" with version and padding, so that no weight is mistaken for it
 _HEAP_SIGNATURE = b"GCOL\x01\x00\x00\x00"
 _HEAP_HEADER = 16  # [bytes]
+_FILE_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# heap collections of a file of spikes, each of which is looked for in all of it; and their objects
+_MAX_HEAPS = 256
+_MAX_INDEX = 1 << 16
+_HARMLESS = 1 << 26  # [bytes] that a claim may take for a moment
 
 
 def check_file(path: Path) -> int:
@@ -49,43 +45,51 @@ def check_file(path: Path) -> int:
     multiple of 8. The object of index 0 is the free space after the others, its header included
     (HDF5 File Format Specification 3.0, section III.E).
     """
-    size, longest = path.stat().st_size, 0
+    size = path.stat().st_size
     if size > (most := _budget(path)):
         raise ArtifactError(
             f"the file is {size} bytes with holes, of which the disk holds too few; at most {most}."
             " It is damaged or not whole; copy or export it again."
         )
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        at = content.find(_HEAP_SIGNATURE)
-        while at >= 0:
-            longest = max(longest, _longest_text(content, at))
-            at = content.find(_HEAP_SIGNATURE, at + 1)
+        longest = max((_longest_text(content, at) for at in _heaps(content)), default=0)
     return longest
 
 
-@contextmanager
-def limited_memory(path: Path, most: int | None = None) -> Iterator[None]:
-    """Within the block HDF5 gets what a file may unpack to, and little more; an error instead.
+def check_claims(path: Path) -> None:
+    """Raise ArtifactError where an attribute claims a text that is far longer than the file.
 
-    most  [bytes]; None is what a graph may
-
-    A text in an attribute claims its length where h5py does not show it, and HDF5 allocates that
-    much, up to 4 GiB, before it finds that the heap has less. The limit is that of the process;
-    where the system has none, as Windows, nothing is limited.
+    Where h5py does not show it, such a text is stored as its length in 4 bytes, the place of its
+    heap collection in 8, and its index there in 4. HDF5 allocates the length, up to 4 GiB, before
+    it looks into the heap. Where the place, too, is damaged, the claim is not found.
     """
-    if resource is None or not _MEMORY.is_file():
-        yield
-        return
-    with _ONE_LIMIT:
-        taken = int(_MEMORY.read_text().split()[0]) * resource.getpagesize()
-        before, hard = resource.getrlimit(resource.RLIMIT_AS)
-        wanted = taken + (most or _budget(path)) + _MAX_TEXT_BYTES
-        lower = wanted if before == resource.RLIM_INFINITY else min(wanted, before)
-        resource.setrlimit(resource.RLIMIT_AS, (lower, hard))
-        try:
-            yield
-        finally:
-            resource.setrlimit(resource.RLIMIT_AS, (before, hard))
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        base, most = max(content.find(_FILE_SIGNATURE), 0), max(len(content), _HARMLESS)
+        heaps = list(_heaps(content))
+        if len(heaps) > _MAX_HEAPS:
+            raise ArtifactError(
+                f"the file has {len(heaps)} heaps of texts; at most {_MAX_HEAPS}. Write fewer."
+            )
+        for at in heaps:
+            for place in _found(content, (at - base).to_bytes(8, "little")):
+                length, index = _number(content, place - 4, 4), _number(content, place + 8, 4)
+                if length > most and 0 < index < _MAX_INDEX:
+                    raise ArtifactError(
+                        f"an attribute claims a text of {length} bytes, more than the file. It is "
+                        "damaged; copy or export it again."
+                    )
+
+
+def _heaps(content: mmap.mmap) -> Iterator[int]:
+    """Where the heap collections of texts begin."""
+    return _found(content, _HEAP_SIGNATURE)
+
+
+def _found(content: mmap.mmap, wanted: bytes) -> Iterator[int]:
+    at = content.find(wanted)
+    while at >= 0:
+        yield at
+        at = content.find(wanted, at + 1)
 
 
 def _budget(path: Path) -> int:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.hdf5_limits import (
     budget,
+    check_claims,
     check_container,
     check_file,
-    limited_memory,
 )
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 
@@ -45,10 +45,10 @@ def read_nir_data(
     most = budget(path, FREE, EXPANSION)
     try:
         longest = check_file(path)
+        check_claims(path)
         with h5py.File(path, "r") as file:
             check_container(file, path, longest, most)
-        with limited_memory(path, most):
-            nodes = nir.read_data(path).nodes
+        nodes = nir.read_data(path).nodes
     except ArtifactError as error:
         raise ObservationError(f"{path} is HDF5 and no NIRData: {error}") from error
     # h5py and nir raise exceptions of many types for a damaged file

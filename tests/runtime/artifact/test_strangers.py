@@ -3,7 +3,6 @@
 import re
 import resource
 import struct
-import sys
 import time
 import warnings
 from itertools import combinations, pairwise
@@ -281,7 +280,6 @@ def test_a_time_constant_below_the_smallest_float_forgets_at_once(tmp_path):
     load(tmp_path / "a.nir", dt=1e-3, integrator="exponential")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the system limits no memory")
 def test_a_text_that_claims_gigabytes_takes_none(tmp_path):
     path = tmp_path / "spikes.nir"
     write_nir_data(path, {"input": np.ones((4, 3), bool)}, 1e-3)
@@ -294,12 +292,15 @@ def test_a_text_that_claims_gigabytes_takes_none(tmp_path):
         if content[int.from_bytes(found[1], "little") :].startswith(b"GCOL")
     ]
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    limit = resource.getrlimit(resource.RLIMIT_AS)
     for at in places:
         path.write_bytes(content[:at] + struct.pack("<I", 3 << 30) + content[at + 4 :])
-        with pytest.raises(ObservationError, match="no NIRData"):
+        with pytest.raises(
+            ObservationError,
+            match="claims a text of 3221225472 bytes",
+        ):
             read_nir_data(path, {"input": (3,)}, 1e-3)
     assert places
+    path.write_bytes(content)
+    read_nir_data(path, {"input": (3,)}, 1e-3)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before  # [KiB]
     assert grown < 500_000
-    assert resource.getrlimit(resource.RLIMIT_AS) == limit
