@@ -274,6 +274,7 @@ def demo(
     show: Annotated[
         bool, typer.Option("--open/--no-open", help="Open the page, where there is a desktop.")
     ] = True,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Replay shipped policies on an emulated Loihi beside float ones: a page with their spikes."""
@@ -281,7 +282,7 @@ def demo(
     from spikedeploy.play.display import has_desktop
     from spikedeploy.shipping.demo_reports import FOLDER, write_demo
 
-    documents = write_demo(quiet=json, everything=tables == "all")
+    documents = write_demo(quiet=json, everything=tables == "all", force=force)
     index = FOLDER / "index.html"
     if json:
         print_json({"folder": str(FOLDER), "reports": documents})

@@ -11,6 +11,7 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import smallest_rival
 from spikedeploy.console import say
 from spikedeploy.files import write_text
+from spikedeploy.outputs import check_output, check_output_folder, marked
 from spikedeploy.pages import report
 from spikedeploy.pages.comparison import policy_table, replay
 from spikedeploy.pages.page import big_numbers, hint, page, said
@@ -22,6 +23,7 @@ from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.seeds import EVALUATION
 
 FOLDER = Path("reports/demo")
+_INDEX = "index.html"
 # task -> episodes of each policy; a walk takes some seconds, a lap a tenth of that
 _TASKS = {"hexapod-command": 2, "kart-steer": 5}
 _TITLE = "Spiking policies on an emulated chip"
@@ -34,14 +36,16 @@ _Episodes = Sequence[Mapping[str, Any]]
 
 
 def write_demo(
-    folder: Path = FOLDER, quiet: bool = False, everything: bool = True
+    folder: Path = FOLDER, quiet: bool = False, everything: bool = True, force: bool = False
 ) -> list[dict[str, Any]]:
     """Compare the shipped policies of every task; return the reports as data.
 
     folder  for index.html, and a folder for each task
     quiet   write nothing to stdout
     everything  print all tables, else the numbers that a page leads with
+    force   replace files that no demo wrote
     """
+    _check(folder, force)
     documents: list[dict[str, Any]] = []
     shown: _Episodes = ()
     for env, episodes in _TASKS.items():
@@ -55,8 +59,19 @@ def write_demo(
             show = print_comparison if everything else print_headline
             show(document)
     if documents:
-        write_text(folder / "index.html", _index(documents, shown))
+        write_text(folder / _INDEX, _index(documents, shown))
     return documents
+
+
+def _check(folder: Path, force: bool) -> None:
+    """Refuse to replace what is not of an earlier demo, and to write through links."""
+    for env in filter(zoo.policies, _TASKS):
+        check_output_folder("demo:", folder / env, report.FILES, (), force, report.is_report)
+    check_output("demo:", folder / _INDEX, (), force, _is_index)
+
+
+def _is_index(path: Path) -> bool:
+    return not path.is_symlink() and marked(path, f"<title>{_TITLE}</title>")
 
 
 def _compared(env: str, episodes: int, folder: Path) -> tuple[dict[str, Any], _Episodes]:

@@ -2,7 +2,10 @@
 
 import re
 
+import pytest
+
 from spikedeploy import parallel
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import demo_reports
 
 
@@ -20,3 +23,21 @@ def test_the_first_page_replays_the_first_task_and_leads_to_all(stroll, monkeypa
     told = re.findall(r"<tr class=[^>]*><td[^>]*>([^<]*)", index)
     assert any("loihi1" in name for name in told)
     assert not any("float" in name for name in told)
+
+
+@pytest.mark.parametrize("name", ["index.html", "stroll/report.html"])
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_demo_replaces_only_what_a_demo_wrote(name, linked, stroll, monkeypatch):
+    monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 1})
+    monkeypatch.setattr(parallel, "cores", lambda: 1)
+    mine, place = stroll / "mine", stroll / "demo" / name
+    place.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    place.symlink_to(mine) if linked else place.write_text("mine")
+    with pytest.raises(ConfigError, match="--force"):
+        demo_reports.write_demo(stroll / "demo", quiet=True)
+    assert place.read_text() == "mine"
+    place.unlink()
+    for _ in range(2):  # the second finds its own
+        demo_reports.write_demo(stroll / "demo", quiet=True)
+    assert mine.read_text() == "mine"
