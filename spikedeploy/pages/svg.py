@@ -33,8 +33,8 @@ _COLOURS = {
 
 
 def returns_svg(rows: Sequence[Row]) -> str:
-    """Returns of all episodes, means and intervals."""
-    return svg(returns_figure(rows), "Return of each episode, mean and 95% interval of each row")
+    """Returns of all episodes, means and any intervals."""
+    return svg(returns_figure(rows), "Return of each episode, and mean of each row")
 
 
 def energy_svg(rows: Sequence[Row]) -> str:

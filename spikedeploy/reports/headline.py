@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from spikedeploy.comparison.summary import macs, smallest_rival
+from spikedeploy.comparison.summary import counted, macs, smallest_rival
 from spikedeploy.reports.cells import ABSENT, Row, price
 from spikedeploy.reports.columns import difference, interval, label
 from spikedeploy.reports.short_table import quoted_table, short_label
@@ -77,8 +77,7 @@ def disturbed(document: Mapping[str, Any]) -> str:
 
 
 def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
-    episodes = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
-    earned = f"{interval(row)} in {episodes}"
+    earned = f"{interval(row)} in {counted(row)}"
     if row.get("ratio_to_reference") is None:
         return HeadlineNumber(f"return of {name}", interval(row).partition(" ")[0], earned)
     of_ann = row.get("ratio_to_float_ann")

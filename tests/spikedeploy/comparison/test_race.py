@@ -21,7 +21,7 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.pages import report
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.reports.columns import tables
+from spikedeploy.reports.columns import finished, tables
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_race_env
 
@@ -170,6 +170,16 @@ def test_the_sentences_say_what_finishes_on_the_chip_and_what_is_as_good():
         "ANN finishes 99%, the controls random 0%, gap 98%, linear 60%, small 99%. Intervals cover "
         "100 episodes of one training each; other trainings differ: results/pareto.md."
     )
+
+
+def test_of_few_races_the_sentence_has_no_interval_and_no_verdict():
+    few = {"episodes": 2, "successes": [True, True]}
+    rows = [row("snn", "snn", "loihi1", **few), row("gap", "control", **few)]
+    assert summary(rows).startswith(
+        "snn on loihi1 finishes all of 2 episodes, too few for an interval (-1.0 points to its "
+        "float twin). Fewer than 5 episodes do not show which policies finish less often."
+    )
+    assert finished({**rows[0], "success_ci95": (0.34, 1.0)}) == "100%"
 
 
 def test_a_float_policy_that_finishes_less_often_is_as_good_while_its_interval_reaches_nought():

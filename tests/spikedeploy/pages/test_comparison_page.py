@@ -12,11 +12,11 @@ from tests import toy_stroll_env
 
 def row(policy, kind, chip=None, earned=3000.0, sops=None, macs=None, joules=None, **changes):
     plain = {
-        "policy": policy, "kind": kind, "chip": chip, "return_mean": earned, "episodes": 4,
+        "policy": policy, "kind": kind, "chip": chip, "return_mean": earned, "episodes": 5,
         "return_ci95": (earned - 10, earned + 10), "reference": None, "ratio_to_reference": None,
         "ratio_to_float_ann": None, "sops_per_inference": sops, "macs_dense": macs,
         "energy_per_inference_j": {"horowitz45-int8": joules} if joules else {},
-        "returns": [earned - 1, earned, earned, earned + 1], "training_seeds": 1,
+        "returns": [earned - 1, earned, earned, earned, earned + 1], "training_seeds": 1,
     }  # fmt: skip
     return {**plain, **changes}
 
@@ -48,7 +48,7 @@ def test_three_numbers_lead_with_what_they_are_beside():
     )
     assert kept.number == "98.5%"
     assert kept.beside == (
-        "2,910 [2,900, 2,920] in 4 episodes; -45 [-60, -30] to popsan · float; "
+        "2,910 [2,900, 2,920] in 5 episodes; -45 [-60, -30] to popsan · float; "
         "97.0% of the float ANN"
     )
     assert (operations.number, energy.number) == ("48 SOPs", "0.75 nJ")
