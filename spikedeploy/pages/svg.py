@@ -17,8 +17,10 @@ _WIDTH = re.compile(r'viewBox="0 0 ([\d.]+) ')  # [pt]
 # colours of the plots -> those of page.css
 _COLOURS = {
     "#0072b2": "var(--ann)",
+    "#94469b": "var(--snn)",
     "#e69f00": "var(--snn)",
     "#d55e00": "var(--chip)",
+    "#7b848e": "var(--control)",
     "#8a939e": "var(--control)",
     "#009e73": "var(--green)",
     "#cc79a7": "var(--pink)",

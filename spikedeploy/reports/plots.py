@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# distinguishable with colour blindness (Okabe and Ito 2008)
-BLUE, _ORANGE, VERMILION, _GREY = "#0072B2", "#E69F00", "#D55E00", "#8A939E"
+# those of page.css by day; blue and vermilion of Okabe and Ito 2008
+BLUE, _PURPLE, VERMILION, _GREY = "#0072B2", "#94469B", "#D55E00", "#7B848E"
 _MARKERS = "osD^vP"
 
 
 def _colour(row: Row) -> str:
     """The colour of a row: float ANN, float SNN, SNN on a chip, or any other kind."""
     if row["kind"] == "snn":
-        return _ORANGE if row["chip"] == "float" else VERMILION
+        return _PURPLE if row["chip"] == "float" else VERMILION
     return BLUE if row["kind"] == "ann" else _GREY
 
 
@@ -69,7 +69,8 @@ def _limit_returns(axes: "Axes", rows: Sequence[Row]) -> None:
     axes.set_xlim(left=low)
     for place, row in enumerate(rows):
         if row["return_mean"] < low:
-            axes.plot(low, place, "<", color=_colour(row), markersize=9, clip_on=False)
+            inside = axes.get_yaxis_transform()  # x as a share of the axis, clear of the names
+            axes.plot(0.015, place, "<", color=_colour(row), markersize=9, transform=inside)
 
 
 def draw_energy(rows: Sequence[Row], path: Path) -> Path:
