@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spikedeploy.comparison.metrics import drives
-from spikedeploy.comparison.statistics import paired_difference
+from spikedeploy.comparison.statistics import FEWEST, paired_difference
 from spikedeploy.policies.interface import BASELINES
 
 Row = Mapping[str, Any]  # of Comparison.as_json
@@ -27,15 +27,30 @@ _WALK = _Words("returns", "earn less", "earns as much")
 _RACE = _Words("successes", "finish less often", "finishes as often")
 
 
+def few(row: Row) -> bool:
+    """Whether a row has too few episodes for an interval."""
+    return bool(row.get("episodes", FEWEST) < FEWEST)
+
+
+def counted(row: Row) -> str:
+    """`100 episodes`, `2 episodes, too few for an interval`."""
+    count = row["episodes"]
+    remark = ", too few for an interval" if few(row) and count > 1 else ""
+    return f"{count} episode{'s' if count > 1 else ''}{remark}"
+
+
 def summary(rows: Sequence[Row]) -> str:
     """What the chip keeps of the float twin, the smallest float policy as good, the controls."""
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
     racing, foreign = any(map(drives, rows)), any(row.get("foreign") for row in rows)
     told = _earns if foreign else _finishes if racing else _keeps
+    words = _RACE if racing else _WALK
     sentences = []
     for row in on_chip:
         sentences.append(told(row))
-        sentences.append(_smallest(row, rows, _RACE if racing else _WALK))
+        sentences.append("" if few(row) else _smallest(row, rows, words))
+    if any(map(few, on_chip)):
+        sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
     if any("MACs a control step" in sentence for sentence in sentences):
         sentences.append("Neuron updates and the encoder are in neither count.")
     rivals = _baselines if foreign else _race if racing else _controls
@@ -48,12 +63,20 @@ def _keeps(row: Row) -> str:
     kept = [f"{row['ratio_to_reference']:.1%} of its float twin's return"]
     if row["ratio_to_float_ann"] is not None:
         kept.append(f"{row['ratio_to_float_ann']:.1%} of the float ANN's")
-    low, high = row["difference_ci95"]
+    between = _between(row, "difference_ci95", "+,.0f")
     return (
         f"{row['policy']} on {row['chip']} keeps {' and '.join(kept)} "
-        f"({row['difference_mean']:+,.0f} to the twin, 95% interval {low:+,.0f} to {high:+,.0f}) "
-        f"and succeeds in {_share(row)} of {row['episodes']} episodes."
+        f"({row['difference_mean']:+,.0f} to the twin{between}) "
+        f"and succeeds in {_share(row)} of {counted(row)}."
     )
+
+
+def _between(row: Row, field: str, form: str, scale: float = 1) -> str:
+    """`, 95% interval -40 to +1`; empty of few episodes."""
+    if few(row):
+        return ""
+    low, high = (f"{scale * bound:{form}}" for bound in row[field])
+    return f", 95% interval {low} to {high}"
 
 
 def _share(row: Row) -> str:
@@ -145,11 +168,10 @@ def _controls(rows: Sequence[Row]) -> str:
 
 def _finishes(row: Row) -> str:
     """How often an SNN on a chip finishes, beside its float twin."""
-    low, high = (100 * bound for bound in row["success_difference_ci95"])
+    between = _between(row, "success_difference_ci95", "+.1f", 100)
     return (
-        f"{row['policy']} on {row['chip']} finishes {_share(row)} of {row['episodes']} episodes "
-        f"({100 * row['success_difference_mean']:+.1f} points to its float twin, 95% interval "
-        f"{low:+.1f} to {high:+.1f})."
+        f"{row['policy']} on {row['chip']} finishes {_share(row)} of {counted(row)} "
+        f"({100 * row['success_difference_mean']:+.1f} points to its float twin{between})."
     )
 
 
@@ -165,15 +187,14 @@ def _race(rows: Sequence[Row]) -> str:
 
 def _earns(row: Row) -> str:
     """What an SNN on a chip earns in an environment that is not ours, beside its float twin."""
-    low, high = row["return_ci95"]
-    less, more = row["difference_ci95"]
+    own = _between(row, "return_ci95", ",.4g").removeprefix(", ")
     share = row["ratio_to_reference"]
     kept = "" if share is None else f"{share:.1%} of its float twin's return, "
+    kept += f"{row['difference_mean']:+,.3g} to the twin{_between(row, 'difference_ci95', '+,.3g')}"
     succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
     return (
-        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} (95% interval "
-        f"{low:,.4g} to {high:,.4g}; {kept}{row['difference_mean']:+,.3g} to the twin, 95% "
-        f"interval {less:+,.3g} to {more:+,.3g}) in {row['episodes']} episodes{succeeded}."
+        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} "
+        f"({'; '.join(filter(None, (own, kept)))}) in {counted(row)}{succeeded}."
     )
 
 
@@ -190,7 +211,5 @@ def _covered(rows: Sequence[Row]) -> str:
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""
     measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
-    return (
-        f"Intervals cover {trained[0]['episodes']} episodes of one training each; other trainings "
-        f"differ{measured}"
-    )
+    covered = "Rows are" if few(trained[0]) else f"Intervals cover {counted(trained[0])}"
+    return f"{covered} of one training each; other trainings differ{measured}"

@@ -17,8 +17,10 @@ _WIDTH = re.compile(r'viewBox="0 0 ([\d.]+) ')  # [pt]
 # colours of the plots -> those of page.css
 _COLOURS = {
     "#0072b2": "var(--ann)",
+    "#94469b": "var(--snn)",
     "#e69f00": "var(--snn)",
     "#d55e00": "var(--chip)",
+    "#7b848e": "var(--control)",
     "#8a939e": "var(--control)",
     "#009e73": "var(--green)",
     "#cc79a7": "var(--pink)",
@@ -33,8 +35,8 @@ _COLOURS = {
 
 
 def returns_svg(rows: Sequence[Row]) -> str:
-    """Returns of all episodes, means and intervals."""
-    return svg(returns_figure(rows), "Return of each episode, mean and 95% interval of each row")
+    """Returns of all episodes, means and any intervals."""
+    return svg(returns_figure(rows), "Return of each episode, and mean of each row")
 
 
 def energy_svg(rows: Sequence[Row]) -> str:

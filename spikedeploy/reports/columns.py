@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
+from spikedeploy.comparison.summary import few
 from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, bounded, number, price, scaled
 from spikedeploy.reports.energy_columns import prices, spent
 from spikedeploy.reports.markdown import markdown_name, markdown_table
@@ -38,14 +39,14 @@ def label(row: Row) -> str:
 
 
 def _estimate(field: str, between: str, sign: str = "") -> Cell:
-    """A cell with a return and its interval; a dash in reports from before it had one."""
+    """A cell with a return and its interval, alone where episodes are few; a dash where unknown."""
 
     def cell(row: Row) -> str:
         if row.get(between) is None:
             return ABSENT
         low, high = row[between]
         form = f"{sign},.{_digits(row)}f"
-        if row.get("episodes") == 1:  # of which nothing can be drawn
+        if few(row):
             return f"{row[field]:{form}}"
         return f"{row[field]:{form}} [{low:{form}}, {high:{form}}]"
 
@@ -69,6 +70,8 @@ def finished(row: Row) -> str:
     if row.get("success_ci95") is None:
         return ABSENT
     low, high = row["success_ci95"]
+    if few(row):
+        return f"{row['success_rate']:.0%}"
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
@@ -77,6 +80,8 @@ def _points(row: Row) -> str:
     if row["success_difference_mean"] is None or not drives(row):
         return ABSENT
     low, high = row["success_difference_ci95"]
+    if few(row):
+        return f"{100 * row['success_difference_mean']:+.1f}"
     return f"{100 * row['success_difference_mean']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
 
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from spikedeploy.comparison.summary import macs, smallest_rival
+from spikedeploy.comparison.summary import counted, macs, smallest_rival
 from spikedeploy.reports.cells import ABSENT, Row, price
 from spikedeploy.reports.columns import difference, interval, label
 from spikedeploy.reports.short_table import quoted_table, short_label
@@ -63,11 +63,13 @@ def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
 
 
 def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
-    """The sentence of a comparison about the row that its page is about, and the others."""
+    """The sentence of a comparison about the row that its page is about, and the others, once."""
     row, sentences = main_row(document["rows"]), _SENTENCE.split(document["meaning"])
     about = f"{row['policy']} on {row['chip']} "
     first = next((each for each in sentences if each.startswith(about)), sentences[0])
-    return first, " ".join(each for each in sentences if each is not first)
+    # without names of spiking rows, those of several rows may be equal
+    others = dict.fromkeys(each for each in sentences if each != first)
+    return first, " ".join(others)
 
 
 def disturbed(document: Mapping[str, Any]) -> str:
@@ -77,8 +79,7 @@ def disturbed(document: Mapping[str, Any]) -> str:
 
 
 def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
-    episodes = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
-    earned = f"{interval(row)} in {episodes}"
+    earned = f"{interval(row)} in {counted(row)}"
     if row.get("ratio_to_reference") is None:
         return HeadlineNumber(f"return of {name}", interval(row).partition(" ")[0], earned)
     of_ann = row.get("ratio_to_float_ann")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.comparison.summary import few
 from spikedeploy.files import replacing
 from spikedeploy.reports.columns import Row, interval, label
 from spikedeploy.reports.curves import Curve
@@ -15,15 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# distinguishable with colour blindness (Okabe and Ito 2008)
-BLUE, _ORANGE, VERMILION, _GREY = "#0072B2", "#E69F00", "#D55E00", "#8A939E"
+# those of page.css by day; blue and vermilion of Okabe and Ito 2008
+BLUE, _PURPLE, VERMILION, _GREY = "#0072B2", "#94469B", "#D55E00", "#7B848E"
 _MARKERS = "osD^vP"
 
 
 def _colour(row: Row) -> str:
     """The colour of a row: float ANN, float SNN, SNN on a chip, or any other kind."""
     if row["kind"] == "snn":
-        return _ORANGE if row["chip"] == "float" else VERMILION
+        return _PURPLE if row["chip"] == "float" else VERMILION
     return BLUE if row["kind"] == "ann" else _GREY
 
 
@@ -33,13 +34,14 @@ def draw_returns(rows: Sequence[Row], path: Path) -> Path:
 
 
 def returns_figure(rows: Sequence[Row]) -> "Figure":
-    """Returns as dots, their mean with its 95 % interval as a bar, one line for each row."""
+    """Returns as dots, their mean with any 95 % interval as a bar, one line for each row."""
     figure, axes = _figure(len(rows))
     for place, row in enumerate(rows):
         paint = _colour(row)
         returns = np.asarray(row["returns"], np.float64)
         axes.scatter(returns, _spread(returns, place), s=15, color=paint, alpha=0.45, linewidths=0)
-        axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
+        if not few(row):
+            axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
         axes.plot(row["return_mean"], place + 0.12, "|", color=paint, markersize=16, mew=2)
         axes.annotate(
             interval(row).partition(" ")[0],
@@ -48,7 +50,8 @@ def returns_figure(rows: Sequence[Row]) -> "Figure":
             va="center",
             color="#333333",
         )
-    axes.set_xlabel("return of an episode (dots), mean and 95% interval (bars)")
+    means = "mean (lines)" if all(map(few, rows)) else "mean and 95% interval (bars)"
+    axes.set_xlabel(f"return of an episode (dots), {means}")
     _limit_returns(axes, rows)
     _name_rows(axes, rows)
     return figure
@@ -66,7 +69,8 @@ def _limit_returns(axes: "Axes", rows: Sequence[Row]) -> None:
     axes.set_xlim(left=low)
     for place, row in enumerate(rows):
         if row["return_mean"] < low:
-            axes.plot(low, place, "<", color=_colour(row), markersize=9, clip_on=False)
+            inside = axes.get_yaxis_transform()  # x as a share of the axis, clear of the names
+            axes.plot(0.015, place, "<", color=_colour(row), markersize=9, transform=inside)
 
 
 def draw_energy(rows: Sequence[Row], path: Path) -> Path:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.comparison.metrics import drives
+from spikedeploy.comparison.summary import counted
 from spikedeploy.reports.cells import ABSENT, Column, Row, number, price
 from spikedeploy.reports.columns import finished, interval, label
 from spikedeploy.reports.energy_columns import COMMON_TABLE
@@ -68,10 +69,9 @@ def energy_hint(rows: Sequence[Row]) -> str:
 def verdict(document: Mapping[str, Any]) -> str:
     """The row of a run in one line: return, success, metrics asked for, operations, energy."""
     (row,) = document["rows"]
-    of = f"{row['episodes']} episode{'s' if row['episodes'] > 1 else ''}"
     done = "finished" if drives(row) else "succeeded"
     said = [
-        f"return {interval(row)} in {of}",
+        f"return {interval(row)} in {counted(row)}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
         *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
         *(f"{each} a control step" for each in [operations(row)] if each != ABSENT),

@@ -1,5 +1,7 @@
 """Comparisons of karts: finishes, laps, crashes, choices that are equal or not."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -21,7 +23,8 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.pages import report
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.reports.columns import tables
+from spikedeploy.reports.columns import finished, tables
+from spikedeploy.reports.headline import verdict
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_race_env
 
@@ -170,6 +173,31 @@ def test_the_sentences_say_what_finishes_on_the_chip_and_what_is_as_good():
         "ANN finishes 99%, the controls random 0%, gap 98%, linear 60%, small 99%. Intervals cover "
         "100 episodes of one training each; other trainings differ: results/pareto.md."
     )
+
+
+def test_a_page_says_once_what_is_true_of_several_policies():
+    rows = [
+        row("small", "snn", "loihi1", return_mean=30.0),
+        row("large", "snn", "loihi1", return_mean=31.0),
+        row("gap", "control", rate=0.98),
+        row("linear", "control", effective_macs=139.0),
+    ]
+    first, more = verdict({"rows": rows, "meaning": summary(rows)})
+    assert first.startswith("small on loihi1 finishes")
+    assert more.count("The script gap is not shown to finish less often either.") == 1
+    assert more.count("is linear: 139 MACs") == 2  # beside either policy
+    sentences = re.split(r"(?<=\.) (?=[A-Za-z])", more)
+    assert len(set(sentences)) == len(sentences)
+
+
+def test_of_few_races_the_sentence_has_no_interval_and_no_verdict():
+    few = {"episodes": 2, "successes": [True, True]}
+    rows = [row("snn", "snn", "loihi1", **few), row("gap", "control", **few)]
+    assert summary(rows).startswith(
+        "snn on loihi1 finishes all of 2 episodes, too few for an interval (-1.0 points to its "
+        "float twin). Fewer than 5 episodes do not show which policies finish less often."
+    )
+    assert finished({**rows[0], "success_ci95": (0.34, 1.0)}) == "100%"
 
 
 def test_a_float_policy_that_finishes_less_often_is_as_good_while_its_interval_reaches_nought():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.comparison.statistics import (
+    FEWEST,
     bootstrap,
     grouped_ratio,
     iqm,
@@ -61,6 +62,20 @@ def test_the_interval_covers_the_true_mean_about_95_times_in_100(rng):
         low, high = bootstrap(rng.normal(3, 2, size=60), rng).ci95
         hits += low <= 3 <= high
     assert 176 <= hits <= 200  # 95 % of 200, four standard deviations either way
+
+
+def test_of_fewer_values_than_five_even_the_range_holds_the_mean_too_rarely(rng):
+    samples = rng.normal(size=(20_000, FEWEST))
+    for n, covered in ((2, 0.5), (3, 0.75), (4, 0.875), (FEWEST, 0.9375)):
+        first = samples[:, :n]
+        hit = np.mean((first.min(1) < 0) & (first.max(1) > 0))
+        assert hit == pytest.approx(covered, abs=0.012)
+    for sample in samples[:3]:
+        low, high = bootstrap(sample, rng).ci95
+        assert sample.min() < low < high < sample.max()
+        assert bootstrap(sample[:3], rng).ci95 == pytest.approx(
+            (sample[:3].min(), sample[:3].max())
+        )
 
 
 def test_the_same_seed_gives_the_same_interval():

@@ -1,22 +1,27 @@
 """The page of a comparison: what it leads with, and how it behaves in a browser."""
 
+import re
+from io import BytesIO
+
 import pytest
+from matplotlib.colors import to_hex
 
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.pages import report
 from spikedeploy.pages.page import part
 from spikedeploy.reports.headline import headline, main_row
+from spikedeploy.reports.plots import energy_figure, returns_figure
 from tests import toy_stroll_env
 
 
 def row(policy, kind, chip=None, earned=3000.0, sops=None, macs=None, joules=None, **changes):
     plain = {
-        "policy": policy, "kind": kind, "chip": chip, "return_mean": earned, "episodes": 4,
+        "policy": policy, "kind": kind, "chip": chip, "return_mean": earned, "episodes": 5,
         "return_ci95": (earned - 10, earned + 10), "reference": None, "ratio_to_reference": None,
         "ratio_to_float_ann": None, "sops_per_inference": sops, "macs_dense": macs,
         "energy_per_inference_j": {"horowitz45-int8": joules} if joules else {},
-        "returns": [earned - 1, earned, earned, earned + 1], "training_seeds": 1,
+        "returns": [earned - 1, earned, earned, earned, earned + 1], "training_seeds": 1,
     }  # fmt: skip
     return {**plain, **changes}
 
@@ -48,7 +53,7 @@ def test_three_numbers_lead_with_what_they_are_beside():
     )
     assert kept.number == "98.5%"
     assert kept.beside == (
-        "2,910 [2,900, 2,920] in 4 episodes; -45 [-60, -30] to popsan · float; "
+        "2,910 [2,900, 2,920] in 5 episodes; -45 [-60, -30] to popsan · float; "
         "97.0% of the float ANN"
     )
     assert (operations.number, energy.number) == ("48 SOPs", "0.75 nJ")
@@ -105,6 +110,29 @@ def test_the_page_is_small_and_its_names_cannot_end_the_script(page):
     assert len(text) < 3_000_000
     data = text.split('id="episodes-data">')[1].split("</script>")[0]
     assert "<" not in data
+
+
+def test_png_plots_have_the_colours_of_the_page_by_day():
+    kinds = {"ann": ("ann", None), "snn": ("snn", "float"), "chip": ("snn", "loihi1"),
+             "control": ("control", None)}  # fmt: skip
+    rows = [row(name, *kind, joules=1e-9) for name, kind in kinds.items()]
+    by_day = dict(re.findall(r"--(\w+): (#\w+);", part("page.css").partition("@media")[0]))
+    for figure in (returns_figure(rows), energy_figure(rows)):
+        dots = [each for each in figure.axes[0].collections if len(each.get_offsets())]
+        found = [to_hex(colour) for each in dots for colour in each.get_facecolors()]
+        assert list(dict.fromkeys(found)) == [by_day[name] for name in kinds]
+
+
+def test_the_arrow_of_a_row_far_below_is_inside_the_axes():
+    rows = [ANN, row("popsan", "snn", "loihi1"), row("gait", "gait", None, 100)]
+    figure = returns_figure(rows)
+    (axes,) = figure.axes
+    figure.savefig(BytesIO())
+    (arrow,) = (line for line in axes.lines if line.get_marker() == "<")
+    (x, y) = arrow.get_transform().transform(arrow.get_xydata())[0]
+    half = arrow.get_markersize() / 2 * figure.dpi / 72  # [pixel]
+    assert axes.bbox.x0 <= x - half < axes.bbox.x0 + 20
+    assert axes.transData.inverted().transform((x, y))[1] == pytest.approx(2)
 
 
 def test_plots_have_the_colours_of_the_page(page):

@@ -44,8 +44,8 @@ def row(policy, kind, chip=None, ratio=1.0, **changes):
         "policy": policy, "kind": kind, "chip": chip, "return_mean": 3000 * ratio,
         "ratio_to_float_ann": ratio, "ratio_to_reference": 0.99, "reference": "x",
         "difference_mean": -20.4, "difference_ci95": (-40.0, 1.0), "success_rate": 1.0,
-        "episodes": 4, "training_seeds": None if kind in ("gait", "random") else 1,
-        "returns": [3000 * ratio + spread for spread in (-30, -10, 10, 30)],
+        "episodes": 5, "training_seeds": None if kind in ("gait", "random") else 1,
+        "returns": [3000 * ratio + spread for spread in (-30, -10, 0, 10, 30)],
         "sops_per_inference": 48.4, "effective_macs": 18.0, "macs_dense": 90.0,
     }  # fmt: skip
     return {**plain, **changes}
@@ -114,8 +114,51 @@ def test_the_sentence_says_what_the_chip_keeps():
     found = summary([row("sac", "ann"), row("popsan", "snn", "loihi1", 0.985)])
     assert found.startswith(
         "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's "
-        "(-20 to the twin, 95% interval -40 to +1) and succeeds in all of 4 episodes."
+        "(-20 to the twin, 95% interval -40 to +1) and succeeds in all of 5 episodes."
     )
+
+
+@pytest.mark.parametrize("episodes", [1, 2, 4])
+def test_of_few_episodes_the_sentence_has_no_interval_and_no_verdict(episodes):
+    found = summary([
+        row("sac", "ann", episodes=episodes),
+        row("popsan", "snn", "loihi1", 0.985, episodes=episodes),
+        row("sparse", "snn", "loihi1", 0.985, episodes=episodes),
+    ])  # fmt: skip
+    remark = {1: "1 episode"}.get(episodes, f"{episodes} episodes, too few for an interval")
+    assert found.startswith(
+        "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's "
+        f"(-20 to the twin) and succeeds in all of {remark}. sparse on"
+    )
+    assert "95%" not in found
+    assert "Intervals" not in found
+    assert "shown" not in found
+    assert found.count("Fewer than 5 episodes do not show which policies earn less.") == 1
+
+
+def test_a_foreign_environments_sentence_has_intervals_of_five_episodes_on():
+    known = {"foreign": True, "return_ci95": (2900.0, 3100.0)}
+    many, few = (row("popsan", "snn", "loihi1", episodes=n, **known) for n in (5, 4))
+    assert summary([many]).startswith(
+        "popsan on loihi1 earns 3,000 (95% interval 2,900 to 3,100; 99.0% of its float twin's "
+        "return, -20.4 to the twin, 95% interval -40 to +1) in 5 episodes, and succeeds in all"
+    )
+    assert summary([few]).startswith(
+        "popsan on loihi1 earns 3,000 (99.0% of its float twin's return, -20.4 to the twin) in 4 "
+        "episodes, too few for an interval, and succeeds in all of them."
+    )
+
+
+def test_tables_pages_and_plots_of_few_episodes_have_no_interval(document, tmp_path):
+    page, numbers, plain = report.write(document, tmp_path)[:3]
+    cells = [c.cell(r) for r in document["rows"] for t in tables(document["rows"]).values()
+             for c in t]  # fmt: skip
+    assert not [cell for cell in cells if "[" in cell]
+    assert "in 3 episodes, too few for an interval" in page.read_text(encoding="utf-8")
+    assert "95% interval (bars)" not in page.read_text(encoding="utf-8")
+    assert "too few for an interval" in plain.read_text(encoding="utf-8")
+    for each in json.loads(numbers.read_text(encoding="utf-8"))["rows"]:
+        assert len(each["return_ci95"]) == 2
 
 
 def test_the_sentence_says_what_the_controls_earn_and_nothing_of_what_a_network_is_worth():
@@ -160,7 +203,7 @@ def test_a_script_that_earns_as_much_is_named_as_one():
 def test_the_sentence_says_what_the_intervals_cover_while_each_row_is_of_one_training():
     one = [row("sac", "ann"), row("linear", "control", ratio=0.6)]
     assert summary(one).endswith(
-        "Intervals cover 4 episodes of one training each; other trainings differ: "
+        "Intervals cover 5 episodes of one training each; other trainings differ: "
         "results/pareto.md."
     )
     assert "trainings" not in summary([one[0], {**one[1], "training_seeds": 5}])
