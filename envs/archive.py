@@ -54,7 +54,11 @@ def read(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
             raise EnvError(f"{path}: not a whole {what}, which is a .npz archive")
         _check_size(path, what)
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            return dict(archive)
+            arrays = dict(archive)
+        for name, found in arrays.items():
+            if not isinstance(found, np.ndarray):  # numpy gives the bytes of such a member
+                raise EnvError(f"{path}: not a whole {what} ({name[:40]!r} is no array)")
+        return arrays
     except FileNotFoundError:
         raise EnvError(f"{path}: no such {what}") from None
     except EnvError:

@@ -1,3 +1,5 @@
+import zipfile
+
 import gymnasium
 import numpy as np
 import pytest
@@ -108,6 +110,17 @@ def test_other_and_missing_files_are_refused(tmp_path):
         Rollout.load(path)
     with pytest.raises(EnvError, match="no such rollout"):
         Rollout.load(tmp_path / "none.npz")
+
+
+def test_a_member_that_is_no_array_is_refused(walk, tmp_path):
+    walk.save(tmp_path / "walk.npz")
+    with zipfile.ZipFile(tmp_path / "walk.npz") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(tmp_path / "walk.npz", "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, b"text" if name == "reward.npy" else content)
+    with pytest.raises(EnvError, match="'reward' is no array"):
+        Rollout.load(tmp_path / "walk.npz")
 
 
 def test_an_action_that_is_not_finite_names_step_and_place(env):
