@@ -67,6 +67,14 @@ def _check_sparse(encoder: str | None, timesteps: int | None) -> None:
         )
 
 
+def teacher_options(run: Path) -> list[str]:
+    """Return the options with which `compare` shows the teacher of a run, too."""
+    settings = RunFolder(run).settings()
+    units = settings.get("teacher_units")
+    more = [] if units is None else ["--teacher-units", units]
+    return ["--teacher", settings["teacher"], *more]
+
+
 def earned(run: Path) -> str:
     """Return a line on the validation returns of student and teacher; empty where not known."""
     folder = RunFolder(run)
