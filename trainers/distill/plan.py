@@ -95,7 +95,7 @@ def _slack(folder: RunFolder) -> str:
         return ""
     return (
         f"the budget of {budget:,.4g} operations did not bind: the student had "
-        f"{pruned[0]:,.4g} before pruning, so nothing had to be pruned\n"
+        f"{pruned[0]:,.4g} before pruning, so nothing had to be pruned for it\n"
     )
 
 
