@@ -18,12 +18,14 @@ Integers = NDArray[np.int64]
 Specification = dict[str, Any]
 
 
-def check_chip(name: str) -> None:
-    """Refuse chips that have no specification."""
-    if not name.startswith("xylo"):
+def check_chip(name: str | None) -> str:
+    """The chip; ConfigError where it is no Xylo, or none was named."""
+    if name is None or not name.startswith("xylo"):
+        other = "" if name is None else f"{name} is none: "
         raise ConfigError(
-            f"--to xylo: {name} has no specification. Give --chip xylo-a2, xylo-a3 or xylo-imu."
+            f"--to xylo: {other}choose a Xylo with --chip xylo-a2, xylo-a3 or xylo-imu"
         )
+    return name
 
 
 def specification(program: Program) -> Specification:

@@ -13,7 +13,7 @@ from spikedeploy.user_errors import exit_code, one_line
 # panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
     "Deploy": {
-        "demo": "closed_loop",
+        "demo": "demo",
         "compare": "closed_loop",
         "run": "closed_loop",
         "serve": "serving",

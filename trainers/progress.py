@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from datetime import timedelta
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -94,11 +95,17 @@ class ProgressBar:
         names = [name for name in self._latest if name.endswith("_per_s")]
         return {} if speed is None else dict.fromkeys(names, speed)
 
+    def _left(self) -> str:
+        """The time left, at the speed of the last half minute; empty where that is not known."""
+        left = self._bar.tasks[self._task].time_remaining
+        return "" if left is None else f"{timedelta(seconds=round(left))} left"
+
     def _log(self) -> None:
         """A line, unless the last one was just written."""
         if time.monotonic() - self._said < PAUSE:
             return
         self._said = time.monotonic()
         share = 100 * self._step / self._total
-        line = f"{self._step:,} / {self._total:,}  {share:.0f} %  {self._note()}"
-        print(line.rstrip(), file=sys.stderr, flush=True)
+        parts = f"{self._step:,} / {self._total:,}", f"{share:.0f} %", self._left(), self._note()
+        line = "  ".join(filter(None, parts))
+        print(line, file=sys.stderr, flush=True)

@@ -143,10 +143,11 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
     if convention.reset not in chip.resets:
         late = convention.reset not in ("zero", "subtract")
         how = " (snnTorch: reset_mechanism, and reset_delay=False)" if late else ""
+        options = " or ".join(f"--reset {each}" for each in chip.resets)
         raise RuleError(
             f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
             f"{', '.join(map(repr, chip.resets))}. Train with that reset{how}, give it as an "
-            "option, or run in float."
+            f"option ({options}), or run in float."
         )
     chip.arithmetic.check_convention(convention, chip.name)
 

@@ -1,6 +1,6 @@
 """Design rules on single nodes: their kind, the parameters of neurons, kernels and weights."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import nir
 import numpy as np
@@ -53,20 +53,22 @@ def reset(design: PlacedNetwork) -> Iterator[RuleResult]:
             remedy = "Shift the membrane so that it resets to 0, or run the network in float."
             yield RuleResult("reset", name, "fail", found, "v_reset 0", "", remedy)
         else:
-            remedy = _reset_remedy(design.artifact.convention.reset, type(node).__name__)
+            reset_of = design.artifact.convention.reset
+            remedy = _reset_remedy(reset_of, type(node).__name__, design.chip.resets)
             found = f"reset {design.artifact.convention.reset!r}"
             possible = tuple(f"reset {each!r}" for each in design.chip.resets)
             yield allowed("reset", name, found, possible, remedy)
 
 
-def _reset_remedy(reset: str, kind: str) -> str:
+def _reset_remedy(reset: str, kind: str, resets: Sequence[str]) -> str:
     """What to do about a reset that a chip does not have, with neurons of this kind."""
     if reset == "zero-delayed" and kind in ("LIF", "IF"):
         return "Give --reset zero, with which these neurons spike alike."
     if reset == "subtract-delayed" and kind == "IF":
         return "Give --reset subtract, with which neurons without a leak spike alike."
     if reset in ("zero", "subtract"):
-        return "Train with that reset, or run the network in float."
+        options = " or ".join(f"--reset {each}" for each in resets)
+        return f"Train with that reset, give it ({options}), or run the network in float."
     return (
         "Train with one of those (snnTorch: reset_mechanism, and reset_delay=False), or run the "
         "network in float."

@@ -4,7 +4,8 @@ The work is done in the other folders. A file imports only typer, rich and the s
 when it is loaded, so that `--help` is quick; everything else is imported inside its function.
 
 options      options that several commands share
-closed_loop  run, compare, demo: policies in their environments
+closed_loop  run, compare: policies in their environments
+demo         demo
 serving      serve
 open_loop    emulate, drift: networks on recorded spikes
 checks       check, doctor

@@ -1,4 +1,4 @@
-"""`run`, `compare` and `demo`: policies that act in their environments."""
+"""`run` and `compare`: policies that act in their environments."""
 
 from pathlib import Path
 from typing import Annotated
@@ -33,6 +33,7 @@ from spikedeploy.commands.options import (
     Spikes,
     Success,
     Tables,
+    TeacherUnits,
     Thresholds,
     Watch,
     WatchPort,
@@ -208,6 +209,18 @@ def compare(
     chips: Annotated[str, typer.Option(help="Chips for the spiking policies.")] = "loihi1",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
+    teacher: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEACHER",
+            help="A row for a teacher, as `distill` takes it; a function of yours runs as your "
+            "code.",
+        ),
+    ] = None,
+    teacher_units: Annotated[
+        TeacherUnits | None,
+        typer.Option(help="Units of its actions.", show_default="those of its kind"),
+    ] = None,
     set_: EnvOptions = None,
     success: Success = None,
     metric: Metrics = None,
@@ -240,20 +253,25 @@ def compare(
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.pages import report
+    from spikedeploy.policies.teacher import teacher_candidate
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.faults.request import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable
 
+    if teacher_units and teacher is None:
+        raise typer.BadParameter("--teacher-units goes with --teacher")
     if output:
-        check_output_folder("-o", output, report.FILES, files or (), force, report.is_report)
+        inputs = [*(files or ()), *([teacher] if teacher else ())]
+        check_output_folder("-o", output, report.FILES, inputs, force, report.is_report)
     prices = checked_table_names(energy or ())
     metrics = checked_metrics(metric or ())
     rounded = quantisation(quantise, rounding, headroom, thresholds, weight_shift)
     broken = faults(fault or (), specimen)
     policies = [runnable(file) for file in files or ()]
-    entries = line_up(env, policies, listed(chips), limits == "on", rounded, broken)
+    taught = teacher and teacher_candidate(runnable(teacher), teacher_units)
+    entries = line_up(env, policies, listed(chips), limits == "on", rounded, broken, taught or None)
     options = parse_options(set_ or (), disturb or (), success)
     numbers = range(seed, seed + episodes)
     comparison = compare_policies(env, entries, numbers, workers, options, metrics)
@@ -267,26 +285,3 @@ def compare(
         print_comparison(document, tables == "all")
         if output:
             typer.echo(f"wrote {output / 'report.html'}")
-
-
-def demo(
-    tables: Tables = "one",
-    show: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page, where there is a desktop.")
-    ] = True,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Replay shipped policies on an emulated Loihi beside float ones: a page with their spikes."""
-    from spikedeploy.console import print_json
-    from spikedeploy.play.display import has_desktop
-    from spikedeploy.shipping.demo_reports import FOLDER, write_demo
-
-    documents = write_demo(quiet=json, everything=tables == "all", force=force)
-    index = FOLDER / "index.html"
-    if json:
-        print_json({"folder": str(FOLDER), "reports": documents})
-    elif documents:
-        typer.echo(f"wrote {index}: open it in a browser")
-        if show and has_desktop():
-            typer.launch(str(index))

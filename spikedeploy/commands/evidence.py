@@ -79,6 +79,11 @@ def settings(command: str) -> "Settings":
     if verb != "compare":
         raise ConfigError(f"the report's command is {command!r}, and not `spikedeploy compare`")
     given = _parsed(command, [word for word in words if word])
+    if given["teacher"]:  # which may be code, and no file has that run
+        raise ConfigError(
+            f"the report has a row of the teacher {given['teacher']}, which a report does not have "
+            "played: run its command again instead"
+        )
     return Settings(
         parse_options(given["set_"] or (), given["disturb"] or (), given["success"]),
         quantisation(

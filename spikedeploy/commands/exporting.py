@@ -61,8 +61,12 @@ def export(
         int, typer.Option(min=1, help="Recorded observations on which file and policy must agree.")
     ] = 1000,
     chip: Annotated[
-        str, typer.Option(help="Chip whose integers are written; c and xylo.")
-    ] = "loihi1",
+        str | None,
+        typer.Option(
+            help="Chip whose integers are written; c and xylo.",
+            show_default="loihi1; xylo needs one",
+        ),
+    ] = None,
     prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
     state: Annotated[
         States | None,
@@ -101,7 +105,7 @@ def export(
             "--from, --dt and --reset go with --for, --nir-compat or --to xylo"
         )
     if to == "c":
-        _export_c(run, chip, output, observations, prefix, force, json)
+        _export_c(run, chip or "loihi1", output, observations, prefix, force, json)
         return
     if to == "card":
         _export_card(run, output, checkpoint, film, force, json)
@@ -163,7 +167,7 @@ def _export_for(
 
 def _export_xylo(
     policy: str,
-    chip: str,
+    chip: str | None,
     output: Path | None,
     timesteps: int,
     options: Mapping[str, Any],

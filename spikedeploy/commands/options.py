@@ -21,6 +21,7 @@ AfterSpike = Literal[
 ]
 Decays = Literal["euler", "exponential"]
 States = Literal["reset", "kept"]
+TeacherUnits = Literal["own", "scaled"]
 Computes = Literal["numpy", "numba", "auto", "interpreter"]
 Encoders = Literal["population", "rate", "delta"]
 SpikeCount = Literal["above", "reached", "many"]

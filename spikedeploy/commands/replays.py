@@ -102,9 +102,15 @@ def _verify_activity(
     from spikedeploy.runtime.errors import ConfigError
 
     if missing := [name for name, value in played.items() if not value]:
+        options_given = [name for name in played if name not in missing]
+        if recordings[0].suffix == ".json" and "--network" in missing:
+            raise ConfigError(
+                f"{recordings[0]}: a trace needs no options, as it says network, chip and input "
+                f"itself: leave {' and '.join(options_given)} out"
+            )
         raise ConfigError(
-            f"{recordings[0]}: recorded spikes are compared with a network on a chip, which needs "
-            f"--network, --chip and --input; {' and '.join(missing)} is missing"
+            f"{recordings[0]}: recorded spikes are compared with a network on a chip, which takes "
+            f"--network, --chip and --input: give {' and '.join(missing)} too"
         )
     network, chip, inputs = played.values()
     found = [

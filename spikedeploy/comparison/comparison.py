@@ -15,7 +15,7 @@ from spikedeploy.comparison.statistics import bootstrap, paired_difference, shar
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.interface import BASELINES
-from spikedeploy.policies.registry import BUILT_IN
+from spikedeploy.policies.registry import UNTRAINED
 from spikedeploy.runtime.chips.damage import summed
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.metrics.energy import EnergyEstimate
@@ -50,7 +50,7 @@ class Row:
     @property
     def training_seeds(self) -> int | None:
         """How many trainings it is of: a file holds one; None for what was not trained."""
-        return None if self.entry.candidate.format in BUILT_IN else 1
+        return None if self.entry.candidate.format in UNTRAINED else 1
 
 
 @dataclass(frozen=True)

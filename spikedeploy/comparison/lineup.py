@@ -71,6 +71,7 @@ def line_up(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
     faults: Faults = NONE,
+    teacher: Candidate | None = None,
 ) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
@@ -80,11 +81,15 @@ def line_up(
     limits  refuse what breaks a design rule of a chip
     quantisation  of the SNNs on chips
     faults  of those chips
+    teacher  a row beside the files; one that is a network is the float ANN
     """
     spec = envs.spec(env)
     short = spec.short
     shipped = [find(str(path)) for path in zoo.policies(short)]
-    chosen = _distinct([find(file) for file in files]) or shipped
+    chosen = [find(file) for file in files] or shipped
+    if teacher is not None:
+        chosen = [teacher, *(candidate for candidate in chosen if candidate != teacher)]
+    chosen = _distinct(chosen)
     if not chosen:
         how = f"train {short} --recipe ppo-snn" if spec.foreign else "train"
         raise ConfigError(

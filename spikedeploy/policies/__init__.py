@@ -10,6 +10,7 @@ host_terms   energy of what the host does for a spiking policy
 adopted      files of other tools, with a codec beside them, as NIR files of ours
 nir          NIR files: spiking policies, on an emulated chip or as their float twin
 onnx         ONNX files: float networks, on one thread
+teacher      teachers of `distill`: functions of the user, files of other people
 native       shared objects of C, which run only where the user says so for the file
 run          run folders: the best checkpoint, in torch
 run_record   configuration, versions and provenance of a run folder, read without torch

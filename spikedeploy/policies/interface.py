@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.backend import BackendName
@@ -41,6 +41,7 @@ class Candidate:
     quantisation  of a spiking policy on a chip
     faults    of that chip
     backend   what computes that chip
+    units     of a teacher's actions, "own" or "scaled"; None for those that its kind has
     """
 
     path: str
@@ -54,6 +55,7 @@ class Candidate:
     quantisation: Quantisation = PLAIN
     faults: Faults = NONE
     backend: BackendName = "numpy"
+    units: Literal["own", "scaled"] | None = None
 
 
 class Player(Protocol):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from spikedeploy import zoo
+from spikedeploy.envs.foreign import is_target
 from spikedeploy.policies.interface import FLOAT, Candidate, Player, PolicyFormat, check_fit
 from spikedeploy.runtime.errors import ConfigError
 
@@ -26,8 +27,11 @@ FORMATS = {
     "gait": "spikedeploy.policies.gait",
     "random": "spikedeploy.policies.random",
     "gap": "spikedeploy.policies.gap",
+    "teacher": "spikedeploy.policies.teacher",
+    "function": "spikedeploy.policies.teacher",
 }
 BUILT_IN = ("gait", "random", "gap")
+UNTRAINED = (*BUILT_IN, "function")  # formats of scripts
 
 
 def find(reference: str) -> Candidate:
@@ -70,10 +74,20 @@ def _format_of(path: Path) -> str:
         return "run"
     if path.suffix in FORMATS:
         return path.suffix
-    raise ConfigError(f"{path} is neither .onnx, .nir nor a run folder")
+    raise ConfigError(
+        f"{path} is neither .onnx, .nir nor a run folder; a teacher plays in "
+        f"`spikedeploy compare ENV --teacher {path}`"
+        if path.suffix == ".zip"
+        else f"{path} is neither .onnx, .nir nor a run folder"
+    )
 
 
 def _unknown(reference: str, known: list[str]) -> str:
+    if is_target(reference):
+        return (
+            f"no policy at {reference!r}: a function of yours plays as a teacher, in "
+            f"`spikedeploy compare ENV --teacher {reference}`"
+        )
     close = difflib.get_close_matches(reference, [*known, *BUILT_IN], n=1)
     hint = (
         f"did you mean {close[0]!r}?" if close else "`spikedeploy policies` lists what is shipped"

@@ -46,7 +46,7 @@ class WrittenSpecification:
 
 def export_xylo(
     policy: str,
-    chip_name: str,
+    chip_name: str | None,
     path: Path | None,
     timesteps: int = 1000,
     options: Mapping[str, Any] | None = None,
@@ -55,16 +55,17 @@ def export_xylo(
     """Write a network as a specification.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
+    chip_name: a Xylo; None is refused with their names.
     timesteps: on which file and program are compared.
     options: of artifact.load, such as reset.
     """
     if path is None:
         raise ConfigError("--to xylo writes a file: name it, as in -o xylo.json")
-    check_chip(chip_name)
+    name = check_chip(chip_name)
     file = nir_file(policy, "xylo")
     check_output("-o", path, (file, policy), force, lambda place: marked(place, _MARK))
     artifact = load(file, **(options or {}))
-    program = compile_program(artifact, chip(chip_name))
+    program = compile_program(artifact, chip(name))
     found = specification(program)
     write_text(path, as_text(document(program, found)))
     check = compared(program, found, timesteps)

@@ -207,7 +207,8 @@ def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
         bar.show({"episode_return": 12.0})
         bar.at(5, 20)
         bar.at(10, 20)
-    assert capsys.readouterr().err.splitlines() == [
+    lines = [re.sub(r"  \S+ left", "", line) for line in capsys.readouterr().err.splitlines()]
+    assert lines == [
         "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12"
     ]  # fmt: skip
 
@@ -224,6 +225,8 @@ def test_the_speed_is_of_the_last_half_minute_not_of_the_last_row(capsys, monkey
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].endswith("500 steps/s")  # nothing else is known yet
     assert lines[-1].endswith("  7 steps/s")
+    assert "left" not in lines[0]
+    assert lines[-1].startswith("700 / 10,000  7 %  0:22:09 left  ")  # 9,300 at 7 a second
 
 
 def test_a_path_that_is_no_run_is_named(tmp_path):

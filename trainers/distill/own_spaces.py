@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from gymnasium import Env
 from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
@@ -36,10 +37,16 @@ class OwnSpaces:
     def of(cls, name: str, options: Mapping[str, Any]) -> "OwnSpaces":
         """Return the spaces of an environment, which is made for it."""
         env = envs.make(name, **options)
-        inner = env.inner if isinstance(env, AdaptedEnv) else env
-        found = cls(name, inner.observation_space, inner.action_space)
+        found = cls.within(name, env)
         env.close()
         return found
+
+    @classmethod
+    def within(cls, name: str, env: Env[Any, Any]) -> "OwnSpaces":
+        """Return the spaces of an environment that was made."""
+        world = env.unwrapped  # disturbances wrap the adapted one
+        inner = world.inner if isinstance(world, AdaptedEnv) else env
+        return cls(name, inner.observation_space, inner.action_space)
 
     @property
     def observations(self) -> int:

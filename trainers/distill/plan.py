@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers import metrics
 from spikedeploy.trainers.run_folder import RunFolder
 
 _DENSE, _SPARSE = "distill-snn", "distill-sparse"
@@ -67,9 +68,38 @@ def _check_sparse(encoder: str | None, timesteps: int | None) -> None:
         )
 
 
+def teacher_options(run: Path) -> list[str]:
+    """Return the options with which `compare` shows the teacher of a run, too."""
+    settings = RunFolder(run).settings()
+    units = settings.get("teacher_units")
+    more = [] if units is None else ["--teacher-units", units]
+    return ["--teacher", settings["teacher"], *more]
+
+
 def earned(run: Path) -> str:
-    """Return a line on the validation returns of student and teacher; empty where not known."""
-    folder = RunFolder(run)
+    """Return a line on the validation returns of student and teacher; empty where not known.
+
+    Another says that a budget of operations had nothing pruned.
+    """
+    return _returns(RunFolder(run)) + _slack(RunFolder(run))
+
+
+def _slack(folder: RunFolder) -> str:
+    budget = folder.settings().get("budget")
+    if budget is None or not folder.metrics.is_file():
+        return ""
+    rows = [row for row in metrics.read(folder.metrics) if "operations" in row]
+    first = next((place for place, row in enumerate(rows) if "goal" in row), 0)
+    pruned = [row["operations"] for row in rows[max(first - 1, 0) :]]  # and the last before
+    if not first or max(pruned) > budget:
+        return ""
+    return (
+        f"the budget of {budget:,.4g} operations did not bind: the student had "
+        f"{pruned[0]:,.4g} before pruning, so nothing had to be pruned for it\n"
+    )
+
+
+def _returns(folder: RunFolder) -> str:
     if not folder.checkpoint("best").is_file():
         return ""
     best, last = folder.load("best")[0], folder.load("last")[0]

@@ -24,7 +24,7 @@ from spikedeploy.trainers.distill.teacher import FloatArray, Teacher
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
-__all__ = ["FloatArray", "Teacher", "of_policy", "same_teacher", "score", "teacher"]
+__all__ = ["FloatArray", "Teacher", "of_policy", "opened", "same_teacher", "score", "teacher"]
 
 _SHIPPED = (".onnx", ".nir")
 # files that Python reads by running what is in them
@@ -47,11 +47,12 @@ def teacher(
             ".onnx, .nir or Stable-Baselines3 .zip file, my_module:function, or a shipped policy "
             "such as hexapod/sac"
         )
+    return opened(path, env, lambda: OwnSpaces.of(env, options or {}), units)
+
+
+def opened(path: str, env: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Teacher:
+    """Return the teacher as `teacher` does, with spaces of an environment that may be made."""
     path = str(shipped(path) or path)
-
-    def spaces() -> OwnSpaces:
-        return OwnSpaces.of(env, options or {})
-
     found = _read(path, spaces, units)
     if found.env and envs.spec(found.env).id != envs.spec(env).id:
         raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")

@@ -287,7 +287,9 @@ def test_what_trains_with_another_reset_is_told_how_snntorch_says_it():
     with pytest.raises(RuleError, match=r"reset_mechanism, and reset_delay=False"):
         compile_program(artifact, chip("loihi1"))
     zero = Artifact(chain(affine(8, 6), lif(6), width=8, act=6), None, CONVENTION)
-    with pytest.raises(RuleError, match=r"with that reset, give it as an option"):
+    with pytest.raises(
+        RuleError, match=r"with that reset, give it as an option \(--reset subtract\)"
+    ):
         compile_program(zero, chip("xylo-a2"))
 
 

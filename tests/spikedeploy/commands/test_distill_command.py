@@ -6,7 +6,8 @@ import runpy
 import pytest
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.distill.plan import student_settings
+from spikedeploy.trainers.distill.plan import earned, student_settings
+from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
 
 REACH, LEVELS = "tests.own_env:Reach", "tests.own_env:Levels"
@@ -93,6 +94,20 @@ def test_a_budget_asks_for_the_event_driven_student():
     assert (recipe, found) == ("distill-sparse", ['teacher="a.zip"', "policy.hidden=16"])
     _, found = student_settings("a", None, "population", 2, sparse=False)
     assert found[1:] == ["policy.coding=population", "policy.timesteps=2"]
+
+
+@pytest.mark.parametrize(
+    ("operations", "said"),
+    [([900, 84, 80], True), ([900, 130, 100], False), ([900, 84, 130], False)],
+)
+def test_a_budget_that_does_not_bind_is_said(operations, said, tmp_path, monkeypatch):
+    run = RunFolder(tmp_path)
+    monkeypatch.setattr(RunFolder, "settings", lambda self: {"budget": 120.0})
+    rows = zip(operations, ("", "", 120), strict=True)
+    lines = [f"{step},{count},{goal}" for step, (count, goal) in enumerate(rows)]
+    run.metrics.write_text("\n".join(["updates,operations,goal", *lines]) + "\n")
+    line = "the budget of 120 operations did not bind: the student had 84 before pruning"
+    assert (line in earned(tmp_path)) == said
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,14 @@ def test_options_of_a_network_are_refused_for_trace_files(command):
     assert "--layer" in err
 
 
+def test_a_trace_with_a_chip_is_told_that_it_needs_no_options(command):
+    code, _, err = command("verify", GOLDEN / "lava_A_popsan_decays.json", "--chip", "loihi2")
+    assert code == 2
+    assert "a trace needs no options" in " ".join(err.split())
+    assert "leave --chip out" in " ".join(err.split())
+
+
 def test_an_array_alone_is_refused_with_the_options_that_it_needs(command, tmp_path):
     code, _, err = command("verify", saved(tmp_path / "a.npy", np.zeros((3, 2))))
     assert code == 2
-    assert "--network and --chip and --input is missing" in " ".join(err.split())
+    assert "give --network and --chip and --input too" in " ".join(err.split())

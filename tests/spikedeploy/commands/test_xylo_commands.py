@@ -59,6 +59,10 @@ def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
     code, _, err = command(*words)
     assert code == 1
     assert "reset 'zero': a spike on xylo-a2 can only do 'subtract'" in err
+    assert "give it as an option (--reset subtract)" in err
+    code, out, _ = command("check", net, "--chip", "xylo-a2")
+    assert code == 1
+    assert "give it (--reset subtract)" in out
 
 
 def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path):

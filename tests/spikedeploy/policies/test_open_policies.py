@@ -37,7 +37,8 @@ def write(kind, folder):
     return str(makers[kind]())
 
 
-ELSEWHERE = ("gap", ".so")  # test_gap.py, test_native.py
+# test_gap.py, test_native.py, test_compared_teachers.py
+ELSEWHERE = ("gap", ".so", "teacher", "function")
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind not in ELSEWHERE])

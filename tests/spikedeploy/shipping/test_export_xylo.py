@@ -119,7 +119,8 @@ def as_xylosim(spec):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--chip", "loihi1", "-o", "x.json"), "loihi1 has no specification"),
+        (("--chip", "loihi1", "-o", "x.json"), "loihi1 is none: choose a Xylo with --chip xylo-a2"),
+        (("-o", "x.json"), "--to xylo: choose a Xylo with --chip xylo-a2, xylo-a3 or xylo-imu"),
         (("--chip", "xylo-a2"), "name it, as in -o xylo.json"),
         (("--chip", "xylo-a2", "--reset", "zero", "-o", "x.json"), "reset 'zero'"),
     ],
