@@ -19,6 +19,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ObservationError
 from spikedeploy.runtime.graph.ports import ports
 
+_MOST = 2**31  # spikes of a neuron in a row, which no recording reaches; sums stay below 2**63
 _COUNTED = "times are not compared: the file has fewer rows than the input has timesteps"
 _TURNED = "read as (neurons, timesteps)"
 
@@ -111,9 +112,11 @@ def _recorded(path: Path) -> Raster | dict[str, Raster]:
     """The arrays of a recording, whose numbers are spikes or counts of them."""
     found = read_rasters(path)
     for rows in found.values() if isinstance(found, dict) else [found]:
-        if rows.min() < 0 or (rows != np.rint(rows)).any():
+        wrong = rows[(rows < 0) | (rows > _MOST) | (rows != np.rint(rows))]
+        if wrong.size:
             raise ObservationError(
-                f"{path} holds numbers such as {rows.min():g}; spikes are 0, 1 or counts of them"
+                f"{path} holds numbers such as {wrong[0]:g}; spikes are 0, 1 or counts of them, "
+                f"at most {_MOST:,}"
             )
     return found
 
