@@ -87,6 +87,29 @@ def test_layers_by_name_are_compared_one_by_one(command, braille, tmp_path):
     assert "0 of 280 numbers agree" in out
 
 
+def test_one_layer_of_several_is_compared_alone_by_its_name(command, braille, tmp_path):
+    network, raster, source = braille
+    seen, both = spikes(network, raster), tmp_path / "both.npz"
+    np.savez(both, **{LAYER: seen[LAYER], "lif2": 1 - seen["lif2"]})
+    code, out, _ = verify(command, both, network, source, "--layer", LAYER)
+    assert (code, "'lif2'" in out) == (0, False)
+    assert verify(command, both, network, source, "--layer", "lif2")[0] == 1
+    code, _, err = verify(command, both, network, source, "--layer", "lif3")
+    assert code == 2
+    assert f"no array is called 'lif3', as --layer says; it begins with {LAYER}, lif2" in err
+
+
+def test_a_layer_that_has_not_its_shape_is_named(command, braille, tmp_path):
+    network, raster, source = braille
+    both, alone = tmp_path / "both.npz", saved(tmp_path / "a.npy", np.zeros((STEPS, HIDDEN)))
+    np.savez(both, **{LAYER: spikes(network, raster)[LAYER], "lif2": np.load(alone)})
+    for words in ((both, network, source), (alone, network, source, "--layer", "lif2")):
+        code, _, err = verify(command, *words)
+        assert code == 2
+        assert "(40, 9), which layer 'lif2' does not have" in err
+        assert "lif2 (1, 40, 7)" in err
+
+
 def test_counts_of_several_samples_are_compared_without_their_times(command, tmp_path):
     """Speck's: (bins of half a second, samples, channels, height, width)."""
     rng = np.random.default_rng(0)
