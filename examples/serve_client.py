@@ -8,17 +8,29 @@ import sys
 
 import zmq
 
-socket = zmq.Context().socket(zmq.REQ)
-socket.connect(sys.argv[1] if len(sys.argv) > 1 else "tcp://127.0.0.1:5555")
+endpoint = sys.argv[1] if len(sys.argv) > 1 else "tcp://127.0.0.1:5555"
 
 
 def ask(**request: object) -> dict:
-    """Return the reply to a request."""
+    """Return the reply to a request; zmq.Again where none comes."""
     socket.send(json.dumps(request).encode())
-    return json.loads(socket.recv())
+    reply = json.loads(socket.recv())
+    if not reply["ok"]:
+        raise ConnectionError(reply["error"])
+    return reply
 
 
-observed = ask(do="info")["observations"]
-ask(do="reset", seed=0)
-print(ask(do="act", observation=[0.0] * observed, want=["spikes", "sops", "energy"]))
-ask(do="bye")
+for _ in range(5):  # without a reply the socket is of no use and the episode is lost
+    with zmq.Context.instance().socket(zmq.REQ) as socket:
+        socket.linger, socket.sndtimeo, socket.rcvtimeo = 0, 2000, 2000  # [ms]
+        socket.connect(endpoint)
+        try:
+            observed = ask(do="info")["observations"]
+            ask(do="reset", seed=0)
+            print(ask(do="act", observation=[0.0] * observed, want=["spikes", "sops", "energy"]))
+            ask(do="bye")
+            break
+        except (zmq.Again, ConnectionError) as lost:
+            print(f"connecting again: {lost}", file=sys.stderr)
+else:
+    sys.exit(f"{endpoint} does not answer")

@@ -28,7 +28,10 @@ _TAKEN = {
         return short signed sizeof static static_assert struct switch thread_local true typedef
         typeof typeof_unqual union unsigned void volatile while""",
     "a library of the system": "asan c crypt dl gcc gcc_s m resolv rt stdc ubsan util",
-    "a file that is written beside it": "codec selftest vectors",
+    "a file that is written beside it": "codec selftest vectors makefile gnumakefile",
+    "a device on Windows": " ".join(
+        ["con aux nul prn", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))]
+    ),
 }
 _DECAY_BITS = 24
 
@@ -99,7 +102,7 @@ def check_prefix(prefix: str) -> None:
     if not _PREFIX.fullmatch(prefix):
         raise ConfigError(
             f"--prefix {prefix[:40]!r}: names of C begin with it; choose a small letter, then "
-            "letters, digits and '_', 31 at most."
+            "small letters, digits and '_', 31 at most."
         )
     for what, names in _TAKEN.items():
         if prefix in names.split():

@@ -16,6 +16,10 @@ from spikedeploy.runtime.graph.ports import check_unmasked, ports
 
 Raster = NDArray[Any]
 
+# letters of numpy for types of numbers that are no spikes
+_KINDS = {"c": "complex numbers", "S": "text", "U": "text", "V": "records, not numbers",
+          "M": "dates, not numbers", "m": "durations, not numbers"}  # fmt: skip
+
 
 def read_rasters(path: Path) -> Raster | dict[str, Raster]:
     """(T, *shape) of a .npy file, or of each array in a .npz file, by the name of its Input.
@@ -27,13 +31,18 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
     try:
         if zipfile.is_zipfile(path):
             arrays, most = _archive(path), budget(path, FREE, EXPANSION)
+            if not arrays:
+                raise ObservationError(f"{path} holds no array. Write at least one with numpy.")
             return {name: _checked(f"{path}: {name}", a, most) for name, a in arrays.items()}
         # memory-mapped: a header that claims more than the file holds takes no memory
-        raster = np.lib.format.open_memmap(path, mode="r")
+        with np.errstate(over="raise"):  # of the product of a shape, which numpy only warns of
+            raster = np.lib.format.open_memmap(path, mode="r")
         _check_claim(path, raster.nbytes)
         return _checked(str(path), raster, budget(path, FREE, EXPANSION))
     except ObservationError:
         raise
+    except FloatingPointError as error:
+        raise ObservationError(f"{path} claims more numbers than any memory holds.") from error
     # zipfile, zlib and numpy raise their own exceptions for a broken file
     except Exception as error:
         raise ObservationError(
@@ -74,11 +83,13 @@ def _checked(where: str, found: object, most: int | None = None) -> Raster:
     if not isinstance(found, np.ndarray) or found.ndim < 1 or not found.size:
         shape = f"shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
         raise ObservationError(f"{where} must hold an array (T, *shape), found {shape}")
-    if found.dtype.kind not in "biuf" or (found.dtype.kind == "f" and not np.isfinite(found).all()):
+    wanted = "it must hold spikes, 0 or 1, or other finite numbers"
+    if found.dtype.kind not in "biuf":
         raise ObservationError(
-            f"{where} holds {found.dtype} values, or NaN or infinity; it must hold spikes, 0 or 1, "
-            "or other finite numbers"
+            f"{where} holds {_KINDS.get(found.dtype.kind, 'no numbers')}; {wanted}"
         )
+    if found.dtype.kind == "f" and not np.isfinite(found).all():
+        raise ObservationError(f"{where} holds NaN or infinity; {wanted}")
     counts = found.min() >= 0 and found.max() <= 255
     counts = counts and (found.dtype.kind != "f" or (found == np.rint(found)).all())
     if not counts and most is not None and 8 * found.size > most:

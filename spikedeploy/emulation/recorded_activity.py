@@ -4,8 +4,9 @@ The arrays are those of the NIR paper: (T, N) of one sample, (N, T) by one of it
 counts (bins, B, *N) of several samples where a chip's events had no timesteps.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ObservationError
 from spikedeploy.runtime.graph.ports import ports
 
+_MOST = 2**31  # spikes of a neuron in a row, which no recording reaches; sums stay below 2**63
 _COUNTED = "times are not compared: the file has fewer rows than the input has timesteps"
 _TURNED = "read as (neurons, timesteps)"
 
@@ -89,10 +91,10 @@ def against_activity(
 
     recording  .npy of one layer, or .npz of arrays by the names of their nodes
     inputs     .npy, (T, *shape) or, of several samples, (B, T, *shape)
-    layer      of a .npy; without it the only one of that shape
+    layer      of a .npy, without it the only one of that shape; or the only one of a .npz
     convention  options of artifact.load
     """
-    found = _recorded(recording)
+    wanted = _wanted(recording, _recorded(recording), layer)
     artifact = load(network, **convention)
     samples = _samples(inputs, artifact)
     played = [
@@ -101,8 +103,7 @@ def against_activity(
     ]
     names = played[0].spikes
     spikes = {name: np.stack([each.spikes[name] for each in played]) for name in names}
-    wanted = found if isinstance(found, dict) else {layer: found}
-    first, *others = (_layer(recording, chip, name, rows, spikes) for name, rows in wanted.items())
+    first, *others = (_layer(recording, chip, name, rows, spikes) for name, rows in wanted)
     # of the network, so once
     return [replace(first, reading=(*first.reading, *played[0].remarks)), *others]
 
@@ -111,11 +112,29 @@ def _recorded(path: Path) -> Raster | dict[str, Raster]:
     """The arrays of a recording, whose numbers are spikes or counts of them."""
     found = read_rasters(path)
     for rows in found.values() if isinstance(found, dict) else [found]:
-        if rows.min() < 0 or (rows != np.rint(rows)).any():
+        wrong = rows[(rows < 0) | (rows > _MOST) | (rows != np.rint(rows))]
+        if wrong.size:
             raise ObservationError(
-                f"{path} holds numbers such as {rows.min():g}; spikes are 0, 1 or counts of them"
+                f"{path} holds numbers such as {wrong[0]:g}; spikes are 0, 1 or counts of them, "
+                f"at most {_MOST:,}"
             )
     return found
+
+
+def _wanted(
+    path: Path, found: Raster | dict[str, Raster], layer: str | None
+) -> Sequence[tuple[str | None, Raster]]:
+    """The arrays to be compared, by the name of a layer; None where the shape has to tell it."""
+    if not isinstance(found, dict):
+        return [(layer, found)]
+    if layer is None:
+        return list(found.items())
+    if layer not in found:
+        first = ", ".join(islice(found, 8))
+        raise ObservationError(
+            f"{path}: no array is called {layer!r}, as --layer says; it begins with {first}"
+        )
+    return [(layer, found[layer])]
 
 
 def _samples(path: Path, artifact: Artifact) -> Raster:
@@ -144,7 +163,7 @@ def _layer(
         if name in (None, layer) and (pair := next(_readings(rows, seen), None))
     ]
     if len(fits) != 1:
-        raise ObservationError(_unclear(path, rows, spikes, [layer for layer, *_ in fits]))
+        raise ObservationError(_unclear(path, name, rows, spikes, [layer for layer, *_ in fits]))
     layer, there, here, reading = fits[0]
     seen = spikes[layer]
     return RecordedActivity(
@@ -198,12 +217,20 @@ def _first(there: NDArray[np.int64], here: NDArray[np.int64]) -> str:
     return f"{which}{when}neuron {n}: {both}"
 
 
-def _unclear(path: Path, rows: Raster, spikes: Mapping[str, NDArray[Any]], fits: list[str]) -> str:
+def _unclear(
+    path: Path,
+    name: str | None,
+    rows: Raster,
+    spikes: Mapping[str, NDArray[Any]],
+    fits: list[str],
+) -> str:
     if fits:
         return f"{path}: {' and '.join(fits)} have that shape. Name one with --layer."
-    shapes = ", ".join(f"{name} {seen.shape}" for name, seen in spikes.items())
+    known = spikes if name is None else {name: spikes[name]}
+    shapes = ", ".join(f"{each} {seen.shape}" for each, seen in known.items())
+    told = "and no layer fits" if name is None else f"which layer {name!r} does not have"
     return (
-        f"{path} has shape {rows.shape}, and no layer fits; emulated, as (samples, timesteps, "
+        f"{path} has shape {rows.shape}, {told}; emulated, as (samples, timesteps, "
         f"neurons): {shapes}. Record the layer over the input's timesteps, a row for each, or its "
         "counts as (bins, samples, neurons)."
     )

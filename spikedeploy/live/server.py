@@ -8,10 +8,12 @@ browsers say of where a request comes from.
 import re
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
-from socket import socket
+from socket import SHUT_RDWR, socket
 from socketserver import TCPServer, ThreadingMixIn
 from typing import Any
 
@@ -31,8 +33,10 @@ _HEADERS = {
     "Cache-Control": "no-store",
     "Connection": "close",
 }
-_CONNECTIONS = 32  # at a time; further ones are closed
-_PATIENCE = 10.0  # [s] for a request to come, and for a browser to take what it is sent
+_STREAMS = 32  # of events at a time; further ones are refused
+_OTHERS = 64  # connections without a stream at a time; then the oldest is closed
+_REQUEST = 5.0  # [s] of silence before a request is whole
+_PATIENCE = 10.0  # [s] for a browser to take what it is sent
 _SILENCE = 2.0  # [s] after which a comment shows whether the browser is still there
 
 
@@ -45,11 +49,13 @@ class LiveServer(ThreadingMixIn, TCPServer):
 
     daemon_threads = True
     allow_reuse_address = True
-    request_queue_size = _CONNECTIONS
+    request_queue_size = 2 * _OTHERS
 
     def __init__(self, listeners: Listeners, port: int = 0) -> None:
         self.listeners = listeners
-        self._free = threading.BoundedSemaphore(_CONNECTIONS)
+        self._streams = threading.BoundedSemaphore(_STREAMS)
+        self._others: dict[socket, None] = {}  # in the order in which they came
+        self._lock = threading.Lock()  # of them, and nobody closes one that another shuts down
         try:
             super().__init__(("127.0.0.1", port), _Handler)
         except OSError as error:
@@ -78,18 +84,36 @@ class LiveServer(ThreadingMixIn, TCPServer):
         return {path: (kind, text.encode()) for path, (kind, text) in texts.items()}
 
     def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Answer in a thread, unless there are too many."""
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+        """Answer in a thread; what asks for nothing makes room for what comes after it."""
+        with self._lock:
+            if len(self._others) >= _OTHERS:
+                oldest = next(iter(self._others))
+                del self._others[oldest]
+                with suppress(OSError):
+                    oldest.shutdown(SHUT_RDWR)
+            self._others[request] = None
+        super().process_request(request, client_address)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Answer, and make room for another."""
+    def shutdown_request(self, request: Any) -> None:  # noqa: ANN401
+        """Close a connection."""
+        self._forget(request)
+        super().shutdown_request(request)
+
+    @contextmanager
+    def stream(self, connection: socket) -> Iterator[bool]:
+        """A place for a stream, which no newcomer takes; whether one was free."""
+        free = self._streams.acquire(blocking=False)
         try:
-            super().process_request_thread(request, client_address)
+            if free:
+                self._forget(connection)
+            yield free
         finally:
-            self._free.release()
+            if free:
+                self._streams.release()
+
+    def _forget(self, connection: socket) -> None:
+        with self._lock:
+            self._others.pop(connection, None)
 
     def handle_error(self, request: socket | tuple[bytes, socket], client_address: Any) -> None:  # noqa: ANN401
         """A browser that leaves is no error."""
@@ -102,14 +126,16 @@ class _Handler(BaseHTTPRequestHandler):
 
     server: LiveServer
     server_version, sys_version, protocol_version = "spikedeploy", "", "HTTP/1.1"
-    timeout = _PATIENCE
+    timeout = _REQUEST
 
     def do_GET(self) -> None:
         """A file, or the events."""
+        self.connection.settimeout(_PATIENCE)
         if not self._ours():
             self._refuse(HTTPStatus.FORBIDDEN)
         elif self.path == "/events":
-            self._events()
+            with self.server.stream(self.connection) as free:
+                self._events() if free else self._refuse(HTTPStatus.SERVICE_UNAVAILABLE)
         elif self.path in self.server.files:
             kind, content = self.server.files[self.path]
             self._answer(HTTPStatus.OK, f"{kind}; charset=utf-8", content)
@@ -128,10 +154,13 @@ class _Handler(BaseHTTPRequestHandler):
     def _ours(self) -> bool:
         """Whether the request is of our page, or of somebody who typed its address."""
         hosts = self.headers.get_all("Host", [])
-        from_elsewhere = self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0]):
             return False
-        return self.path == "/" or not from_elsewhere  # a link may lead to the page
+        ours = {f"http://{hosts[0].lower()}"}
+        origins = {each.lower() for each in self.headers.get_all("Origin", [])}
+        site = self.headers.get("Sec-Fetch-Site", "none")
+        # a link may lead to the page
+        return self.path == "/" or (origins <= ours and site in ("none", "same-origin"))
 
     def _events(self) -> None:
         """Send what there is to tell, until the end."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import zmq
 
+from spikedeploy.console import say
 from spikedeploy.realtime.protocol import RequestError, largest_request, parsed, refusal, reply
 from spikedeploy.realtime.served_policy import Clients, ServedPolicy
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
@@ -88,6 +89,10 @@ class PolicyServer:
         """Close all connections, which gives their memory back; clients connect again."""
         self.close()
         self.reopened += 1
+        say(
+            "all connections were closed: messages without an end took hundreds of MiB. Clients "
+            "that wait for a reply have to connect again; episodes begin anew with a reset."
+        )
         until = time.monotonic() + _REBIND
         while not self._bound(self.endpoint):
             if time.monotonic() > until:

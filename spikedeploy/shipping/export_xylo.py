@@ -61,6 +61,11 @@ def export_xylo(
     """
     if path is None:
         raise ConfigError("--to xylo writes a file: name it, as in -o xylo.json")
+    if path.suffix.lower() != ".json":
+        raise ConfigError(
+            f"-o {path}: --to xylo writes JSON, and other tools would take the file for something "
+            "else. Name one that ends in .json, as in -o xylo.json."
+        )
     name = check_chip(chip_name)
     file = nir_file(policy, "xylo")
     check_output("-o", path, (file, policy), force, lambda place: marked(place, _MARK))

@@ -83,6 +83,19 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(command, file, tmp_path
     assert not (tmp_path / "c").exists()
 
 
+DEVICES = ["con", "aux", "nul", "prn", "com1", "com9", "lpt1", "lpt9"]
+
+
+@pytest.mark.parametrize("prefix", ["makefile", "gnumakefile", *DEVICES])
+def test_no_file_of_the_build_and_no_device_of_windows_can_be_the_prefix(prefix):
+    with pytest.raises(ConfigError, match=f"--prefix '{prefix}' is the name of"):
+        check_prefix(prefix)
+    check_prefix(f"{prefix}_policy")
+    # nor in other letters, which are one file where the disk knows no case
+    with pytest.raises(ConfigError, match="small letters"):
+        check_prefix(prefix.upper())
+
+
 @needs_c
 def test_no_header_that_the_files_include_can_be_the_prefix(tmp_path):
     """Of the headers that those include in turn, too: PREFIX.h comes before them by -I."""

@@ -1,6 +1,7 @@
 """`verify` of spikes recorded on silicon, in the formats of the NIR paper; no recording is here."""
 
 import json
+import warnings
 
 import nir
 import numpy as np
@@ -86,6 +87,29 @@ def test_layers_by_name_are_compared_one_by_one(command, braille, tmp_path):
     assert "0 of 280 numbers agree" in out
 
 
+def test_one_layer_of_several_is_compared_alone_by_its_name(command, braille, tmp_path):
+    network, raster, source = braille
+    seen, both = spikes(network, raster), tmp_path / "both.npz"
+    np.savez(both, **{LAYER: seen[LAYER], "lif2": 1 - seen["lif2"]})
+    code, out, _ = verify(command, both, network, source, "--layer", LAYER)
+    assert (code, "'lif2'" in out) == (0, False)
+    assert verify(command, both, network, source, "--layer", "lif2")[0] == 1
+    code, _, err = verify(command, both, network, source, "--layer", "lif3")
+    assert code == 2
+    assert f"no array is called 'lif3', as --layer says; it begins with {LAYER}, lif2" in err
+
+
+def test_a_layer_that_has_not_its_shape_is_named(command, braille, tmp_path):
+    network, raster, source = braille
+    both, alone = tmp_path / "both.npz", saved(tmp_path / "a.npy", np.zeros((STEPS, HIDDEN)))
+    np.savez(both, **{LAYER: spikes(network, raster)[LAYER], "lif2": np.load(alone)})
+    for words in ((both, network, source), (alone, network, source, "--layer", "lif2")):
+        code, _, err = verify(command, *words)
+        assert code == 2
+        assert "(40, 9), which layer 'lif2' does not have" in err
+        assert "lif2 (1, 40, 7)" in err
+
+
 def test_counts_of_several_samples_are_compared_without_their_times(command, tmp_path):
     """Speck's: (bins of half a second, samples, channels, height, width)."""
     rng = np.random.default_rng(0)
@@ -141,10 +165,64 @@ def test_a_shape_of_two_layers_needs_a_name(command, tmp_path):
 
 def test_what_is_no_number_of_spikes_is_refused(command, braille, tmp_path):
     network, _, source = braille
-    for wrong in (np.full((STEPS, HIDDEN), 0.5), np.full((STEPS, HIDDEN), -1)):
-        code, _, err = verify(command, saved(tmp_path / "a.npy", wrong), network, source)
+    for wrong in (0.5, -1, 2**31 + 1, 2**63, np.uint64(2**64 - 1), 1e300):
+        rows = np.zeros((STEPS, HIDDEN), np.asarray(wrong).dtype)
+        rows[3, 2] = wrong
+        code, _, err = verify(command, saved(tmp_path / "a.npy", rows), network, source)
         assert code == 2
-        assert "counts of them" in err
+        assert f"numbers such as {float(wrong):g}; spikes are 0, 1 or counts of them" in err
+
+
+def test_counts_whose_sum_would_wrap_to_that_of_the_chip_are_refused(command, braille, tmp_path):
+    network, raster, source = braille
+    bins = spikes(network, raster)[LAYER].reshape(4, -1, HIDDEN).sum(axis=1, dtype=np.int64)
+    assert verify(command, saved(tmp_path / "a.npy", bins), network, source)[0] == 0
+    code, out, err = verify(command, saved(tmp_path / "a.npy", bins + 2**62), network, source)
+    assert (code, "✓" in out) == (2, False)
+    assert "such as 4.61169e+18" in err
+
+
+def test_the_largest_counts_are_summed_exactly(command, braille, tmp_path):
+    network, _, source = braille
+    bins = np.full((STEPS - 1, HIDDEN), 2**31)
+    code, out, _ = verify(command, saved(tmp_path / "a.npy", bins), network, source)
+    assert code == 1
+    assert f"{(STEPS - 1) * HIDDEN * 2**31:,} spikes recorded" in out
+
+
+def test_an_archive_without_arrays_is_refused(command, braille, tmp_path):
+    network, _, source = braille
+    np.savez(tmp_path / "none.npz")
+    for recording, inputs in ((tmp_path / "none.npz", source), (source, tmp_path / "none.npz")):
+        code, _, err = verify(command, recording, network, inputs)
+        assert (code, "none.npz holds no array" in err) == (2, True)
+
+
+def test_types_that_are_no_real_numbers_are_named(command, braille, tmp_path):
+    network, _, source = braille
+    shape = (STEPS, HIDDEN)
+    for rows, said in (
+        (np.zeros(shape, complex), "complex numbers"),
+        (np.zeros(shape, "U3"), "text"),
+        (np.zeros(shape, [("a", "i4"), ("b", "f8")]), "records, not numbers"),
+        (np.zeros(shape, "M8[s]"), "dates, not numbers"),
+        (np.full(shape, np.nan), "NaN or infinity"),
+    ):
+        code, _, err = verify(command, saved(tmp_path / "a.npy", rows), network, source)
+        assert (code, f"a.npy holds {said}; it must hold spikes" in err) == (2, True)
+
+
+@pytest.mark.parametrize("shape", ["(4611686018427387904, 40)", "(4611686018427387904, 4)"])
+def test_a_shape_beyond_all_memory_is_one_sentence(command, braille, tmp_path, shape):
+    network, _, source = braille
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    head = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
+    (tmp_path / "a.npy").write_bytes(head + bytes(64))
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        code, _, err = verify(command, tmp_path / "a.npy", network, source)
+    assert (code, warned) == (2, [])
+    assert "a.npy claims more numbers than any memory holds" in err
 
 
 def test_options_of_a_network_are_refused_for_trace_files(command):

@@ -10,7 +10,7 @@ from select import select
 import pytest
 
 from spikedeploy.live.backlog import Backlog, Listeners
-from spikedeploy.live.server import _CONNECTIONS, _PATIENCE, LiveServer
+from spikedeploy.live.server import _OTHERS, _PATIENCE, _REQUEST, _STREAMS, LiveServer
 from spikedeploy.live.steps import Message, message
 from spikedeploy.runtime.errors import ConfigError
 
@@ -154,20 +154,49 @@ def test_browsers_that_leave_are_forgotten(server, monkeypatch, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_silent_connections_take_no_more_than_their_places(server):
-    silent = [socket.create_connection(("127.0.0.1", port(server))) for _ in range(60)]
+def test_silent_connections_lock_no_browser_out(server):
+    silent = [socket.create_connection(("127.0.0.1", port(server))) for _ in range(_OTHERS + 20)]
+    answer = listening(server)
+    assert asked(server)[0] == 200
     closed, until = [], time.monotonic() + 5
-    while len(closed) < 60 - _CONNECTIONS and time.monotonic() < until:
+    while len(closed) < 20 and time.monotonic() < until:
         time.sleep(0.01)
         closed = select(silent, [], [], 0)[0]
-    assert len(closed) == 60 - _CONNECTIONS
+    assert len(closed) >= 20  # the oldest, so that threads are bounded too
+    assert silent[0] in closed
+    assert silent[-1] not in closed
+    server.listeners.tell(message("end", {}))
+    assert list(events(answer)) == [("end", {})]
     for each in silent:
         each.close()
-    until, status = time.monotonic() + 5, None
-    while status is None and time.monotonic() < until:
-        with suppress(ConnectionError, http.client.HTTPException):
-            status = asked(server)[0]
-    assert status == 200
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: local"])
+def test_a_connection_without_a_whole_request_is_closed(server, monkeypatch, begun):
+    monkeypatch.setattr("spikedeploy.live.server._Handler.timeout", 0.1)
+    with socket.create_connection(("127.0.0.1", port(server)), timeout=5) as silent:
+        silent.sendall(begun)
+        assert silent.recv(100) == b""
+    assert _REQUEST <= 5
+
+
+def test_streams_are_bounded_and_others_are_answered_beside_them(server, monkeypatch):
+    answers = [listening(server) for _ in range(_STREAMS)]
+    assert asked(server, "/events")[0] == 503
+    assert asked(server)[0] == 200
+    server.listeners.tell(message("end", {}))
+    for answer in answers:
+        answer.read()
+    assert server.listeners.drained(5)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:8000",
+                                    "http://127.0.0.1:8001", "http://localhost:8000"])  # fmt: skip
+def test_foreign_origins_get_no_events(server, origin):
+    for path in ("/events", "/live.js"):
+        assert asked(server, path, Host="127.0.0.1:8000", Origin=origin)[0] == 403
+    same = {"Host": "127.0.0.1:8000", "Origin": "http://127.0.0.1:8000"}
+    assert asked(server, "/live.js", **same)[0] == 200
 
 
 def test_a_port_that_is_taken_is_refused_in_a_sentence(server):

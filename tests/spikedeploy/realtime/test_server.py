@@ -210,7 +210,7 @@ def send_without_end(port, enough):
 
 
 def test_a_message_without_an_end_loses_its_connection_before_it_takes_all_memory(
-    monkeypatch, policy
+    monkeypatch, policy, capsys
 ):
     # what the process has: as much as at the beginning, until frames without an end have come
     taken = threading.Event()
@@ -231,6 +231,7 @@ def test_a_message_without_an_end_loses_its_connection_before_it_takes_all_memor
             client.setsockopt(zmq.RCVTIMEO, 20_000)
             client.connect(running.endpoint)
             assert ask(client, do="reset")["ok"]
+        assert "all connections were closed: messages without an end" in capsys.readouterr().err
     finally:
         stop.set()
         thread.join()
@@ -356,7 +357,32 @@ def test_the_example_of_a_client_runs_and_is_short(server, capsys, monkeypatch):
     left["socket"].context.term()
     code = ast.parse(example.read_text("utf-8"))
     lines = {node.lineno for node in ast.walk(code) if hasattr(node, "lineno")}
-    assert len(lines) <= 20
+    assert len(lines) <= 25
+
+
+def test_the_example_of_a_client_whose_reply_is_lost_connects_and_resets_again(capsys, monkeypatch):
+    context, asked = zmq.Context(), []
+
+    def answers():
+        while asked.count("bye") == 0:
+            client, empty, body = router.recv_multipart()
+            asked.append(json.loads(body)["do"])
+            lost = asked.count("act") == 1 and asked[-1] == "act"
+            if not lost:
+                router.send_multipart([client, empty, b'{"ok": true, "observations": 2}'])
+
+    with context.socket(zmq.ROUTER) as router:
+        router.linger, router.rcvtimeo = 1000, 20_000
+        at = f"tcp://127.0.0.1:{router.bind_to_random_port('tcp://127.0.0.1')}"
+        thread = threading.Thread(target=answers)
+        thread.start()
+        monkeypatch.setattr(sys, "argv", ["serve_client.py", at])
+        left = runpy.run_path(str(ROOT / "examples" / "serve_client.py"))
+        thread.join()
+    left["socket"].context.term()
+    context.term()
+    assert asked == ["info", "reset", "act", "info", "reset", "act", "bye"]
+    assert "connecting again" in capsys.readouterr().err
 
 
 def test_the_ros_node_imports_ros_and_zeromq_alone():

@@ -59,6 +59,13 @@ def test_the_file_has_the_arguments_of_rockpool_and_says_where_layers_and_timest
     assert command(*words)[0] == 0  # its own file is written anew
 
 
+@pytest.mark.parametrize("name", ["x.nir", "x", "x.json.nir"])
+def test_a_specification_is_written_to_no_other_file_than_json(command, file, tmp_path, name):
+    code, _, err = command("export", "net.nir", "--to", "xylo", "--chip", "xylo-a2", "-o", name)
+    assert (code, f"-o {name}: --to xylo writes JSON" in err) == (2, True)
+    assert not (tmp_path / name).exists()
+
+
 def test_a_changed_number_of_the_specification_is_found(file):
     program = program_of(file)
     for name in ("threshold", "dash_mem", "bias_hidden"):
