@@ -119,7 +119,7 @@ def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
     ]
     by = f"by {table}" + (", which prices float networks too" if said else "")
     return HeadlineNumber(
-        "energy of a control step's operations",
+        "energy of a control step",
         energy(row),
         "; ".join([by, *said, *_priced_otherwise(row)]),
     )
