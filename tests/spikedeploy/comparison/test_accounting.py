@@ -91,7 +91,7 @@ def test_the_table_marks_what_is_unknown(rows):
     assert float(columns["skipping zeros"](ann)) < float(columns["operations"](ann))
     assert columns["skipping zeros"](spiking) == ABSENT
     assert columns["all known"](spiking).startswith("≥ ")
-    assert columns["static"](spiking) == "2.08 mJ"
+    assert columns["static"](spiking) == "2,080,000"  # nJ
     assert columns["level at"](spiking).startswith("none")  # a toy ANN is cheaper than its neurons
 
 

@@ -1,6 +1,7 @@
 """The demo's first page replays an episode of the first task and leads to the pages of all."""
 
 import re
+import sys
 
 import pytest
 
@@ -29,6 +30,7 @@ def test_the_first_page_replays_the_first_task_and_leads_to_all(stroll, monkeypa
 @pytest.mark.parametrize("linked", [False, True])
 def test_a_demo_replaces_only_what_a_demo_wrote(name, linked, stroll, monkeypatch):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 1})
+    monkeypatch.setattr(sys, "argv", ["spikedeploy", "demo"])  # which the report names
     monkeypatch.setattr(parallel, "cores", lambda: 1)
     mine, place = stroll / "mine", stroll / "demo" / name
     place.parent.mkdir(parents=True)
