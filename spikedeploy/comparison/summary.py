@@ -48,7 +48,7 @@ def summary(rows: Sequence[Row]) -> str:
     sentences = []
     for row in on_chip:
         sentences.append(told(row))
-        sentences.append("" if few(row) else _smallest(row, rows, words))
+        sentences.extend(() if few(row) else _smallest(row, rows, words))
     if any(map(few, on_chip)):
         sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
     if any("MACs a control step" in sentence for sentence in sentences):
@@ -56,7 +56,7 @@ def summary(rows: Sequence[Row]) -> str:
     rivals = _baselines if foreign else _race if racing else _controls
     sentences.append(rivals(rows))
     sentences.append(_covered(rows))
-    return " ".join(filter(None, sentences))
+    return " ".join(dict.fromkeys(filter(None, sentences)))  # some say the same of several rows
 
 
 def _keeps(row: Row) -> str:
@@ -72,9 +72,11 @@ def _keeps(row: Row) -> str:
 
 
 def _between(row: Row, field: str, form: str, scale: float = 1) -> str:
-    """`, 95% interval -40 to +1`; empty of few episodes."""
+    """`, 95% interval -40 to +1`; empty of few episodes, and where nothing differs to resample."""
     if few(row):
         return ""
+    if row[field][0] == row[field][1]:
+        return ", the same in every episode"
     low, high = (f"{scale * bound:{form}}" for bound in row[field])
     return f", 95% interval {low} to {high}"
 
@@ -101,7 +103,7 @@ def _equal(row: Row, rows: Sequence[Row], words: _Words) -> list[Row]:
     return [r for r in rows if r["kind"] != "snn" and not _below(r, row, words)]
 
 
-def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> str:
+def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> list[str]:
     """The float policy of fewest operations that is not shown to be worse, and scripts likewise."""
     equal = _equal(row, rows, words)
     networks, count = _trained(equal), len(_trained([r for r in rows if r["kind"] != "snn"]))
@@ -114,7 +116,7 @@ def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> str:
         found.append(f"None of the {count} float policies here {words.equal}.")
     if scripts := [each["policy"] for each in equal if not each["training_seeds"]]:
         found.append(_scripts(scripts, words, " either" if networks else ""))
-    return " ".join(found)
+    return found
 
 
 def _below(row: Row, other: Row, words: _Words) -> bool:

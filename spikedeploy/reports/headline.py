@@ -63,13 +63,11 @@ def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
 
 
 def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
-    """The sentence of a comparison about the row that its page is about, and the others, once."""
+    """The sentence of a comparison about the row that its page is about, and the others."""
     row, sentences = main_row(document["rows"]), _SENTENCE.split(document["meaning"])
     about = f"{row['policy']} on {row['chip']} "
     first = next((each for each in sentences if each.startswith(about)), sentences[0])
-    # without names of spiking rows, those of several rows may be equal
-    others = dict.fromkeys(each for each in sentences if each != first)
-    return first, " ".join(others)
+    return first, " ".join(each for each in sentences if each != first)
 
 
 def disturbed(document: Mapping[str, Any]) -> str:

@@ -175,16 +175,22 @@ def test_the_sentences_say_what_finishes_on_the_chip_and_what_is_as_good():
     )
 
 
-def test_a_page_says_once_what_is_true_of_several_policies():
+def test_episodes_that_all_end_alike_have_no_interval():
+    equal = {"success_difference_mean": 0.0, "success_difference_ci95": (0.0, 0.0)}
+    said = summary([row("snn", "snn", "loihi1", 1.0, **equal)])
+    assert "(+0.0 points to its float twin, the same in every episode)" in said
+
+
+def test_what_is_true_of_several_policies_is_said_once():
     rows = [
         row("small", "snn", "loihi1", return_mean=30.0),
         row("large", "snn", "loihi1", return_mean=31.0),
         row("gap", "control", rate=0.98),
         row("linear", "control", effective_macs=139.0),
     ]
+    assert summary(rows).count("The script gap is not shown to finish less often either.") == 1
     first, more = verdict({"rows": rows, "meaning": summary(rows)})
     assert first.startswith("small on loihi1 finishes")
-    assert more.count("The script gap is not shown to finish less often either.") == 1
     assert more.count("is linear: 139 MACs") == 2  # beside either policy
     sentences = re.split(r"(?<=\.) (?=[A-Za-z])", more)
     assert len(set(sentences)) == len(sentences)
