@@ -36,7 +36,9 @@ _COLOURS = {
 
 def returns_svg(rows: Sequence[Row]) -> str:
     """Returns of all episodes, means and any intervals."""
-    return svg(returns_figure(rows), "Return of each episode, and mean of each row")
+    return svg(
+        returns_figure(rows), "Return of each episode, mean and any 95% interval of each row"
+    )
 
 
 def energy_svg(rows: Sequence[Row]) -> str:

@@ -124,20 +124,20 @@ def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
 
 
 def _priced_otherwise(row: Row) -> list[str]:
-    """Its energy by the other tables of its chip: `at prices of loihi1: 33.36 nJ by davies2018`."""
+    """Its energy by other tables: `by loihi1's own tables: 33.36 nJ (davies2018)`."""
     others = [name for name in row["energy_per_inference_j"] if name != quoted_table([row])]
     energy = {
         name: price("energy_per_inference_j", name, "J", "energy_interval_j")(row)
         for name in others
     }
-    said = ", ".join(f"{cell} by {name}" for name, cell in energy.items() if cell != ABSENT)
-    return [f"at prices of {row['chip']}: {said}"] if said else []
+    said = ", ".join(f"{cell} ({name})" for name, cell in energy.items() if cell != ABSENT)
+    return [f"by {row['chip']}'s own tables: {said}"] if said else []
 
 
 def _macs(row: Row) -> str:
-    """`20,864 MACs`, or `13,289 of 20,864 MACs that are not by 0`."""
+    """`20,864 MACs`, or `13,289 effective MACs of 20,864`, whose input is not 0."""
     count, dense = f"{macs(row):,.0f}", f"{row.get('macs_dense') or 0:,.0f}"
-    return f"{count} MACs" if count == dense else f"{count} of {dense} MACs that are not by 0"
+    return f"{count} MACs" if count == dense else f"{count} effective MACs of {dense}"
 
 
 def _times(ratio: float) -> str:
