@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.finite import all_finite
 from spikedeploy.envs.kart.env import CONTROL_DT, KartEnv
 from spikedeploy.envs.kart.options import action_name, one_of
 from spikedeploy.envs.kart.reward import ClassicReward
@@ -73,7 +74,7 @@ class KartSteerEnv(KartEnv):
         if not self._continuous:
             return self.EFFECTS[action_name(action, self.ACTIONS)]
         values = np.asarray(action, dtype=np.float64)
-        if values.shape != (2,) or not np.isfinite(values).all():
+        if values.shape != (2,) or not all_finite(values):
             raise EnvError(
                 f"action {action!r}: two finite numbers are needed, throttle and steering"
             )

@@ -7,6 +7,7 @@ unpack a thousand zeros from a byte, and read a damaged heap of texts without en
 import math
 import mmap
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import h5py
@@ -37,8 +38,10 @@ _MAX_INDEX = 1 << 16
 _HARMLESS = 1 << 26  # [bytes] that a claim may take for a moment
 
 
-def check_file(path: Path) -> int:
+def check_file(path: Path, *, claims: bool = False) -> int:
     """Bytes of the longest text; ArtifactError where texts are damaged or the file is hollow.
+
+    claims: whether to look at the lengths of texts that attributes claim, too.
 
     A heap collection is "GCOL", a version, three bytes, and its size in 8 bytes; then objects: an
     index, a reference count, four bytes and a size in 8 bytes, followed by that many bytes up to a
@@ -52,41 +55,37 @@ def check_file(path: Path) -> int:
             " It is damaged or not whole; copy or export it again."
         )
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        longest = max((_longest_text(content, at) for at in _heaps(content)), default=0)
+        heaps = _found(content, _HEAP_SIGNATURE)
+        longest = max((_longest_text(content, at) for at in heaps), default=0)
+        if claims:
+            _check_claims(content)
     return longest
 
 
-def check_claims(path: Path) -> None:
+def _check_claims(content: mmap.mmap) -> None:
     """Raise ArtifactError where an attribute claims a text that is far longer than the file.
 
     Where h5py does not show it, such a text is stored as its length in 4 bytes, the place of its
     heap collection in 8, and its index there in 4. HDF5 allocates the length, up to 4 GiB, before
     it looks into the heap. Where the place, too, is damaged, the claim is not found.
     """
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        base, most = max(content.find(_FILE_SIGNATURE), 0), max(len(content), _HARMLESS)
-        heaps = list(_heaps(content))
-        if len(heaps) > _MAX_HEAPS:
-            raise ArtifactError(
-                f"the file has {len(heaps)} heaps of texts; at most {_MAX_HEAPS}. Write fewer."
-            )
-        for at in heaps:
-            for place in _found(content, (at - base).to_bytes(8, "little")):
-                length, index = _number(content, place - 4, 4), _number(content, place + 8, 4)
-                if length > most and 0 < index < _MAX_INDEX:
-                    raise ArtifactError(
-                        f"an attribute claims a text of {length} bytes, more than the file. It is "
-                        "damaged; copy or export it again."
-                    )
+    base, most = max(content.find(_FILE_SIGNATURE), 0), max(len(content), _HARMLESS)
+    heaps = list(islice(_found(content, _HEAP_SIGNATURE, base), _MAX_HEAPS + 1))
+    if len(heaps) > _MAX_HEAPS:
+        raise ArtifactError(f"the file has more than {_MAX_HEAPS} heaps of texts. Write fewer.")
+    for at in heaps:
+        for place in _found(content, (at - base).to_bytes(8, "little")):
+            length, index = _number(content, place - 4, 4), _number(content, place + 8, 4)
+            if length > most and 0 < index < _MAX_INDEX:
+                raise ArtifactError(
+                    f"an attribute claims a text of {length} bytes, more than the file. It is "
+                    "damaged; copy or export it again."
+                )
 
 
-def _heaps(content: mmap.mmap) -> Iterator[int]:
-    """Where the heap collections of texts begin."""
-    return _found(content, _HEAP_SIGNATURE)
-
-
-def _found(content: mmap.mmap, wanted: bytes) -> Iterator[int]:
-    at = content.find(wanted)
+def _found(content: mmap.mmap, wanted: bytes, start: int = 0) -> Iterator[int]:
+    """Where the bytes begin, from `start` on."""
+    at = content.find(wanted, start)
     while at >= 0:
         yield at
         at = content.find(wanted, at + 1)

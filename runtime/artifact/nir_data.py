@@ -15,12 +15,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.artifact.hdf5_limits import (
-    budget,
-    check_claims,
-    check_container,
-    check_file,
-)
+from spikedeploy.runtime.artifact.hdf5_limits import budget, check_container, check_file
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 
 # bytes that a file may unpack to, and more for each of its own: spikes shrink two hundredfold
@@ -44,8 +39,7 @@ def read_nir_data(
     """
     most = budget(path, FREE, EXPANSION)
     try:
-        longest = check_file(path)
-        check_claims(path)
+        longest = check_file(path, claims=True)
         with h5py.File(path, "r") as file:
             check_container(file, path, longest, most)
         nodes = nir.read_data(path).nodes

@@ -304,3 +304,12 @@ def test_a_text_that_claims_gigabytes_takes_none(tmp_path):
     read_nir_data(path, {"input": (3,)}, 1e-3)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before  # [KiB]
     assert grown < 500_000
+
+
+def test_more_heaps_of_texts_than_are_searched_for_are_refused(tmp_path):
+    path = tmp_path / "spikes.nir"
+    write_nir_data(path, {"input": np.ones((4, 3), bool)}, 1e-3)
+    with path.open("ab") as file:
+        file.write(b"GCOL\x01\x00\x00\x00" * 256)
+    with pytest.raises(ObservationError, match="more than 256 heaps of texts"):
+        read_nir_data(path, {"input": (3,)}, 1e-3)
