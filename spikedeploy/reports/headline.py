@@ -15,7 +15,7 @@ _AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that 
 
 
 class HeadlineNumber(NamedTuple):
-    """A number of the headline: what it is, the number, what it is beside."""
+    """A number of the headline: what it is, the number, what it is beside, divided by `; `."""
 
     title: str
     number: str
