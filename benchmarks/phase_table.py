@@ -8,8 +8,8 @@ The gait of Hexapod-v0 has 40 phases, which the observation holds as sine and co
 and W are fitted by least squares to a float teacher on its own walks, then on walks of the student
 too (DAgger, six rounds); of W only the entries that lower the error most are kept, chosen one by
 one (orthogonal matching pursuit). Both are rounded to 8 bits, one scale each. The student does not
-see its own last action. The energy is that of docs/energy.md: MACs, 18 constants, and reads of 16 bits of 18
-table entries and the observations.
+see its own last action. The energy is that of docs/energy.md: MACs, 18 constants, and reads of 16
+bits of 18 table entries and the observations.
 
 --write puts the result into results/phase-table.json.
 """
