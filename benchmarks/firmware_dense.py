@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
-from benchmarks.firmware_targets import SOURCES
+from benchmarks.firmware_targets import SOURCES, piped
 
 _ACTIVATIONS = {"Relu": "relu", "Tanh": "tanh", "Identity": "identity"}
 _PLAIN = re.compile(r"Sub Div Clip( Gemm (Relu|Tanh|Identity))+")
@@ -109,9 +108,4 @@ def _emlearn(policy: Dense, python: Path, folder: Path) -> str:
     }
     # isolated: what this process imports from is nothing to that Python
     words = [str(python), "-I", str(SOURCES / "emlearn_code.py"), str(folder)]
-    ended = subprocess.run(
-        words, input=json.dumps(network), capture_output=True, text=True, check=False
-    )
-    if ended.returncode:
-        raise RuntimeError(f"{' '.join(words)}: {ended.stderr[-2000:]}")
-    return ended.stdout.strip()
+    return piped(words, json.dumps(network)).strip()

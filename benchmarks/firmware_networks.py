@@ -32,9 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import firmware_dense, snn_mlir_code
-from benchmarks.firmware_runs import best
+from benchmarks.firmware_runs import best, in_turns
 from benchmarks.firmware_table import NETWORKS, network_table, put
-from benchmarks.firmware_targets import SOURCES, counted, must
+from benchmarks.firmware_targets import BESIDE, SOURCES, counted, shared
 from spikedeploy import zoo
 from spikedeploy.exporters.c.to_c import network_in_c
 from spikedeploy.exporters.c.to_c import write as write_c
@@ -46,9 +46,6 @@ from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.shipping.export_c import export_c
 
 NAMES = ("kart-grid/snn", "hexapod/popsan")
-_TARGETS = ("cortex-m4", "cortex-m4f")
-_FAST = ["gcc", "-std=c99", "-O3", "-march=native", "-fPIC", "-shared", "-I."]
-_ROUNDS = 5
 _MOST = 4096  # outputs
 
 
@@ -90,7 +87,7 @@ def _network(name: str, tools: snn_mlir_code.Tools, folder: Path) -> list[dict]:
         place = folder / kind
         place.mkdir()
         snn_mlir_code.write(tools, folder / "net.nir", kind, raster, place)
-        rows[-1] |= {target: snn_mlir_code.built(tools, target, place) for target in _TARGETS}
+        rows[-1] |= {target: snn_mlir_code.built(tools, target, place) for target in BESIDE}
         snn_mlir_code.host(tools, place)
     for row in rows:
         found = _counts(folder / row["kind"], raster, wanted["float32"].shape[1])
@@ -100,7 +97,7 @@ def _network(name: str, tools: snn_mlir_code.Tools, folder: Path) -> list[dict]:
         own = wanted.get(row["kind"], found)
         row["differ"] = int((found != own).sum())
         print(json.dumps(row), file=sys.stderr, flush=True)
-    _timed(rows, raster, folder)
+    in_turns(rows, lambda row: _inference_ns(folder / row["kind"], raster))
     return rows
 
 
@@ -120,8 +117,8 @@ def _own(name: str, program, raster: NDArray[np.uint8], folder: Path) -> dict:  
     snn_mlir_code.write_header(folder, raster, program.layer(program.output).size, "int8_t")
     (folder / "net_counts.c").write_bytes((SOURCES / "net_counts.c").read_bytes())
     sources = ("net.c", "net_counts.c")
-    must([*_FAST, "-ffp-contract=off", *sources, "-o", "timed.so"], folder)
-    found = {target: counted(target, folder, sources) for target in _TARGETS}
+    shared(folder, *sources)
+    found = {target: counted(target, folder, sources) for target in BESIDE}
     return {"policy": name, "by": "spikedeploy, loihi1", "kind": "own", **found}
 
 
@@ -143,15 +140,10 @@ def _played(folder: Path, raster: NDArray[np.uint8]) -> tuple:
     return ctypes.CDLL(str(folder / "timed.so")).policy_step, places, kept
 
 
-def _timed(rows: list[dict], raster: NDArray[np.uint8], folder: Path) -> None:
-    """Nanoseconds of an inference; rows take turns, so that other work meets all of them."""
-    for row in rows * _ROUNDS:
-        step, places, _kept = _played(folder / row["kind"], raster)
-        action = (ctypes.c_int32 * _MOST)()
-        spent = 1e9 * best(partial(_all, step, places, action)) / len(places)
-        row["host_ns"] = min(row.get("host_ns", spent), spent)
-    for row in rows:
-        row["ratio"] = row["host_ns"] / rows[0]["host_ns"]
+def _inference_ns(folder: Path, raster: NDArray[np.uint8]) -> float:
+    step, places, _kept = _played(folder, raster)
+    action = (ctypes.c_int32 * _MOST)()
+    return 1e9 * best(partial(_all, step, places, action)) / len(places)
 
 
 def _all(step: Callable, places: list, action: ctypes.Array) -> None:

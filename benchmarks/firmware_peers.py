@@ -26,16 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import firmware_dense
-from benchmarks.firmware_runs import best
+from benchmarks.firmware_runs import best, in_turns
 from benchmarks.firmware_table import PEERS, peer_table, put
-from benchmarks.firmware_targets import SOURCES, counted, must
+from benchmarks.firmware_targets import BESIDE, SOURCES, counted, shared
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.shipping.export_c import export_c
 
-_BOTH = ("cortex-m4", "cortex-m4f")
 _TOLERANCE = 2e-5  # of actions, between float32 of emlearn and of ONNX Runtime
-_ROUNDS = 5
 
 
 def main() -> None:
@@ -66,7 +64,7 @@ def _task(task: str, python: Path, folder: Path) -> list[dict]:
     for name in names:
         if name not in spiking:
             rows += _dense(name, seen, python, folder / name)
-    _timed(rows, seen, folder)
+    in_turns(rows, lambda row: _step_ns(seen, folder / row["policy"], row["by"] == "spikedeploy"))
     return rows
 
 
@@ -74,7 +72,7 @@ def _spiking(name: str, folder: Path) -> dict:
     folder.mkdir(parents=True)
     export_c(name, "loihi1", folder)
     row = {"policy": name, "by": "spikedeploy", "error": 0.0}
-    return row | _shared(name, folder, ("policy.c", "codec.c"))
+    return row | _built(name, folder, ("policy.c", "codec.c"))
 
 
 def _dense(name: str, seen: NDArray[np.float64], python: Path, folder: Path) -> Iterator[dict]:
@@ -85,16 +83,14 @@ def _dense(name: str, seen: NDArray[np.float64], python: Path, folder: Path) -> 
     folder.mkdir(parents=True)
     release = firmware_dense.write(policy, python, seen, folder)
     row = {"policy": name, "by": f"emlearn {release}"}
-    row |= _shared(name, folder, ("dense.c",))
+    row |= _built(name, folder, ("dense.c",))
     yield row | {"error": _error(name, seen, folder, policy.chooses)}
 
 
-def _shared(name: str, folder: Path, sources: tuple[str, ...]) -> dict:
+def _built(name: str, folder: Path, sources: tuple[str, ...]) -> dict:
     """What is built and counted alike of all policies."""
-    fast = ["-O3", "-march=native", "-ffp-contract=off", "-std=c99", "-fPIC", "-shared", "-I."]
-    more = [*sources, str(SOURCES / "repeat.c"), "-lm", "-o", "timed.so"]
-    must(["gcc", *fast, *more], folder)
-    found = {target: counted(target, folder, sources) for target in _BOTH}
+    shared(folder, *sources, str(SOURCES / "repeat.c"))
+    found = {target: counted(target, folder, sources) for target in BESIDE}
     print(name, json.dumps(found), file=sys.stderr, flush=True)
     return {"return": zoo.mean_return(zoo.card(name)), **found}
 
@@ -116,19 +112,7 @@ def _error(name: str, seen: NDArray[np.float64], folder: Path, chooses: bool) ->
     return float(np.abs(np.array(found) - wanted).max())
 
 
-def _timed(rows: list[dict], seen: NDArray[np.float64], folder: Path) -> None:
-    """Nanoseconds of a control step on this machine, and in parts of the first row's.
-
-    Rows take turns, so that what else the machine does meets all of them.
-    """
-    for row in rows * _ROUNDS:
-        spent = _step_ns(row["by"] == "spikedeploy", seen, folder / row["policy"])
-        row["host_ns"] = min(row.get("host_ns", spent), spent)
-    for row in rows:
-        row["ratio"] = row["host_ns"] / rows[0]["host_ns"]
-
-
-def _step_ns(own: bool, seen: NDArray[np.float64], folder: Path) -> float:
+def _step_ns(seen: NDArray[np.float64], folder: Path, own: bool) -> float:
     loaded = ctypes.CDLL(str(folder / "timed.so"))
     rows = np.tile(seen.astype(np.float64 if own else np.float32), (50, 1))
     place, action = rows.ctypes.data_as(ctypes.c_void_p), (ctypes.c_double * 64)()

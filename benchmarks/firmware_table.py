@@ -1,5 +1,6 @@
 """The tables of docs/firmware.md."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 PAGE = Path(__file__).parent.parent / "docs/firmware.md"
@@ -22,8 +23,7 @@ _COUNTS = ("instructions", "instructions_max")
 
 def table(rows: list[dict]) -> str:
     """Rows as a table in Markdown; a dash where a tool was missing."""
-    lines = [_line(_HEAD), _line(["---", *["---:"] * (len(_HEAD) - 1)])]
-    return "\n".join([*lines, *(_line(_cells(row)) for row in rows)]) + "\n"
+    return _table(_HEAD, map(_cells, rows))
 
 
 def written(rows: list[dict], episodes: int) -> None:
@@ -42,41 +42,31 @@ def put(place: str, text: str) -> None:
 
 def peer_table(rows: list[dict]) -> str:
     """Policies beside those of other tools, as a table in Markdown."""
-    lines = [_line(_PEER_HEAD), _line(["---", "---", *["---:"] * (len(_PEER_HEAD) - 2)])]
-    return "\n".join([*lines, *(_line(_peer_cells(row)) for row in rows)]) + "\n"
+    return _table(_PEER_HEAD, map(_peer_cells, rows), names=2)
 
 
 def _peer_cells(row: dict) -> list[str]:
-    soft, unit = row["cortex-m4"], row["cortex-m4f"]
-    return [
-        row["policy"],
-        row["by"],
-        f"{row['return']:,.1f}",
-        *(_thousands(soft, key) for key in ("rom", "static")),
-        *(_count(soft, key) for key in _COUNTS),
-        _count(unit, "instructions"),
-        f"{row['host_ns']:,.0f}",
-        f"{row['ratio']:.2f}",
-    ]
+    memory = [_thousands(row["cortex-m4"], key) for key in ("rom", "static")]
+    return [row["policy"], row["by"], f"{row['return']:,.1f}", *memory, *_costs(row)]
 
 
 def network_table(rows: list[dict]) -> str:
     """Spiking networks alone, ours and snn-mlir's, as a table in Markdown."""
-    lines = [_line(_NETWORK_HEAD), _line(["---", "---", *["---:"] * (len(_NETWORK_HEAD) - 2)])]
-    return "\n".join([*lines, *(_line(_network_cells(row)) for row in rows)]) + "\n"
+    return _table(_NETWORK_HEAD, map(_network_cells, rows), names=2)
 
 
 def _network_cells(row: dict) -> list[str]:
-    soft, unit = row["cortex-m4"], row["cortex-m4f"]
+    unlike = f"{row['unlike']:,} of {row['counts']:,}"
+    return [row["policy"], row["by"], _thousands(row["cortex-m4"], "rom"), *_costs(row), unlike]
+
+
+def _costs(row: dict) -> list[str]:
+    """Instructions and time of a row beside other tools."""
     return [
-        row["policy"],
-        row["by"],
-        _thousands(soft, "rom"),
-        *(_count(soft, key) for key in _COUNTS),
-        _count(unit, "instructions"),
+        *(_count(row["cortex-m4"], key) for key in _COUNTS),
+        _count(row["cortex-m4f"], "instructions"),
         f"{row['host_ns']:,.0f}",
         f"{row['ratio']:.2f}",
-        f"{row['unlike']:,} of {row['counts']:,}",
     ]
 
 
@@ -102,5 +92,11 @@ def _count(found: dict, key: str) -> str:
     return f"{found[key]:,}" if key in found else "–"
 
 
-def _line(cells: "list[str] | tuple[str, ...]") -> str:
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> str:
+    """names: columns to the left, of texts."""
+    rule = ["---"] * names + ["---:"] * (len(head) - names)
+    return "\n".join(map(_line, [head, rule, *rows])) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"

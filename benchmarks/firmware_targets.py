@@ -1,10 +1,11 @@
-"""Microcontrollers under qemu: C of a policy is built for them, run and counted."""
+"""C of a policy, built for this machine, or for microcontrollers under qemu, run and counted."""
 
 import shutil
 import subprocess
 from pathlib import Path
 
 SOURCES = Path(__file__).parent / "firmware"
+BESIDE = ("cortex-m4", "cortex-m4f")  # those on which other tools are compared
 _M4_MEMORY = (0x0, 0x400000, 0x20000000, 0x400000)
 _M4_MACHINE = ("qemu-system-arm", "-M", "mps2-an386", "-semihosting")
 # compiler, its options, where memory lies, and the machine of qemu
@@ -64,6 +65,12 @@ def counted(target: str, folder: Path, sources: tuple[str, ...] = ("policy.c", "
     }
 
 
+def shared(folder: Path, *sources: str) -> None:
+    """Build timed.so for this machine, as quick as gcc makes it."""
+    quick = ["-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-fPIC", "-shared", "-I."]
+    must(["gcc", *quick, *sources, "-lm", "-o", "timed.so"], folder)
+
+
 def called(words: list[str], folder: Path) -> tuple[bool, str]:
     """Whether a command succeeds, and its output."""
     ended = subprocess.run(
@@ -78,6 +85,14 @@ def must(words: list[str], folder: Path) -> str:
     if not passed:
         raise RuntimeError(f"{' '.join(words)}: {output[-2000:]}")
     return output
+
+
+def piped(words: list[str], given: str = "") -> str:
+    """What a command that has to succeed writes when it is given a text."""
+    ended = subprocess.run(words, input=given, capture_output=True, text=True, check=False)
+    if ended.returncode:
+        raise RuntimeError(f"{' '.join(words)[:300]}: {ended.stderr[-2000:]}")
+    return ended.stdout
 
 
 def _compiler(target: str) -> list[str]:

@@ -7,9 +7,9 @@
 The gait of Hexapod-v0 has 40 phases, which the observation holds as sine and cosine. Table (40, 18)
 and W are fitted by least squares to a float teacher on its own walks, then on walks of the student
 too (DAgger, six rounds); of W only the entries that lower the error most are kept, chosen one by
-one (matching pursuit). Both are rounded to 8 bits, one scale each. The student does not see its own
-last action. The energy is that of docs/energy.md: MACs, 18 constants, and reads of 16 bits of 18
-table entries and the observations.
+one (orthogonal matching pursuit). Both are rounded to 8 bits, one scale each. The student does not
+see its own last action. The energy is that of docs/energy.md: MACs, 18 constants, and reads of 16
+bits of 18 table entries and the observations.
 
 --write puts the result into results/phase-table.json.
 """
@@ -111,7 +111,7 @@ def phase(seen: Array) -> NDArray[np.int64]:
 
 
 def _pursued(x: Array, y: Array, most: int) -> Array:
-    """Weights (act, obs) of which so many are not 0, chosen one by one (matching pursuit)."""
+    """Weights (act, obs) of which so many are not 0, by orthogonal matching pursuit."""
     gram, toward = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1]), y.T @ x
     weight = np.zeros(toward.shape)
     for _ in range(most):

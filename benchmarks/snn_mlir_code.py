@@ -1,15 +1,13 @@
 """Networks through snn-mlir and LLVM 22 to object files, and what calls them."""
 
-import os
 import re
-import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.firmware_targets import SOURCES, counted, must
+from benchmarks.firmware_targets import SOURCES, counted, must, piped, shared
 from benchmarks.snn_to_linalg import lowered
 
 KINDS = ("float32", "int8")
@@ -38,10 +36,11 @@ class Tools(NamedTuple):
 
 def write(tools: Tools, network: Path, kind: str, raster: NDArray[np.uint8], folder: Path) -> None:
     """Fill a folder: network.mlir without snn, policy.h, vectors.h and mlir_net.c."""
+    # isolated (-I): what this process imports from is nothing to that Python
     code = f"import snn_mlir; print(snn_mlir.to_mlir({str(network)!r}, quantize={kind == 'int8'}))"
-    text = _called([str(tools.python), "-I", "-c", code])
+    text = piped([str(tools.python), "-I", "-c", code])
     if tools.snn_opt:
-        plain = _called([str(tools.snn_opt), "-", "--convert-snn-to-linalg"], text)
+        plain = piped([str(tools.snn_opt), "-", "--convert-snn-to-linalg"], text)
     else:
         plain = lowered(text)
     (folder / "network.mlir").write_text(plain)
@@ -83,19 +82,18 @@ def host(tools: Tools, folder: Path) -> None:
     triple = must(["gcc", "-dumpmachine"], folder).strip()
     options = (f"-mtriple={triple}", "-mcpu=native", "--relocation-model=pic")
     _object(tools, folder, 64, "-O3", options)
-    fast = ["gcc", "-std=c99", "-O3", "-march=native", "-fPIC", "-shared", "-I."]
-    must([*fast, "mlir_net.c", "net.o", "-lm", "-o", "timed.so"], folder)
+    shared(folder, "mlir_net.c", "net.o")
 
 
 def _object(tools: Tools, folder: Path, index: int, level: str, options: tuple[str, ...]) -> None:
     passes = [f"-{x}=index-bitwidth={index}" if x in _WIDE else f"-{x}" for x in _PASSES]
     llvm = tools.llvm
     lower = [str(llvm / "mlir-opt"), *passes, str(folder / "network.mlir")]
-    code = _called([str(llvm / "mlir-translate"), "--mlir-to-llvmir"], _called(lower))
+    code = piped([str(llvm / "mlir-translate"), "--mlir-to-llvmir"], piped(lower))
     triple = [word for word in options if word.startswith("-m")]
-    code = _called([str(llvm / "opt"), level, *triple, "-S"], code)
+    code = piped([str(llvm / "opt"), level, *triple, "-S"], code)
     out = ["-filetype=obj", "-", "-o", str(folder / "net.o")]
-    _called([str(llvm / "llc"), level, *options, *out], code)
+    piped([str(llvm / "llc"), level, *options, *out], code)
 
 
 def _caller(states: list[int], output: int, kind: str) -> str:
@@ -118,13 +116,3 @@ def _caller(states: list[int], output: int, kind: str) -> str:
     for gap, value in gaps.items():
         text = text.replace(gap, value)
     return text
-
-
-def _called(words: list[str], given: str = "") -> str:
-    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    ended = subprocess.run(
-        words, input=given, capture_output=True, text=True, check=False, env=clean
-    )
-    if ended.returncode:
-        raise RuntimeError(f"{' '.join(words)[:300]}: {ended.stderr[-2000:]}")
-    return ended.stdout

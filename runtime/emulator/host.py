@@ -30,6 +30,7 @@ class Host:
         sources = {s.source for layer in program.host for s in layer.synapses}
         self._hears_input = program.input in sources | {name for name, _, _, _ in self._terms}
         self._sizes = program.sizes | {layer.name: layer.size for layer in program.host}
+        # made once: where windows do not keep states, each begins with a reset
         self._delays = {
             streaming: _Delays(program, streaming=streaming) for streaming in (False, True)
         }

@@ -83,17 +83,18 @@ def _hidden(spec: Fields, registers: XyloRegisters, width: int, work: Work) -> L
             "weights_in", f"has {weights.shape[0]} rows", f"Write one for each of {width} inputs."
         )
     size, aliases = weights.shape[1], _aliases(spec, weights.shape[1])
-    one_by_one = weights.shape[2] * width + sum(map(len, aliases), len(aliases))
-    work.add(size, weights.size, one_by_one)
+    axons = weights.shape[2] * width + sum(map(len, aliases), len(aliases))
+    count = weights.size
     synapses = [Synapses("input", weights[:, :, k], 0, current=k) for k in range(weights.shape[2])]
     if spec.filled("weights_rec"):
         recurrent = _weights(spec, "weights_rec", 1, registers)
         if recurrent.shape[:2] != (size, size):
             remedy = f"Write {size} rows of {size} neurons."
             raise spec.wrong("weights_rec", f"has shape {recurrent.shape}", remedy)
-        work.add(0, recurrent.size, recurrent.shape[2] * size)
+        axons, count = axons + recurrent.shape[2] * size, count + recurrent.size
         each = range(recurrent.shape[2])
         synapses += [Synapses(_HIDDEN, recurrent[:, :, k], 1, current=k) for k in each]
+    work.add(size, count, axons)
     dashes = [_dash(spec, name, registers, size) for name in ("dash_syn", "dash_syn_2")]
     layer = _layer(spec, _HIDDEN, tuple(synapses), dashes, registers)
     return replace(layer, aliases=aliases)

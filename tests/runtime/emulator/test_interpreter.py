@@ -147,7 +147,7 @@ def test_sums_of_a_negative_exponent_are_rounded_down_together(shift):
     fixed = CHIP.arithmetic
     weight = np.array([[5, -5], [6, -6]], np.int16)
     lists = (Synapses("a", weight, 1, shift=shift), Synapses("b", weight, 1))
-    both = replace(layer(fixed, "n", weight.T, lists, decays=(0, 0), threshold=64))
+    both = layer(fixed, "n", weight.T, lists, decays=(0, 0), threshold=64)
     both = replace(both, bias=np.array([1, 2]))
     row = np.ones((1, 2), np.uint8)
     assert arriving(both, [row, row]).tolist() == [

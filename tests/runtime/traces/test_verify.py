@@ -389,6 +389,16 @@ def test_what_is_taken_one_by_one_is_part_of_the_work(trace, monkeypatch):
         verify(GOLDEN / f"{trace}.json")
 
 
+def test_hidden_neurons_of_xylo_are_one_layer_with_their_recurrent_synapses(monkeypatch):
+    path = GOLDEN / "xylo_B_two_syn_bias_rec.json"
+    most = 2 * verify(path).steps
+    monkeypatch.setattr(work, "_MOST_TICKS", most)
+    assert verify(path).equal
+    monkeypatch.setattr(work, "_MOST_TICKS", most - 1)
+    with pytest.raises(TraceError, match=f"has {most} layers times timesteps"):
+        verify(path)
+
+
 def test_layers_and_fields_and_numbers_are_limited(lava, file, monkeypatch):
     with pytest.raises(TraceError, match="layers has 257"):
         verify(file({**lava, "layers": [{}] * 257}))
