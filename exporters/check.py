@@ -1,11 +1,13 @@
-"""One check of an exported file, and the counters behind it."""
+"""Checks of an exported file: what was compared, on which spikes, and the counters behind it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+_RATE = 0.3  # spikes of an input in a timestep
 _BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
 
 
@@ -21,6 +23,25 @@ class ParityCheck:
     name: str
     passed: bool
     detail: str
+
+
+@dataclass(frozen=True)
+class CheckedFile:
+    """A written file.
+
+    path     of the file
+    checks   in their order
+    remarks  what whoever opens it has to know
+    """
+
+    path: Path
+    checks: Sequence[ParityCheck]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check did."""
+        return all(each.passed for each in self.checks)
 
 
 @dataclass
@@ -57,6 +78,11 @@ class LargestDifference:
     def within(self, limit: float) -> bool:
         """Whether no difference exceeds the limit."""
         return self.largest <= limit
+
+
+def random_spikes(rng: np.random.Generator, *shape: int) -> NDArray[np.uint8]:
+    """Independent input spikes of this shape, at a rate of 0.3 for each timestep."""
+    return (rng.random(shape) < _RATE).astype(np.uint8)
 
 
 def batches(observations: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:

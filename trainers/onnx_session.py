@@ -31,7 +31,27 @@ def session(path: str | Path) -> Any:  # noqa: ANN401
     if file.is_file():
         found = file.stat()
         _check(file, found.st_size, found.st_mtime_ns)
-    return _opened(path)
+    network = _opened(path)
+    _check_text(path, network)
+    return network
+
+
+def says_how_it_acts(network: Any) -> bool:  # noqa: ANN401
+    """Return whether its metadata are those of our policies, which fix environment and units."""
+    said: dict[str, str] = network.get_modelmeta().custom_metadata_map
+    return {"env", "recipe"} <= said.keys()
+
+
+def _check_text(path: str | Path, network: Any) -> None:  # noqa: ANN401
+    """Raise ArtifactError where names or metadata, which are decoded when read, are no text."""
+    try:
+        for each in (*network.get_inputs(), *network.get_outputs()):
+            _ = each.name, each.shape
+        _ = network.get_modelmeta().custom_metadata_map
+    except UnicodeDecodeError as error:
+        raise ArtifactError(
+            f"{path} has names or metadata that are no text ({error}). Export it again"
+        ) from None
 
 
 def _opened(path: str | Path) -> Any:  # noqa: ANN401

@@ -19,9 +19,7 @@ from spikedeploy.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from spikedeploy.shipping.export_nir import RewrittenNir
-    from spikedeploy.shipping.export_run import ExportedPolicy
-    from spikedeploy.shipping.export_xylo import WrittenSpecification
+    from spikedeploy.exporters.check import CheckedFile
 
 Checkpoint = Annotated[
     str | None,
@@ -182,12 +180,7 @@ def _export_xylo(
     _end_with(written, json, remarks, remarks=remarks)
 
 
-def _end_with(
-    written: "ExportedPolicy | RewrittenNir | WrittenSpecification",
-    json: bool,
-    said: Sequence[str],
-    **more: object,
-) -> None:
+def _end_with(written: "CheckedFile", json: bool, said: Sequence[str], **more: object) -> None:
     """Say what was written and whether it passed; `more` is for JSON. Exit 1 where it did not."""
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks

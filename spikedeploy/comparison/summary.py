@@ -131,12 +131,12 @@ def _trained(rows: Sequence[Row]) -> list[Row]:
 
 def _named(rival: Row, row: Row, words: _Words) -> str:
     count = macs(rival)
-    counted = f"{count:,.0f} MACs" if math.isfinite(count) else "MACs that were not counted"
+    cost = f"{count:,.0f} MACs" if math.isfinite(count) else "MACs that were not counted"
     own = f"{row['sops_per_inference']:,.0f} synaptic operations"
     if more := round(row.get("effective_macs") or 0):
         own += f" and {more:,} MACs"
     return (
-        f"The smallest float policy not shown to {words.less} is {rival['policy']}: {counted} a "
+        f"The smallest float policy not shown to {words.less} is {rival['policy']}: {cost} a "
         f"control step, to {own} of {row['policy']}."
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.exporters.check import random_spikes
 from spikedeploy.exporters.importers.rewritten import arguments, for_importer
 from spikedeploy.interop.peers import OtherTool
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
@@ -15,7 +16,6 @@ from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 
 TIMESTEPS = 400
-_RATE = 0.3  # spikes of an input in a timestep
 SPIKES = "spikes.npz"  # of a peer, in the folder of its case
 PLAIN, FOR, OLDER = "as it is", "--for", "--nir-compat"
 
@@ -68,8 +68,7 @@ def case(file: Path, peer: OtherTool, variant: str, folder: Path) -> Case:
 def raster(file: Path) -> NDArray[np.uint8]:
     """Input spikes (T, M), the same for all peers."""
     (port,) = ports(load(file).graph.inputs)
-    rng = np.random.default_rng(0)
-    return (rng.random((TIMESTEPS, *port.shape)) < _RATE).astype(np.uint8)
+    return random_spikes(np.random.default_rng(0), TIMESTEPS, *port.shape)
 
 
 def meant(file: Path, rows: NDArray[np.uint8]) -> Layers:

@@ -54,8 +54,10 @@ class LiveServer(ThreadingMixIn, TCPServer):
     def __init__(self, listeners: Listeners, port: int = 0) -> None:
         self.listeners = listeners
         self._streams = threading.BoundedSemaphore(_STREAMS)
-        self._others: dict[socket, None] = {}  # in the order in which they came
-        self._lock = threading.Lock()  # of them, and nobody closes one that another shuts down
+        # connections without a stream, the oldest first
+        self._others: dict[socket, None] = {}
+        # guards them: a socket is not closed by its thread while a newcomer shuts it down
+        self._lock = threading.Lock()
         try:
             super().__init__(("127.0.0.1", port), _Handler)
         except OSError as error:

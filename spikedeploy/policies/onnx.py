@@ -49,10 +49,7 @@ class OnnxController:
                 f"{path} is one step of a spiking policy, whose states whoever runs it keeps, as "
                 "docs/own-network.md shows. To play it, give the .nir file that it was made of"
             )
-        try:
-            self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
-        except UnicodeDecodeError as error:
-            raise ArtifactError(f"{path} has names that are no text. Export it again") from error
+        self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
         self._dtype = _DTYPES[self._input.type]
         self._single = self._input.shape[0] == 1
         self.observed = _width(path, self._input)
@@ -218,12 +215,7 @@ def _beside(controller: OnnxController) -> tuple[dict[str, float], tuple[str, ..
 
 def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
     """What the exporter said; macs is a number of 0 or more, fan_out lists of numbers."""
-    try:
-        said: dict[str, str] = dict(session.get_modelmeta().custom_metadata_map)
-    except UnicodeDecodeError as error:
-        raise ArtifactError(
-            f"{path}: its metadata are no text ({error}). Export it again"
-        ) from None
+    said: dict[str, str] = dict(session.get_modelmeta().custom_metadata_map)
     try:
         macs = float(said.get("macs", 0))
         counts = [np.array(each, np.int64) for each in json.loads(said.get("fan_out", "[]"))]

@@ -5,7 +5,7 @@ They act in the environment's own units, which is why ONNX files of other people
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -17,13 +17,11 @@ from spikedeploy.policies.costs import UNCOUNTED, Costs
 from spikedeploy.policies.interface import Candidate, check_fit
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.onnx_session import says_how_it_acts, session
 
 if TYPE_CHECKING:
+    from spikedeploy.trainers.distill.own_spaces import Units
     from spikedeploy.trainers.distill.teacher import Teacher
-
-Units = Literal["own", "scaled"]
-_OURS = {"env", "recipe"}  # metadata of ONNX files that say themselves how they act
 
 
 class TeacherController:
@@ -48,7 +46,7 @@ class TeacherController:
         return output.argmax(axis=1) if self._chooses else output
 
 
-def teacher_candidate(reference: str, units: Units | None = None) -> Candidate:
+def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate:
     """The candidate of a teacher as `distill` names it; `units` are those of its actions.
 
     A function that the user names is code of the user, imported where it plays: a reference that
@@ -65,7 +63,8 @@ def teacher_candidate(reference: str, units: Units | None = None) -> Candidate:
 
 
 def _of_others(path: Path) -> bool:
-    return path.is_file() and not session(path).get_modelmeta().custom_metadata_map.keys() >= _OURS
+    """Whether an ONNX file does not say how it acts, as ours do."""
+    return path.is_file() and not says_how_it_acts(session(path))
 
 
 def describe(path: Path) -> Candidate:

@@ -1,13 +1,12 @@
 """A NIR file rewritten for another tool's import, or for an earlier release of `nir`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from spikedeploy.exporters.check import MismatchCounter, ParityCheck
+from spikedeploy.exporters.check import CheckedFile, MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.exporters.importers.rewritten import arguments, for_importer
 from spikedeploy.outputs import check_output
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
@@ -15,27 +14,6 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.shipping.export_c import nir_file
-
-_RATE = 0.3  # spikes of an input in a timestep
-
-
-@dataclass(frozen=True)
-class RewrittenNir:
-    """A written file.
-
-    path: of it.
-    checks: that it is the network that was given, as it stands and as the tool reads it.
-    remarks: what its import must be told.
-    """
-
-    path: Path
-    checks: tuple[ParityCheck, ...]
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check did."""
-        return all(each.passed for each in self.checks)
 
 
 def export_nir(
@@ -46,7 +24,7 @@ def export_nir(
     timesteps: int = 1000,
     options: Mapping[str, Any] | None = None,
     force: bool = False,
-) -> RewrittenNir:
+) -> CheckedFile:
     """Write a policy's network for a tool, and compare it with the policy on random spikes.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
@@ -54,6 +32,8 @@ def export_nir(
     older: release of `nir` that must be able to open the file.
     timesteps: on which the networks are compared.
     options: of artifact.load, such as written_by.
+
+    The remarks say what the import of the tool must be told.
     """
     if path is None:
         raise ConfigError("--for and --nir-compat write another file: name it, as in -o net.nir")
@@ -68,7 +48,7 @@ def export_nir(
         as_read = load(path, like=tool, **told)  # type: ignore[arg-type]
         checks.append(_compared(f"the file as {tool} reads it", given, as_read, timesteps))
     remarks = tuple(f"its import must be told {name} {value}" for name, value in told.items())
-    return RewrittenNir(path, tuple(checks), remarks)
+    return CheckedFile(path, tuple(checks), remarks)
 
 
 def _is_ours(path: Path) -> bool:
@@ -83,7 +63,7 @@ def _compared(name: str, one: Artifact, other: Artifact, timesteps: int) -> Pari
     """Spikes of every layer, and outputs, of both networks in float64 on the same raster."""
     rng = np.random.default_rng(0)
     raster = {
-        port.name: (rng.random((1, timesteps, *port.shape)) < _RATE).astype(np.float64)
+        port.name: random_spikes(rng, 1, timesteps, *port.shape).astype(np.float64)
         for port in ports(one.graph.inputs)
     }
     found, wanted = _run(other, list(raster.values())), _run(one, list(raster.values()))

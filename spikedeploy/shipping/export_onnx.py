@@ -37,4 +37,4 @@ def export_onnx(
     path.parent.mkdir(parents=True, exist_ok=True)
     spiking_to_onnx(artifact, path)
     seen, _ = episode_of(artifact, None, observations, world_of(policy, artifact))
-    return ExportedPolicy(path, "snn", checks(artifact, path, seen))
+    return ExportedPolicy(path, checks(artifact, path, seen), kind="snn")

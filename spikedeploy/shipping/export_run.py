@@ -1,6 +1,6 @@
 """Export of a run's policy: the file is read back and compared with the policy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters import EXPORTERS, exporter
-from spikedeploy.exporters.check import ParityCheck
+from spikedeploy.exporters.check import CheckedFile
 from spikedeploy.exporters.parity import check
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
@@ -32,24 +32,15 @@ _OBSERVATIONS = 1000
 
 
 @dataclass(frozen=True)
-class ExportedPolicy:
+class ExportedPolicy(CheckedFile):
     """A written file, and its comparison with the policy.
 
-    path    of the file
     kind    "ann", "snn" or "control", for comparisons
-    checks  in their order
     unfinished  how far the training came, where it has not ended
     """
 
-    path: Path
-    kind: str
-    checks: list[ParityCheck]
+    kind: str = field(kw_only=True)
     unfinished: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check did."""
-        return all(each.passed for each in self.checks)
 
 
 def export_run(
@@ -87,7 +78,8 @@ def export_run(
     options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
     exporter(to)(policy, origin, path, **options.get(to, {}))
     seen = recorded(folder, observations, checkpoint)
-    return ExportedPolicy(path, kind, check(policy, path, seen), run_record.unfinished(folder))
+    late = run_record.unfinished(folder)
+    return ExportedPolicy(path, check(policy, path, seen), kind=kind, unfinished=late)
 
 
 def _same_training(origin: Provenance, path: Path) -> bool:

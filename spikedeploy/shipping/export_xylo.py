@@ -1,13 +1,12 @@
 """A network as the specification of a Xylo for Rockpool, compared with the chip's arithmetic."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from spikedeploy.exporters.check import MismatchCounter, ParityCheck
+from spikedeploy.exporters.check import CheckedFile, MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.exporters.to_xylo import Specification, check_chip, places, specification
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import check_output, marked
@@ -22,26 +21,6 @@ from spikedeploy.runtime.traces.fields import Fields
 from spikedeploy.shipping.export_c import nir_file
 
 _MARK = "spikedeploy export --to xylo"
-_RATE = 0.3  # spikes of an input in a timestep
-
-
-@dataclass(frozen=True)
-class WrittenSpecification:
-    """A written file.
-
-    path: of it.
-    checks: that the file, read back, spikes as the program does.
-    remarks: what of the program is not as in the network.
-    """
-
-    path: Path
-    checks: tuple[ParityCheck, ...]
-    remarks: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check did."""
-        return all(each.passed for each in self.checks)
 
 
 def export_xylo(
@@ -51,13 +30,15 @@ def export_xylo(
     timesteps: int = 1000,
     options: Mapping[str, Any] | None = None,
     force: bool = False,
-) -> WrittenSpecification:
+) -> CheckedFile:
     """Write a network as a specification.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
     chip_name: a Xylo; None is refused with their names.
     timesteps: on which file and program are compared.
     options: of artifact.load, such as reset.
+
+    The remarks say what of the network the specification does not have, or has otherwise.
     """
     if path is None:
         raise ConfigError("--to xylo writes a file: name it, as in -o xylo.json")
@@ -76,7 +57,7 @@ def export_xylo(
     check = compared(program, found, timesteps)
     left = {"codec": artifact.codec, "last affine map": program.readout}
     remarks = [f"the {what} stays with the host" for what, one in left.items() if one is not None]
-    return WrittenSpecification(path, (check,), (*program.remarks, *remarks))
+    return CheckedFile(path, (check,), (*program.remarks, *remarks))
 
 
 def document(program: Program, found: Specification) -> dict[str, Any]:
@@ -97,8 +78,7 @@ def document(program: Program, found: Specification) -> dict[str, Any]:
 
 def compared(program: Program, found: Specification, timesteps: int) -> ParityCheck:
     """Spikes of every layer by the specification, read as a trace's, beside the program's."""
-    rng = np.random.default_rng(0)
-    raster = (rng.random((1, timesteps, program.width)) < _RATE).astype(np.uint8)
+    raster = random_spikes(np.random.default_rng(0), 1, timesteps, program.width)
     wait, steps = _wait(program), program.steps(timesteps)
     played = np.zeros((steps, program.width), np.uint8)
     played[wait : wait + timesteps] = raster[0, : steps - wait]

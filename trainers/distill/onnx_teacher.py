@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.own_spaces import OwnSpaces, Units
 from spikedeploy.trainers.distill.teacher import FloatArray, Teacher
-from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.onnx_session import says_how_it_acts, session
 
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 _NAMES = ("action", "actions")
@@ -25,15 +25,17 @@ def onnx_teacher(path: str, spaces: Callable[[], OwnSpaces], units: Units | None
     spaces: called for files that are not ours
     """
     network = session(path)
-    described = network.get_modelmeta().custom_metadata_map
-    if {"env", "recipe"} <= described.keys():
+    if says_how_it_acts(network):
         if units is not None:
-            raise ConfigError(f"the teacher {path} says itself how it acts: leave teacher_units")
-        return _ours(network, str(described["env"]))
+            raise ConfigError(
+                f"the teacher {path} says itself how it acts: leave teacher_units out"
+            )
+        return _ours(network)
     return _theirs(path, network, spaces(), units or "own")
 
 
-def _ours(network: Any, env: str) -> Teacher:  # noqa: ANN401
+def _ours(network: Any) -> Teacher:  # noqa: ANN401
+    env: str = network.get_modelmeta().custom_metadata_map["env"]
     entry, exit_ = network.get_inputs()[0], network.get_outputs()[0]
 
     def act_all(observation: FloatArray) -> FloatArray:

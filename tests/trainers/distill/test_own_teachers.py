@@ -10,7 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.exporters.to_onnx import to_onnx
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.teachers import score, teacher
@@ -185,6 +185,19 @@ def test_the_action_of_several_outputs_is_known_by_its_name(tmp_path):
     assert teacher(path, REACH).actions == 2
 
 
+@pytest.mark.parametrize("where", ["metadata", "input"])
+def test_a_file_whose_words_are_no_text_is_refused_in_a_sentence(where, tmp_path):
+    path = tmp_path / "theirs.onnx"
+    network(path, [("XXXX" if where == "input" else "obs", ["B", 4])], [("action", ["B", 2])])
+    if where == "metadata":
+        made = onnx.load(path)
+        helper.set_model_props(made, {"env": "XXXX"})
+        onnx.save(made, path)
+    path.write_bytes(path.read_bytes().replace(b"XXXX", b"\xff\xfe\xff\xfe"))
+    with pytest.raises(ArtifactError, match=r"theirs\.onnx.* no text"):
+        teacher(str(path), REACH)
+
+
 def test_a_teacher_of_ours_acts_in_scaled_units_already(tmp_path):
     policy = MlpPolicy(4, 2, hidden=()).eval()
     path = to_onnx(policy, Provenance(REACH), tmp_path / "ours.onnx")
@@ -194,5 +207,5 @@ def test_a_teacher_of_ours_acts_in_scaled_units_already(tmp_path):
     env = envs.make(REACH)
     env.reset(seed=0)
     env.step(found[0])  # the environment checks that it is in its box
-    with pytest.raises(ConfigError, match="leave teacher_units"):
+    with pytest.raises(ConfigError, match="leave teacher_units out"):
         teacher(str(path), REACH, units="own")
