@@ -242,3 +242,10 @@ def test_an_array_alone_is_refused_with_the_options_that_it_needs(command, tmp_p
     code, _, err = command("verify", saved(tmp_path / "a.npy", np.zeros((3, 2))))
     assert code == 2
     assert "give --network and --chip and --input too" in " ".join(err.split())
+
+
+@pytest.mark.parametrize("more", [("--dt", 1e-3), ("--limits", "off"), ("--quantise", "channel")])
+def test_options_of_a_network_are_refused_beside_a_trace(command, more):
+    code, _, err = command("verify", "trace.json", *more)
+    assert code == 2
+    assert "go with --network" in " ".join(err.split())
