@@ -225,8 +225,9 @@ def test_a_shape_beyond_all_memory_is_one_sentence(command, braille, tmp_path, s
     assert "a.npy claims more numbers than any memory holds" in err
 
 
-def test_options_of_a_network_are_refused_for_trace_files(command):
-    code, _, err = command("verify", GOLDEN / "lava_A_popsan_decays.json", "--dt", "1e-3")
+@pytest.mark.parametrize("more", [("--dt", 1e-3), ("--limits", "off"), ("--quantise", "channel")])
+def test_options_of_a_network_are_refused_for_trace_files(command, more):
+    code, _, err = command("verify", GOLDEN / "lava_A_popsan_decays.json", *more)
     assert code == 2
     assert "--layer" in err
 
@@ -242,10 +243,3 @@ def test_an_array_alone_is_refused_with_the_options_that_it_needs(command, tmp_p
     code, _, err = command("verify", saved(tmp_path / "a.npy", np.zeros((3, 2))))
     assert code == 2
     assert "give --network and --chip and --input too" in " ".join(err.split())
-
-
-@pytest.mark.parametrize("more", [("--dt", 1e-3), ("--limits", "off"), ("--quantise", "channel")])
-def test_options_of_a_network_are_refused_beside_a_trace(command, more):
-    code, _, err = command("verify", "trace.json", *more)
-    assert code == 2
-    assert "go with --network" in " ".join(err.split())
