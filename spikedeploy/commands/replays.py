@@ -75,10 +75,10 @@ def verify(
         rounded = quantisation(quantise, None, "none", None, 0)
         options = {**given, "limits": limits == "on", "quantisation": rounded}
         _verify_activity(traces, played, options, json)
-    if any(value is not None for value in given.values()):
+    if any(value is not None for value in given.values()) or (quantise, limits) != ("layer", "on"):
         raise typer.BadParameter(
-            "--layer, --dt and what else says how a network is read go with "
-            "--network; a trace file says it itself"
+            "options that say how a network is read or compiled, such as --layer, --dt and "
+            "--limits, go with --network; a trace file says it itself"
         )
     replays = []
     for path in traces:

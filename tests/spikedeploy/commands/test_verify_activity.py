@@ -225,8 +225,9 @@ def test_a_shape_beyond_all_memory_is_one_sentence(command, braille, tmp_path, s
     assert "a.npy claims more numbers than any memory holds" in err
 
 
-def test_options_of_a_network_are_refused_for_trace_files(command):
-    code, _, err = command("verify", GOLDEN / "lava_A_popsan_decays.json", "--dt", "1e-3")
+@pytest.mark.parametrize("more", [("--dt", 1e-3), ("--limits", "off"), ("--quantise", "channel")])
+def test_options_of_a_network_are_refused_for_trace_files(command, more):
+    code, _, err = command("verify", GOLDEN / "lava_A_popsan_decays.json", *more)
     assert code == 2
     assert "--layer" in err
 
