@@ -101,10 +101,12 @@ class _CubaLif(torch.autograd.Function):
         membrane = drive.new_empty(drive.shape, dtype=state)  # before the reset, of every timestep
         current = drive.new_zeros(drive.shape[1:], dtype=state)
         previous = drive.new_zeros(drive.shape[1:], dtype=state)  # membrane after the reset
-        for x, v in zip(drive.to(state), membrane, strict=True):
+        # a Python number would become a tensor at every timestep, which costs more than the product
+        on_current, on_membrane = (drive.new_tensor(f, dtype=state) for f in (alpha, beta))
+        for x, v in zip(drive.to(state).unbind(), membrane.unbind(), strict=True):
             # I = alpha I + x ; V = beta V + I ; s = V > threshold ; V = (1 - s) V
-            current.mul_(alpha).add_(x)
-            torch.add(previous.mul_(beta), current, out=v)
+            current = current.mul_(on_current).add_(x) if alpha else x
+            torch.add(previous.mul_(on_membrane), current, out=v)
             # subtracting the values above the threshold is twice as fast as a masked fill
             torch.sub(v, functional.threshold(v, threshold, 0.0), out=previous)
         ctx.save_for_backward(membrane)
@@ -122,9 +124,11 @@ class _CubaLif(torch.autograd.Function):
         passed = below.addcmul_(membrane, slope, value=-1.0)
         result = slope.mul_(upstream)  # filled in place, from the last timestep to the first
         to_current, to_membrane = torch.zeros_like(membrane[0]), torch.zeros_like(membrane[0])
+        on_membrane = membrane.new_tensor(beta)
         for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
-            torch.mul(g.addcmul_(to_membrane, share), beta, out=to_membrane)
-            to_current = g.add_(to_current, alpha=alpha)
+            torch.mul(g.addcmul_(to_membrane, share), on_membrane, out=to_membrane)
+            if alpha:
+                to_current = g.add_(to_current, alpha=alpha)
         return result.to(upstream.dtype), None, None, None, None
 
 
