@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies import lif_kernel
 
 _LOW_PRECISION = (torch.bfloat16, torch.float16)
 
@@ -98,17 +99,8 @@ class _CubaLif(torch.autograd.Function):
         gradient: _Surrogate,
     ) -> Tensor:
         state = torch.float32 if drive.dtype in _LOW_PRECISION else drive.dtype
-        membrane = drive.new_empty(drive.shape, dtype=state)  # before the reset, of every timestep
-        current = drive.new_zeros(drive.shape[1:], dtype=state)
-        previous = drive.new_zeros(drive.shape[1:], dtype=state)  # membrane after the reset
-        # a Python number would become a tensor at every timestep, which costs more than the product
-        on_current, on_membrane = (drive.new_tensor(f, dtype=state) for f in (alpha, beta))
-        for x, v in zip(drive.to(state).unbind(), membrane.unbind(), strict=True):
-            # I = alpha I + x ; V = beta V + I ; s = V > threshold ; V = (1 - s) V
-            current = current.mul_(on_current).add_(x) if alpha else x
-            torch.add(previous.mul_(on_membrane), current, out=v)
-            # subtracting the values above the threshold is twice as fast as a masked fill
-            torch.sub(v, functional.threshold(v, threshold, 0.0), out=previous)
+        integrate = lif_kernel.membranes if lif_kernel.usable(drive) else _membranes
+        membrane = integrate(drive.detach().to(state), alpha, beta, threshold)
         ctx.save_for_backward(membrane)
         ctx.constants = alpha, beta, threshold, gradient
         return (membrane > threshold).to(drive.dtype)
@@ -130,6 +122,22 @@ class _CubaLif(torch.autograd.Function):
             if alpha:
                 to_current = g.add_(to_current, alpha=alpha)
         return result.to(upstream.dtype), None, None, None, None
+
+
+def _membranes(drive: Tensor, alpha: float, beta: float, threshold: float) -> Tensor:
+    """Return the membranes (T, B, N) of a layer before the reset."""
+    membrane = torch.empty_like(drive)
+    current = torch.zeros_like(drive[0])
+    previous = torch.zeros_like(drive[0])  # membrane after the reset
+    # a Python number would become a tensor at every timestep, which costs more than the product
+    on_current, on_membrane = (drive.new_tensor(factor) for factor in (alpha, beta))
+    for x, v in zip(drive.unbind(), membrane.unbind(), strict=True):
+        # I = alpha I + x ; V = beta V + I ; s = V > threshold ; V = (1 - s) V
+        current = current.mul_(on_current).add_(x) if alpha else x
+        torch.add(previous.mul_(on_membrane), current, out=v)
+        # subtracting the values above the threshold is twice as fast as a masked fill
+        torch.sub(v, functional.threshold(v, threshold, 0.0), out=previous)
+    return membrane
 
 
 def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:

@@ -4,6 +4,7 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies import lif_kernel, neurons
 from spikedeploy.trainers.policies.neurons import cuba_lif, integrate_and_fire, surrogate
 
 ALPHA, BETA, THRESHOLD = 0.9, 0.8, 0.5
@@ -97,3 +98,26 @@ def test_encoder_gradient_goes_straight_to_the_drive():
 def test_unknown_surrogate_is_refused():
     with pytest.raises(ConfigError, match="unknown surrogate 'sigmoid'"):
         surrogate("sigmoid")
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("alpha", [0.0, ALPHA])
+def test_compiled_membranes_have_the_bits_of_the_plain_ones(alpha, dtype):
+    pytest.importorskip("numba")
+    drive = torch.randn(40, 6, 33, dtype=dtype, generator=torch.manual_seed(2))
+    drive[3, 0, 0] = torch.nan
+    strided = drive.transpose(1, 2).contiguous().transpose(1, 2)
+    plain = neurons._membranes(drive, alpha, BETA, THRESHOLD)
+    for each in (drive, strided):
+        compiled = lif_kernel.membranes(each, alpha, BETA, THRESHOLD)
+        assert torch.equal(compiled.nan_to_num(), plain.nan_to_num())
+        assert torch.equal(compiled.isnan(), plain.isnan())
+    assert (plain > THRESHOLD).sum() > 1000
+
+
+def test_without_numba_a_layer_runs_all_the_same(monkeypatch):
+    drive = torch.randn(20, 2, 8, generator=torch.manual_seed(3))
+    expected = cuba_lif(drive, ALPHA, BETA, THRESHOLD, surrogate("atan"))
+    monkeypatch.setattr(lif_kernel, "_INSTALLED", False)
+    monkeypatch.setattr(lif_kernel, "membranes", None)
+    assert torch.equal(cuba_lif(drive, ALPHA, BETA, THRESHOLD, surrogate("atan")), expected)
