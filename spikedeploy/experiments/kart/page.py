@@ -1,7 +1,9 @@
 """The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
 
+import json
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -144,6 +146,7 @@ def _facts(design: ExperimentDesign) -> list[str]:
         f"- spikedeploy {own()}; run folders in `{design.folder}`",
         f"- training seeds 0 to {design.seeds - 1}; of controls 0 to {design.controls - 1}",
         *(_end(trained, preset) for preset in (*LEARNING, CORRIDOR)),
+        *_begun_with(trained),
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(
             f"- ✗ {trial.name} was trained with other settings than its recipe has now: "
@@ -154,6 +157,20 @@ def _facts(design: ExperimentDesign) -> list[str]:
         "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
         "[tracks.csv](kart/tracks.csv), [finishes.csv](kart/finishes.csv)",
     ]
+
+
+def _begun_with(trials: Sequence[Trial]) -> list[str]:
+    """Versions with which trainings were begun, and how many; the most frequent first."""
+    files = [trial.run / "versions.json" for trial in trials if trial.run and trial.trained]
+    found = Counter(_named(file) for file in files if file.is_file())
+    texts = [f"{count} with {versions}" for versions, count in found.most_common()]
+    return [f"- trainings were begun so: {'; '.join(texts)}"] if texts else []
+
+
+def _named(file: Path) -> str:
+    """`python 3.11.7, torch 2.13.0, numpy 2.4.6` of a run's versions."""
+    versions = json.loads(file.read_text(encoding="utf-8"))
+    return ", ".join(f"{name} {versions[name]}" for name in ("python", "torch", "numpy"))
 
 
 def _end(trials: Sequence[Trial], preset: str) -> str:

@@ -3,6 +3,9 @@
 import csv
 import json
 import sys
+from importlib.metadata import version
+from pathlib import Path
+from platform import python_version
 
 import numpy as np
 import pytest
@@ -266,6 +269,18 @@ def test_the_page_says_when_trainings_end(design, pretend, tmp_path):
     longer = ExperimentDesign(1, 1, design.folder, overrides=("stop_at_greedy=0.95",))
     page = experiment(longer, (), 2, tmp_path, train=False).files[0].read_text()
     assert "300 finishes and 2 validations in a row of greedy 95%, or its budget" in page
+
+
+def test_the_page_says_with_which_versions_trainings_were_begun(design, pretend, tmp_path):
+    page = experiment(design, ("kart-grid-ann", "kart-grid-snn"), 2, tmp_path).files[0].read_text()
+    here = f"4 with python {python_version()}, torch {version('torch')}, numpy {version('numpy')}"
+    assert f"- trainings were begun so: {here}\n" in page
+    for run in Path(design.folder).glob("kart-grid-ann-s0-*"):
+        found = json.loads((run / "versions.json").read_text())
+        write_text(run / "versions.json", json.dumps(found | {"torch": "2.5.0"}))
+    page = experiment(design, (), 2, tmp_path, train=False).files[0].read_text()
+    assert f"{here.replace('4 with', '3 with')}; 1 with python" in page
+    assert ", torch 2.5.0, numpy" in page
 
 
 def test_the_page_says_who_finishes_on_other_tracks(design, pretend, tmp_path):
