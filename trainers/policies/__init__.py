@@ -13,7 +13,7 @@ delta_graph.py  NIR graphs and codecs of both
 pruned_mlp.py   small float network with a skip connection and masks
 pruned.py       weights with masks
 neurons.py      LIF and CuBa-LIF layers with surrogate gradients, firing rates
-lif_kernel.py   their forward pass, compiled
+lif_kernel.py   their passes forward and back, compiled
 encoders.py     population and rate codes
 features.py     inputs of control policies
 normaliser.py   observation normalisation and running statistics

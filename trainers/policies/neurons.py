@@ -109,18 +109,9 @@ class _CubaLif(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
         (membrane,) = ctx.saved_tensors
         alpha, beta, threshold, gradient = ctx.constants
-        excess = membrane - threshold
-        below = (excess <= 0).to(excess.dtype)
-        slope = gradient(excess)
-        # dV'/dV = (1 - s) - V ds/dV, V' the membrane after the reset
-        passed = below.addcmul_(membrane, slope, value=-1.0)
-        result = slope.mul_(upstream)  # filled in place, from the last timestep to the first
-        to_current, to_membrane = torch.zeros_like(membrane[0]), torch.zeros_like(membrane[0])
-        on_membrane = membrane.new_tensor(beta)
-        for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
-            torch.mul(g.addcmul_(to_membrane, share), on_membrane, out=to_membrane)
-            if alpha:
-                to_current = g.add_(to_current, alpha=alpha)
+        slope = gradient(membrane - threshold)
+        differentiate = lif_kernel.gradients if lif_kernel.usable(membrane) else _gradients
+        result = differentiate(membrane, slope, upstream.to(slope.dtype), alpha, beta, threshold)
         return result.to(upstream.dtype), None, None, None, None
 
 
@@ -138,6 +129,26 @@ def _membranes(drive: Tensor, alpha: float, beta: float, threshold: float) -> Te
         # subtracting the values above the threshold is twice as fast as a masked fill
         torch.sub(v, functional.threshold(v, threshold, 0.0), out=previous)
     return membrane
+
+
+def _gradients(
+    membrane: Tensor, slope: Tensor, upstream: Tensor, alpha: float, beta: float, threshold: float
+) -> Tensor:
+    """Return the gradient of the drive (T, B, N) from that of the spikes; `slope` is overwritten.
+
+    membrane, slope, upstream: (T, B, N) before the reset, d spike / d membrane, d loss / d spike
+    """
+    # dV'/dV = (1 - s) - V ds/dV, V' the membrane after the reset
+    passed = (membrane <= threshold).to(slope.dtype).sub_(membrane * slope)
+    result = slope.mul_(upstream)  # filled in place, from the last timestep to the first
+    to_current, to_membrane = torch.zeros_like(membrane[0]), torch.zeros_like(membrane[0])
+    on_current, on_membrane = (membrane.new_tensor(factor) for factor in (alpha, beta))
+    for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
+        # products are rounded before they are added, as in the compiled loop
+        torch.mul(g.add_(to_membrane.mul_(share)), on_membrane, out=to_membrane)
+        if alpha:
+            to_current = g.add_(to_current * on_current)
+    return result
 
 
 def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:

@@ -102,22 +102,33 @@ def test_unknown_surrogate_is_refused():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("alpha", [0.0, ALPHA])
-def test_compiled_membranes_have_the_bits_of_the_plain_ones(alpha, dtype):
+def test_compiled_loops_have_the_bits_of_the_plain_ones(alpha, dtype, monkeypatch):
     pytest.importorskip("numba")
-    drive = torch.randn(40, 6, 33, dtype=dtype, generator=torch.manual_seed(2))
-    drive[3, 0, 0] = torch.nan
-    strided = drive.transpose(1, 2).contiguous().transpose(1, 2)
-    plain = neurons._membranes(drive, alpha, BETA, THRESHOLD)
-    for each in (drive, strided):
-        compiled = lif_kernel.membranes(each, alpha, BETA, THRESHOLD)
-        assert torch.equal(compiled.nan_to_num(), plain.nan_to_num())
-        assert torch.equal(compiled.isnan(), plain.isnan())
-    assert (plain > THRESHOLD).sum() > 1000
+    drive = torch.randn(40, 33, 6, dtype=dtype, generator=torch.manual_seed(2)).transpose(1, 2)
+    weight = torch.randn(6, 33, dtype=dtype, generator=torch.manual_seed(3)).expand(40, 6, 33)
 
+    def passes():
+        leaf = drive.clone().requires_grad_()
+        spikes = cuba_lif(leaf, alpha, BETA, THRESHOLD, surrogate("fast-sigmoid"))
+        (spikes * weight).sum().backward()
+        return spikes.detach(), leaf.grad
 
-def test_without_numba_a_layer_runs_all_the_same(monkeypatch):
-    drive = torch.randn(20, 2, 8, generator=torch.manual_seed(3))
-    expected = cuba_lif(drive, ALPHA, BETA, THRESHOLD, surrogate("atan"))
+    compiled = passes()
     monkeypatch.setattr(lif_kernel, "_INSTALLED", False)
     monkeypatch.setattr(lif_kernel, "membranes", None)
-    assert torch.equal(cuba_lif(drive, ALPHA, BETA, THRESHOLD, surrogate("atan")), expected)
+    monkeypatch.setattr(lif_kernel, "gradients", None)
+    plain = passes()
+    assert plain[0].sum() > 1000
+    assert torch.equal(compiled[0], plain[0])
+    assert torch.equal(compiled[1], plain[1])
+
+
+def test_numbers_that_are_none_stay_none():
+    drive = torch.randn(40, 6, 33, generator=torch.manual_seed(2))
+    drive[3, 0, 0] = torch.nan
+    compiled, plain = (
+        each(drive, ALPHA, BETA, THRESHOLD) for each in (lif_kernel.membranes, neurons._membranes)
+    )
+    assert torch.equal(compiled.nan_to_num(), plain.nan_to_num())
+    assert torch.equal(compiled.isnan(), plain.isnan())
+    assert plain[3:, 0, 0].isnan().all()
