@@ -46,13 +46,14 @@ def test_it_is_a_short_posix_script():
         ("compare", ""),
         ("train", "[train]"),
         ("export", "[train]"),
+        ("export hexapod/sparse --to c", ""),
         ("tune", "[tune]"),
         ("serve", "[serve]"),
         ("test", "[dev]"),
     ],
 )
 def test_the_first_call_installs_what_the_verb_needs(verb, extra, checkout):
-    _, programs, lines = spike(checkout, verb)
+    _, programs, lines = spike(checkout, *verb.split())
     assert programs[0] == "pip"
     assert lines[0].endswith(f"-c {checkout}/constraints.txt -e {checkout}{extra}")
     assert programs[-1] == ("python" if verb == "test" else "spikedeploy")
