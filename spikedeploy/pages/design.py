@@ -57,22 +57,22 @@ def _numbers(checks: Sequence[DesignCheck]) -> Iterator[HeadlineNumber]:
     if len(checks) == 1:
         rule = broken(found)
         kept = f"{len(rule)} broken rules" if rule else "every rule is kept"
-        yield HeadlineNumber("verdict", "fits" if found.passed else "does not fit", kept)
+        yield HeadlineNumber("verdict", "fits" if found.passed else "does not fit", (kept,))
     else:
         limited = [each for each in checks if each.chip.limits is not None]
         fits, of = sum(each.passed for each in limited), f"of {len(limited)} that have limits"
-        yield HeadlineNumber("chips that it fits on", str(fits), of)
+        yield HeadlineNumber("chips that it fits on", str(fits), (of,))
     neurons = [each for each in found.mapping.placements if each.kind == "neurons"]
     synapses, fan_in = sum(e.synapses for e in neurons), max((e.fan_in for e in neurons), default=0)
     count = f"{sum(each.neurons for each in neurons):,}"
     beside = f"in {len(neurons)} population{'s' if len(neurons) > 1 else ''}, {synapses:,} synapses"
-    yield HeadlineNumber("neurons", count, beside)
+    yield HeadlineNumber("neurons", count, (beside,))
     if len(checks) > 1:
-        yield HeadlineNumber("synapses", f"{synapses:,}", f"{fan_in:,} at most onto a neuron")
+        yield HeadlineNumber("synapses", f"{synapses:,}", (f"{fan_in:,} at most onto a neuron",))
     if len(checks) == 1 and found.mapping.cores:
         chips = found.mapping.chips
         where = f"on {chips} chip{'s' if chips > 1 else ''}" if chips else ""
-        yield HeadlineNumber("cores", f"{found.mapping.cores:,}", where)
+        yield HeadlineNumber("cores", f"{found.mapping.cores:,}", (where,) if where else ())
 
 
 def _chips(checks: Sequence[DesignCheck]) -> Iterator[str]:

@@ -53,23 +53,23 @@ def _lead(drift: Drift) -> str:
 def _numbers(drift: Drift) -> Iterator[HeadlineNumber]:
     kind = output_name(drift.output)
     if drift.output.kind == "choice":
-        yield HeadlineNumber(kind, f"{drift.output.rms:.1%}", "of all inferences")
+        yield HeadlineNumber(kind, f"{drift.output.rms:.1%}", ("of all inferences",))
     else:
         yield HeadlineNumber(
             f"{kind}, root mean square",
             f"{drift.output.rms:.3g}",
-            f"{drift.output.largest:.3g} at most",
+            (f"{drift.output.largest:.3g} at most",),
         )
     share = drift.diverged / drift.inferences
     yield HeadlineNumber(
         "inferences with a spike that differs", f"{share:.0%}",
-        f"{drift.diverged:,} of {drift.inferences:,}, timesteps in each: {drift.timesteps}",
+        (f"{drift.diverged:,} of {drift.inferences:,}, timesteps in each: {drift.timesteps}",),
     )  # fmt: skip
     if drift.layers:
         worst = max(drift.layers, key=lambda layer: layer.differing)
         yield HeadlineNumber(
             "spikes that differ, worst layer", f"{worst.differing:.2%}",
-            f"{worst.name}: of neurons and timesteps; distance {worst.distance:.3g}",
+            (f"{worst.name}: of neurons and timesteps", f"distance {worst.distance:.3g}"),
         )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ def big_numbers(numbers: Iterable[HeadlineNumber]) -> str:
     """The numbers that a page leads with; each thing beside one has a line of its own."""
     cells = (
         f'<div><dt>{escape(each.title)}</dt><dd class="big">{escape(each.number)}</dd>'
-        + "".join(f'<dd class="beside">{escape(part)}</dd>' for part in each.beside.split("; "))
+        + "".join(f'<dd class="beside">{escape(part)}</dd>' for part in each.beside)
         + "</div>"
         for each in numbers
     )

@@ -89,18 +89,18 @@ def _numbers(found: RunScores, settings: Mapping[str, Any]) -> Iterator[Headline
     if found.earned is not None:
         episodes = dict(flat(settings)).get("validation.episodes", "some")
         beside = f"mean of {episodes} greedy episodes, which chose the checkpoint"
-        yield HeadlineNumber("best validation return", f"{found.earned:,.4g}", beside)
+        yield HeadlineNumber("best validation return", f"{found.earned:,.4g}", (beside,))
     if found.success is not None:
-        yield HeadlineNumber("success", f"{found.success:.0%}", "of these episodes")
+        yield HeadlineNumber("success", f"{found.success:.0%}", ("of these episodes",))
     if found.operations is not None:
         number = f"{found.operations:,.4g} {found.counts}"
-        yield HeadlineNumber("operations of a control step", number, "in the same validation")
+        yield HeadlineNumber("operations of a control step", number, ("in the same validation",))
     if found.rate is not None:
         yield HeadlineNumber(
-            "spike rate", f"{found.rate:.1%}", "of neurons in each timestep, on average"
+            "spike rate", f"{found.rate:.1%}", ("of neurons in each timestep, on average",)
         )
     steps, unit = found.steps
-    yield HeadlineNumber("training", f"{found.share:.0%}", f"{steps:,} {unit}")
+    yield HeadlineNumber("training", f"{found.share:.0%}", (f"{steps:,} {unit}",))
 
 
 def _next(found: RunScores, live: bool) -> Iterator[tuple[str, str]]:

@@ -15,11 +15,11 @@ _AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that 
 
 
 class HeadlineNumber(NamedTuple):
-    """A number of the headline: what it is, the number, what it is beside, divided by `; `."""
+    """A number of the headline: what it is, the number, and what stands beside it."""
 
     title: str
     number: str
-    beside: str
+    beside: tuple[str, ...]
 
 
 def main_row(rows: Sequence[Row]) -> Row:
@@ -79,14 +79,12 @@ def disturbed(document: Mapping[str, Any]) -> str:
 def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
     earned = f"{interval(row)} in {counted(row)}"
     if row.get("ratio_to_reference") is None:
-        return HeadlineNumber(f"return of {name}", interval(row).partition(" ")[0], earned)
+        return HeadlineNumber(f"return of {name}", interval(row).partition(" ")[0], (earned,))
     of_ann = row.get("ratio_to_float_ann")
     said = [earned, f"{difference(row)} to {twin}"]
     said += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
     kept = f"{row['ratio_to_reference']:.1%}"
-    return HeadlineNumber(
-        f"return kept on {row['chip']}, of its float twin's", kept, "; ".join(said)
-    )
+    return HeadlineNumber(f"return kept on {row['chip']}, of its float twin's", kept, tuple(said))
 
 
 def _counted(row: Row, rivals: Iterable[Row], name: str) -> HeadlineNumber | None:
@@ -100,7 +98,7 @@ def _counted(row: Row, rivals: Iterable[Row], name: str) -> HeadlineNumber | Non
         if math.isfinite(macs(each))
     ]
     title = f"operations of a control step, {name}"
-    return HeadlineNumber(title, f"{count:,.0f} {unit}", "; ".join(said))
+    return HeadlineNumber(title, f"{count:,.0f} {unit}", tuple(said))
 
 
 def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
@@ -119,7 +117,7 @@ def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
     return HeadlineNumber(
         "energy of a control step",
         energy(row),
-        "; ".join([by, *said, *_priced_otherwise(row)]),
+        (by, *said, *_priced_otherwise(row)),
     )
 
 

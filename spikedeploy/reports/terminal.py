@@ -63,7 +63,8 @@ def print_headline(document: Mapping[str, Any]) -> None:
     """Print the first sentence of a comparison and the numbers that its page leads with."""
     print_text(f"{document['env']}: {verdict_of(document)[0]}")
     for each in headline(document["rows"], document["env_id"]):
-        print_text(f"  {each.number}  {each.title}  ({each.beside})")
+        beside = f"  ({'; '.join(each.beside)})" if each.beside else ""
+        print_text(f"  {each.number}  {each.title}{beside}")
     print_text("")
 
 
