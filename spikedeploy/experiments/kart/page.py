@@ -72,8 +72,9 @@ Environment steps, those of all copies of the world together; medians over the t
   5,019) in which {GREEDY:.0%} finish, if the next one says so, too, or if there is none.
 
 "% of ANN" is the ANN's steps over those of the policy (more is sooner), with a 95% bootstrap
-interval over training seeds; without an interval where a training did not get there, "–" where half
-of them did not. kart-simulator's figures are of single, best runs, read off once a batch."""
+interval over training seeds. Where some trainings of one did not get there, they count with all the
+steps they took, which bounds the share from below (≥) or from above (≤); "–" where some of both did
+not. kart-simulator's figures are of single, best runs, read off once a batch."""
 _PRESETS = {
     DEFAULT: """\
 Dynamics, track, starts and what counts as a finish are kart-simulator's; the reward, the

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -118,19 +119,41 @@ def steps(rows: Sequence[Record], field: str) -> str:
     return f"{text(float(np.median(values)))} [{text(min(values))}, {text(max(values))}]"
 
 
+@dataclass(frozen=True)
+class AnnShare:
+    """The median steps of the ANN over those of a policy, with an interval over training seeds.
+
+    estimate  of the share
+    bound     "≥" or "≤" where trainings of the ANN, or of the policy, did not come so far: they
+              count with all the steps that they took; else empty
+    """
+
+    estimate: Estimate
+    bound: str = ""
+
+    def __str__(self) -> str:
+        """`97.4% [95%, 102%]`, `≥ 151.6% [143%, 193%]`; without an interval where there is none."""
+        low, high = self.estimate.ci95
+        known = "" if math.isnan(low) else f" [{low:.0%}, {high:.0%}]"
+        return f"{self.bound} {self.estimate.mean:.1%}{known}".lstrip()
+
+    def mark(self, asked: float) -> str:
+        """✓ where the whole interval reaches what is asked, ✗ where none of it can, else ≈."""
+        found = self.estimate.mark(asked)
+        return "≈" if (self.bound, found) in (("≥", "✗"), ("≤", "✓")) else found
+
+
 def share(
     rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
-) -> Estimate | None:
-    """Median steps of the ANN / median steps of a policy; None where a median was not reached.
-
-    The interval is NaN where single trainings did not reach it.
-    """
-    ann, own = ([row[field] for row in of(rows, world, each)] for each in ("ann", policy))
-    if not ann or not own or not all(math.isfinite(np.median(each)) for each in (ann, own)):
+) -> AnnShare | None:
+    """Median steps of the ANN / median steps of a policy; None where neither all came so far."""
+    ann, own = (of(rows, world, each) for each in ("ann", policy))
+    late = [any(math.isinf(row[field]) for row in each) for each in (ann, own)]
+    if not ann or not own or all(late):
         return None
-    if not np.isfinite([*ann, *own]).all():
-        return Estimate(float(np.median(ann) / np.median(own)), (math.nan, math.nan))
-    return ratio_of_medians(ann, own, np.random.default_rng(0))
+    top, bottom = ([min(row[field], row["env_steps"]) for row in each] for each in (ann, own))
+    bound = "≥" if late[0] else "≤" if late[1] else ""
+    return AnnShare(ratio_of_medians(top, bottom, np.random.default_rng(0)), bound)
 
 
 def percent_of_ann(
@@ -138,14 +161,7 @@ def percent_of_ann(
 ) -> str:
     """`share` in percent, with its interval; a dash for the ANN itself."""
     found = share(rows, world, policy, field)
-    return ABSENT if policy == "ann" or found is None else percent(found)
-
-
-def percent(found: Estimate) -> str:
-    """`97.4% [95%, 102%]`; without an interval where there is none."""
-    low, high = found.ci95
-    known = "" if math.isnan(low) else f" [{low:.0%}, {high:.0%}]"
-    return f"{found.mean:.1%}{known}"
+    return ABSENT if policy == "ann" or found is None else str(found)
 
 
 def _drivers(rows: Sequence[Record], world: str) -> list[tuple[str, list[Record]]]:

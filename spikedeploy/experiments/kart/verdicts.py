@@ -5,11 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.experiments.kart.design import COUNT, GREEDY, LEARNING, NETWORKS, PEERS, WORLDS
 from spikedeploy.experiments.kart.heldout_table import on_unseen, ratio_of_means
 from spikedeploy.experiments.kart.records import HELD, NTH, Record
-from spikedeploy.experiments.kart.tables import of, on_chip, percent, share
+from spikedeploy.experiments.kart.tables import AnnShare, of, on_chip, share
 
 _NEAR = 0.95  # of the ANN: what an SNN is asked to reach
 _POINTS = 2  # of the finish rate that the chip may differ from the float twin
@@ -43,13 +42,14 @@ def _finishes(rows: Sequence[Record], where: str, world: str, policy: str) -> li
     return [_verdict(median <= limit, said)]
 
 
-def _near(found: Estimate | None, where: str, what: str) -> list[str]:
+def _near(found: AnnShare | None, where: str, what: str) -> list[str]:
     """Whether the SNN comes near the ANN; its interval says whether that can be told."""
     if found is None:
         return []
-    text = f"{where}: the SNN reaches {percent(found)} of the ANN {what} (asked for {_NEAR:.0%})"
-    if math.isnan(found.ci95[0]):
-        return [_verdict(found.mean >= _NEAR, f"{text}; one training, no interval")]
+    text = f"{where}: the SNN reaches {found} of the ANN {what} (asked for {_NEAR:.0%})"
+    if math.isnan(found.estimate.ci95[0]):
+        reached = found.estimate.mean >= _NEAR
+        return [_verdict(reached, f"{text}; one training, no interval")]
     mark = found.mark(_NEAR)
     return [f"- {mark} {text}" + ("; the interval is on both sides" if mark == "≈" else "")]
 
@@ -85,7 +85,8 @@ def heldout_verdicts(rows: Sequence[Record]) -> list[str]:
                 )
                 lines.append(_verdict(bool(found.mean() > np.mean(script)), text))
         ratio = ratio_of_means(shares["snn"], shares["ann"])
-        lines += _near(ratio, f"held-out tracks, {world}", "in finished starts")
+        near = None if ratio is None else AnnShare(ratio)
+        lines += _near(near, f"held-out tracks, {world}", "in finished starts")
     return lines
 
 

@@ -361,9 +361,16 @@ def test_a_training_that_never_came_so_far_counts_as_longer_than_it_was():
         }
         for policy, value in [("ann", 100.0), ("snn", 200.0), ("snn", never), ("snn", 100.0)]
     ]  # fmt: skip
-    assert percent_of_ann(found, "kart-grid") == "50.0%"  # without an interval
+    assert percent_of_ann(found, "kart-grid") == "≤ 50.0% [0%, 100%]"
     assert percent_of_ann(found[:1], "kart-grid") == "–"
-    assert "greedy 95%" in learning_verdicts(found)[-1]
+    *_, to_finishes, greedily = learning_verdicts(found)
+    assert to_finishes.startswith("- ≈ default, kart-grid: the SNN reaches ≤ 50.0%")
+    assert "greedy 95%" in greedily
+    turned = [{**row, "policy": {"ann": "snn", "snn": "ann"}[row["policy"]]} for row in found]
+    assert percent_of_ann(turned, "kart-grid") == "≥ 200.0% [100%, 500000%]"
+    assert learning_verdicts(turned)[-2].startswith("- ✓ default, kart-grid: the SNN reaches ≥ 200")
+    both = [*found, {**found[0], NTH: never}]
+    assert percent_of_ann(both, "kart-grid") == "–"
     assert any("> 500k" in line for line in learning_table(found))
 
 
