@@ -19,6 +19,8 @@ from spikedeploy.envs.hexapod.command import FOLLOWED, SPEED
 from spikedeploy.experiments.kart.design import GREEDY
 from spikedeploy.experiments.pareto.tables import NEAR, NEARLY
 from spikedeploy.runtime.metrics.energy import energy_table
+from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.resolve import resolve
 from tests.paths import ROOT
 
 RESULTS = ROOT / "results"
@@ -114,6 +116,11 @@ def reached(policy, preset="classic"):
         n for (_, p), found in learned(preset, "finish_300").items() if p == policy for n in found
     ]
     return sum(map(math.isfinite, steps)), len(steps)
+
+
+def learning_rate(recipe):
+    """With which the policy of a recipe begins to learn."""
+    return resolve(PpoConfig, recipe).actor_rate.start
 
 
 def greedily():
@@ -308,6 +315,8 @@ RULES = [
         100 * GREEDY, *(steps / 1000 for steps in spread(greedily())))),
     ("the ANN came to 300 finishes in {} of {} trainings, the SNN in {} of {}", lambda: (
         *reached("ann"), *reached("snn"))),
+    ("kart-simulator's learning rate for it is {} times the ANN's", lambda: (
+        learning_rate("kart-gazebo-classic-snn") / learning_rate("kart-gazebo-classic-ann"),)),
     ("the ANN finishes {}, {} and {} % of the starts, the SNN {}, {} and {} %; the script finishes "
      "{}, {} and {} %", lambda: (*elsewhere("ann"), *elsewhere("snn"), *elsewhere("gap"))),
     ("among all fifteen, {} lost {} points on the chip", lost_on_chip),
@@ -368,6 +377,8 @@ COMPARISONS = [
         all(joules(env, "popsan") > joules(env, "sac") > skipping(env) for env in WALKS)),
     ("smooth, which earns more than sac", lambda:
         returns("hexapod-command", "smooth") > returns("hexapod-command", "sac")),
+    ("it did not finish once", lambda:
+        set(learned("classic", "first_finish")["kart-gazebo", "snn"]) == {math.inf}),
     ("no interval over five seeds tells the two apart", lambda:
         all(low <= 1 <= high for low, high in (
             ratio_interval(kart, "greedy_95") for kart in KARTS))),
