@@ -14,6 +14,8 @@ def checkout(tmp_path):
     home = tmp_path / "a checkout"
     (home / ".venv/bin").mkdir(parents=True)
     shutil.copy(ROOT / "spike", home)
+    (home / "spikedeploy/zoo/hexapod").mkdir(parents=True)
+    (home / "spikedeploy/zoo/hexapod/sparse.nir").touch()
     (home / "pyproject.toml").write_text("version 1")
     (home / "constraints.txt").write_text("numpy==2")
     for program in ("pip", "spikedeploy", "python", "mkdocs"):
@@ -47,6 +49,8 @@ def test_it_is_a_short_posix_script():
         ("train", "[train]"),
         ("export", "[train]"),
         ("export hexapod/sparse --to c", ""),
+        ("export hexapod/sparse --to nir", "[train]"),
+        ("export last --to c", "[train]"),
         ("tune", "[tune]"),
         ("serve", "[serve]"),
         ("test", "[dev]"),

@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from spikedeploy.runtime.errors import ConfigError
@@ -106,6 +107,7 @@ class _CubaLif(torch.autograd.Function):
         return (membrane > threshold).to(drive.dtype)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
         (membrane,) = ctx.saved_tensors
         alpha, beta, threshold, gradient = ctx.constants

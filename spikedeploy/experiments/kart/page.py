@@ -1,6 +1,7 @@
 """The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
 
 import json
+import re
 import shlex
 import sys
 from collections import Counter
@@ -34,6 +35,7 @@ from spikedeploy.trainers.ppo.config import HOLDS
 from spikedeploy.trainers.versions import own
 
 _PICTURE = "kart/finishes.png"
+_VERSION = re.compile(r"[\w.+!-]+")
 
 
 def write(design: ExperimentDesign, results: Path) -> list[Path]:
@@ -64,7 +66,8 @@ def _finishes(design: ExperimentDesign) -> list[Record]:
 
 _LEARNING = f"""\
 Environment steps, those of all copies of the world together; medians over the training seeds
-[least, most], "> 300k" where a training ended at 300k steps without. Two metrics:
+[least, most]. A training that ended without counts with all the steps it took, and what it could
+raise has a ">". Two metrics:
 
 - the first and the {COUNT}th finished episode of training, whose actions are drawn and whose starts
   are random. It is kart-simulator's own, and mostly counts laps once a policy finishes at all;
@@ -73,8 +76,9 @@ Environment steps, those of all copies of the world together; medians over the t
 
 "% of ANN" is the ANN's steps over those of the policy (more is sooner), with a 95% bootstrap
 interval over training seeds. Where some trainings of one did not get there, they count with all the
-steps they took, which bounds the share from below (≥) or from above (≤); "–" where some of both did
-not. kart-simulator's figures are of single, best runs, read off once a batch."""
+steps they took, which bounds the share from below (≥) or from above (≤), and of its interval the
+lower or the upper end; "–" where some of both did not. kart-simulator's figures are of single, best
+runs, read off once a batch."""
 _PRESETS = {
     DEFAULT: """\
 Dynamics, track, starts and what counts as a finish are kart-simulator's; the reward, the
@@ -86,11 +90,13 @@ is listed in [docs/karts.md](../docs/karts.md). A training that ends early, as s
 this page, was not watched for greedy driving any longer than that.""",
 }
 _DRIVING = """\
-Greedy episodes from {episodes} starts that no training saw, for each trained policy; medians over
-the trainings [least, most]. `float` is the float twin of the spiking network, `{chip}` the same
-file in the emulated chip's integers. Controls: `small` is a float network of the spiking one's
-size, `linear` has no hidden layer; both learn by the same rules within the same budget. `gap` is a
-script that follows the gap in the LIDAR, `random` draws its actions."""
+Greedy episodes from {episodes} starts that no training saw, for the best checkpoint by validation
+of each training; medians over the trainings [least, most]. `float` is the float twin of the spiking
+network, `{chip}` the same file in the emulated chip's integers. Controls: `small` is a float
+network of the spiking one's size, `linear` has no hidden layer; both learn by the same rules within
+the same budget. `gap` is a script that follows the gap in the LIDAR, `random` draws its actions.
+MACs are those whose input is not 0; energies price every MAC of the dense networks, and ≥ says that
+[terms are left out](../docs/energy.md)."""
 _CHIP = """\
 The same starts, the same file; points of the finish rate, and the share of equal actions on the
 observations that the twin recorded."""
@@ -136,8 +142,18 @@ def _command() -> str:
 
 
 def _missing(design: ExperimentDesign) -> list[str]:
+    """How many parts are complete, and of what trainings are not; empty where all are."""
     done, of_all = sum(part.done for part in design.parts), len(design.parts)
-    return [f"**{done} of {of_all} parts are complete.**"] if done < of_all else []
+    if done == of_all:
+        return []
+    left = Counter(
+        f"{preset_of(trial)} {trial.recipe.rpartition('-')[2]}"
+        for trial in design.trials()
+        if not trial.done
+    )
+    text = f"**{done} of {of_all} parts are complete.**"
+    missing = ", ".join(f"{name} {count}" for name, count in left.items())
+    return [f"{text} Trainings that are missing: {missing}." if left else text]
 
 
 def _facts(design: ExperimentDesign) -> list[str]:
@@ -145,9 +161,12 @@ def _facts(design: ExperimentDesign) -> list[str]:
     trained = design.trials()
     return [
         f"- spikedeploy {own()}; run folders in `{design.folder}`",
-        f"- training seeds 0 to {design.seeds - 1}; of controls 0 to {design.controls - 1}",
+        f"- training seeds asked for: 0 to {design.seeds - 1}; of controls 0 to "
+        f"{design.controls - 1}",
         *(_end(trained, preset) for preset in (*LEARNING, CORRIDOR)),
         *_begun_with(trained),
+        "- what this project's own trainings left is in results/kart/trainings: `python "
+        f"benchmarks/kart_trainings.py unpack --runs {design.folder}`, before the command above",
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(
             f"- ✗ {trial.name} was trained with other settings than its recipe has now: "
@@ -161,17 +180,21 @@ def _facts(design: ExperimentDesign) -> list[str]:
 
 
 def _begun_with(trials: Sequence[Trial]) -> list[str]:
-    """Versions with which trainings were begun, and how many; the most frequent first."""
+    """Versions when trainings began, and of how many; the most frequent first."""
     files = [trial.run / "versions.json" for trial in trials if trial.run and trial.trained]
-    found = Counter(_named(file) for file in files if file.is_file())
-    texts = [f"{count} with {versions}" for versions, count in found.most_common()]
-    return [f"- trainings were begun so: {'; '.join(texts)}"] if texts else []
+    found = Counter(_versions(file) for file in files if file.is_file())
+    texts = [f"{versions} ({count} trainings)" for versions, count in found.most_common()]
+    return [f"- versions when a training began: {'; '.join(texts)}"] if texts else []
 
 
-def _named(file: Path) -> str:
-    """`python 3.11.7, torch 2.13.0, numpy 2.4.6` of a run's versions."""
-    versions = json.loads(file.read_text(encoding="utf-8"))
-    return ", ".join(f"{name} {versions[name]}" for name in ("python", "torch", "numpy"))
+def _versions(file: Path) -> str:
+    """`python 3.11.7, torch 2.13.0, numpy 2.4.6`, of a run folder's versions.json."""
+    found = json.loads(file.read_text(encoding="utf-8"))
+    versions = {name: str(found.get(name)) for name in ("python", "torch", "numpy")}
+    return ", ".join(
+        f"{name} {text if _VERSION.fullmatch(text) else 'unknown'}"
+        for name, text in versions.items()
+    )
 
 
 def _end(trials: Sequence[Trial], preset: str) -> str:

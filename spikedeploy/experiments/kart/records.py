@@ -71,7 +71,13 @@ _FIELDS = (
 def _driven(row: Mapping[str, Any]) -> Record:
     energies = row["energy_per_inference_j"]
     prices = {f"energy_{table}_j": joules for table, joules in energies.items()}
-    return {field: row.get(field) for field in _FIELDS} | prices
+    bounds = row.get("energy_interval_j", {})
+    lower = [table for table, joules in energies.items() if bounds.get(table) == [joules, None]]
+    return {
+        **{field: row.get(field) for field in _FIELDS},
+        "energies_at_least": " ".join(lower),
+        **prices,
+    }
 
 
 def heldout(design: ExperimentDesign) -> list[Record]:

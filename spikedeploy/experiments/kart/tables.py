@@ -106,17 +106,25 @@ def _beside(row: Record, twin: Record) -> list[str]:
 
 
 def steps(rows: Sequence[Record], field: str) -> str:
-    """Median [least, most] in thousands: `251k [240k, > 500k]`, where one ended at 500k without."""
-    values = [row[field] for row in rows]
-    if not values:
+    """Median [least, most] in thousands: `251k [240k, > 500k]`.
+
+    A training that ended at 500k without counts with these; what it could raise has a `>`.
+    """
+    if not rows:
         return ABSENT
-    ended = min((row["env_steps"] for row in rows if math.isinf(row[field])), default=0)
+    values = taken(rows, field)
+    ended = [row["env_steps"] for row in rows if math.isinf(row[field])]
 
     def text(value: float) -> str:
-        known = math.isfinite(value)
-        return f"{value / 1000:,.0f}k" if known else f"> {ended / 1000:,.0f}k"
+        least = "> " if any(each <= value for each in ended) else ""
+        return f"{least}{value / 1000:,.0f}k"
 
     return f"{text(float(np.median(values)))} [{text(min(values))}, {text(max(values))}]"
+
+
+def taken(rows: Iterable[Record], field: str) -> list[float]:
+    """Steps of trainings (n,) to what a field says; those that never came so far, all they took."""
+    return [min(row[field], row["env_steps"]) for row in rows]
 
 
 @dataclass(frozen=True)
@@ -132,10 +140,9 @@ class AnnShare:
     bound: str = ""
 
     def __str__(self) -> str:
-        """`97.4% [95%, 102%]`, `≥ 151.6% [143%, 193%]`; without an interval where there is none."""
+        """`97.4% [95%, 102%]`, `≥ 151.4% [126%, 193%]`."""
         low, high = self.estimate.ci95
-        known = "" if math.isnan(low) else f" [{low:.0%}, {high:.0%}]"
-        return f"{self.bound} {self.estimate.mean:.1%}{known}".lstrip()
+        return f"{self.bound} {self.estimate.mean:.1%} [{low:.0%}, {high:.0%}]".lstrip()
 
     def mark(self, asked: float) -> str:
         """✓ where the whole interval reaches what is asked, ✗ where none of it can, else ≈."""
@@ -146,13 +153,16 @@ class AnnShare:
 def share(
     rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
 ) -> AnnShare | None:
-    """Median steps of the ANN / median steps of a policy; None where neither all came so far."""
+    """Median steps of the ANN / median steps of a policy.
+
+    None where some trainings of both did not come so far: then it has no bound.
+    """
     ann, own = (of(rows, world, each) for each in ("ann", policy))
     late = [any(math.isinf(row[field]) for row in each) for each in (ann, own)]
     if not ann or not own or all(late):
         return None
-    top, bottom = ([min(row[field], row["env_steps"]) for row in each] for each in (ann, own))
     bound = "≥" if late[0] else "≤" if late[1] else ""
+    top, bottom = taken(ann, field), taken(own, field)
     return AnnShare(ratio_of_medians(top, bottom, np.random.default_rng(0)), bound)
 
 
@@ -195,5 +205,7 @@ def _range(rows: Sequence[Record], field: str, form: str) -> str:
 
 
 def _joules(rows: Sequence[Record], price: str) -> str:
-    values = _values(rows, price)
-    return f"{scaled(float(np.median(values)))}J" if values else ABSENT
+    """The median energy by a table; with `≥` where the table has no price of some of its terms."""
+    values, table = _values(rows, price), price.removeprefix("energy_").removesuffix("_j")
+    least = "≥ " if any(table in row["energies_at_least"].split() for row in rows) else ""
+    return f"{least}{scaled(float(np.median(values)))}J" if values else ABSENT

@@ -201,7 +201,9 @@ def test_tracks_wait_for_the_training(design, monkeypatch, tmp_path):
 def test_the_page_alone_trains_nothing(design, pretend, tmp_path):
     outcome = experiment(design, (), 2, tmp_path, train=False)
     assert (outcome.done, pretend) == (0, [])
-    assert "**0 of 96 parts are complete.**" in outcome.files[0].read_text()
+    page = outcome.files[0].read_text()
+    assert "**0 of 96 parts are complete.** Trainings that are missing: default ann 6, " in page
+    assert ", corridor linear 3, classic small 3, classic linear 3.\n" in page
 
 
 def test_a_part_that_fails_is_named_with_its_last_words(design, monkeypatch, tmp_path):
@@ -273,14 +275,13 @@ def test_the_page_says_when_trainings_end(design, pretend, tmp_path):
 
 def test_the_page_says_with_which_versions_trainings_were_begun(design, pretend, tmp_path):
     page = experiment(design, ("kart-grid-ann", "kart-grid-snn"), 2, tmp_path).files[0].read_text()
-    here = f"4 with python {python_version()}, torch {version('torch')}, numpy {version('numpy')}"
-    assert f"- trainings were begun so: {here}\n" in page
+    here = f"python {python_version()}, torch {version('torch')}, numpy {version('numpy')}"
+    assert f"- versions when a training began: {here} (4 trainings)\n" in page
     for run in Path(design.folder).glob("kart-grid-ann-s0-*"):
         found = json.loads((run / "versions.json").read_text())
         write_text(run / "versions.json", json.dumps(found | {"torch": "2.5.0"}))
     page = experiment(design, (), 2, tmp_path, train=False).files[0].read_text()
-    assert f"{here.replace('4 with', '3 with')}; 1 with python" in page
-    assert ", torch 2.5.0, numpy" in page
+    assert f"{here} (3 trainings); python {python_version()}, torch 2.5.0, numpy" in page
 
 
 def test_the_page_says_who_finishes_on_other_tracks(design, pretend, tmp_path):
@@ -354,12 +355,16 @@ def test_a_training_that_never_came_so_far_counts_as_longer_than_it_was():
 
     assert steps(rows(1_000, 2_000, never), NTH) == "2k [1k, > 500k]"
     assert steps(rows(never, never, 1_000), NTH) == "> 500k [1k, > 500k]"
+    early = {NTH: never, "env_steps": 400}  # it could be any of the three numbers
+    assert steps([early, *rows(1_000, 2_000)], NTH) == "> 1k [> 0k, > 2k]"
     found = [
         {
             "world": "kart-grid", "preset": "default", "policy": policy, NTH: value,
             "first_finish": 1.0, HELD: 7.0, "env_steps": 500_000,
         }
-        for policy, value in [("ann", 100.0), ("snn", 200.0), ("snn", never), ("snn", 100.0)]
+        for policy, value in [
+            ("ann", 100.0), ("ann", 100.0), ("snn", 200.0), ("snn", never), ("snn", 100.0)
+        ]
     ]  # fmt: skip
     assert percent_of_ann(found, "kart-grid") == "≤ 50.0% [0%, 100%]"
     assert percent_of_ann(found[:1], "kart-grid") == "–"
@@ -371,6 +376,10 @@ def test_a_training_that_never_came_so_far_counts_as_longer_than_it_was():
     assert learning_verdicts(turned)[-2].startswith("- ✓ default, kart-grid: the SNN reaches ≥ 200")
     both = [*found, {**found[0], NTH: never}]
     assert percent_of_ann(both, "kart-grid") == "–"
+    assert learning_verdicts(both)[-2] == (
+        "- ≈ default, kart-grid: trainings that came to 300 finishes: 2 of 3 ann, 2 of 3 snn; no "
+        "share of steps"
+    )
     assert any("> 500k" in line for line in learning_table(found))
 
 

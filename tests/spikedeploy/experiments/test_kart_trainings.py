@@ -1,6 +1,8 @@
 """Archives of the kart experiment's trainings: what is packed is done wherever it is unpacked."""
 
 import json
+import sys
+import zlib
 from zipfile import BadZipFile, ZipFile
 
 import pytest
@@ -37,7 +39,9 @@ def test_what_was_packed_is_done_where_it_is_unpacked(tmp_path):
     here, there, archives = (tmp_path / name for name in ("here", "there", "archives"))
     leave(trial_of(here))
     leave(trial_of(here, seed=1), steps=10)  # not trained to its end
-    write_text(here / "kart-grid-gap.json", "{}")
+    (script, *_) = ExperimentDesign(folder=str(here)).built_in()
+    write_text(script.file, "{}")
+    write_text(here / "kart-notes.json", "of somebody else")
     assert [path.name for path in pack(here, archives)] == ["scripts.zip", "kart-grid-snn.zip"]
     made = {path: path.read_bytes() for path in archives.iterdir()}
     assert unpack(archives / "scripts.zip", there) == 1
@@ -59,6 +63,21 @@ def test_nothing_is_written_over(tmp_path):
     assert file.read_bytes() == b"another"
 
 
+def test_what_an_archive_holds_is_not_lost(tmp_path):
+    leave(trial_of(tmp_path / "all"))
+    leave(trial_of(tmp_path / "all", seed=1))
+    leave(trial_of(tmp_path / "some"))
+    (archive,) = pack(tmp_path / "all", tmp_path / "zips")
+    made = archive.read_bytes()
+    with pytest.raises(ValueError, match="which --runs lacks: unpack it there first"):
+        pack(tmp_path / "some", tmp_path / "zips")
+    assert archive.read_bytes() == made
+    unpack(archive, tmp_path / "some")
+    leave(trial_of(tmp_path / "some", seed=2))
+    pack(tmp_path / "some", tmp_path / "zips")
+    assert len(ZipFile(archive).namelist()) == 15
+
+
 @pytest.mark.parametrize("name", ["../x.json", "/tmp/x.json", "kart-a/run.sh", "kart-a/../x.json"])
 def test_files_of_others_are_refused(name, tmp_path):
     with ZipFile(tmp_path / "a.zip", "w") as zipped:
@@ -69,9 +88,42 @@ def test_files_of_others_are_refused(name, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-def test_archives_that_unpack_to_gigabytes_are_refused(tmp_path, monkeypatch):
+def test_members_larger_than_they_say_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(kart_trainings, "_MOST", 10)
     with ZipFile(tmp_path / "a.zip", "w") as zipped:
         zipped.writestr("kart-grid-gap.json", "x" * 11)
-    with pytest.raises(BadZipFile, match="is no file of a training"):
+        zipped.infolist()[0].file_size = 1  # what the directory at the end says
+    with pytest.raises(BadZipFile):
         unpack(tmp_path / "a.zip", tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_training_is_complete_last_of_all(tmp_path, monkeypatch):
+    leave(trial_of(tmp_path / "here"))
+    (archive,) = pack(tmp_path / "here", tmp_path)
+    written = []
+    monkeypatch.setattr(kart_trainings, "replacing", lambda path: written.append(path.name))
+    with pytest.raises(TypeError):
+        unpack(archive, tmp_path / "there")
+    assert written == ["last.json"]
+    names = ZipFile(archive).namelist()
+    assert names.index(next(n for n in names if n.endswith("evaluation.json"))) < len(names) - 1
+
+
+def test_damaged_archives_leave_nothing(tmp_path):
+    leave(trial_of(tmp_path / "here"))
+    (archive,) = pack(tmp_path / "here", tmp_path)
+    data = bytearray(archive.read_bytes())
+    data[-500] ^= 255
+    archive.write_bytes(data)
+    with pytest.raises((BadZipFile, zlib.error)):
+        unpack(archive, tmp_path / "there")
+    assert not (tmp_path / "there").exists()
+
+
+@pytest.mark.parametrize("what", ["pack", "unpack"])
+def test_where_there_is_nothing_that_is_said(what, tmp_path, monkeypatch):
+    words = [what, "--runs", str(tmp_path / "runs"), "--archives", str(tmp_path / "zips")]
+    monkeypatch.setattr(sys, "argv", ["kart_trainings.py", *words])
+    with pytest.raises(SystemExit, match=r"error: .* has no "):
+        kart_trainings.main()

@@ -104,17 +104,19 @@ def test_unknown_surrogate_is_refused():
 @pytest.mark.parametrize("alpha", [0.0, ALPHA])
 def test_compiled_loops_have_the_bits_of_the_plain_ones(alpha, dtype, monkeypatch):
     pytest.importorskip("numba")
+    threshold = 0.7  # no number of float32, in which membranes of the first timestep are just there
     drive = torch.randn(40, 33, 6, dtype=dtype, generator=torch.manual_seed(2)).transpose(1, 2)
+    drive[0, :, :5] = threshold
     weight = torch.randn(6, 33, dtype=dtype, generator=torch.manual_seed(3)).expand(40, 6, 33)
 
     def passes():
         leaf = drive.clone().requires_grad_()
-        spikes = cuba_lif(leaf, alpha, BETA, THRESHOLD, surrogate("fast-sigmoid"))
+        spikes = cuba_lif(leaf, alpha, BETA, threshold, surrogate("fast-sigmoid"))
         (spikes * weight).sum().backward()
         return spikes.detach(), leaf.grad
 
     compiled = passes()
-    monkeypatch.setattr(lif_kernel, "_INSTALLED", False)
+    monkeypatch.setattr(lif_kernel, "_COMPILED", False)
     monkeypatch.setattr(lif_kernel, "membranes", None)
     monkeypatch.setattr(lif_kernel, "gradients", None)
     plain = passes()
@@ -123,7 +125,34 @@ def test_compiled_loops_have_the_bits_of_the_plain_ones(alpha, dtype, monkeypatc
     assert torch.equal(compiled[1], plain[1])
 
 
-def test_numbers_that_are_none_stay_none():
+def test_gradients_do_not_depend_on_how_tensors_lie_in_memory():
+    membrane, slope, upstream = torch.rand(3, 7, 4, 5, generator=torch.manual_seed(4))
+    apart = [each.transpose(1, 2).contiguous().transpose(1, 2) for each in (membrane, slope)]
+    expected = neurons._gradients(membrane, slope.clone(), upstream, ALPHA, BETA, THRESHOLD)
+    found = lif_kernel.gradients(*apart, upstream, ALPHA, BETA, THRESHOLD)
+    assert torch.equal(found, expected)
+
+
+def test_a_gradient_of_a_gradient_is_refused():
+    drive = torch.rand(4, 2, 3, generator=torch.manual_seed(5)).requires_grad_()
+    spikes = cuba_lif(drive, ALPHA, BETA, THRESHOLD, surrogate("atan"))
+    (gradient,) = torch.autograd.grad(spikes.square().sum(), drive, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.sum().backward()
+
+
+@pytest.mark.parametrize("alpha", [0.0, ALPHA])
+def test_infinite_gradients_are_the_same_in_both_forms(alpha):
+    membrane, slope, upstream = torch.rand(3, 9, 4, 5, generator=torch.manual_seed(6))
+    upstream[2:, 0, 0] = torch.inf
+    arguments = upstream, alpha, BETA, THRESHOLD
+    plain = neurons._gradients(membrane, slope.clone(), *arguments)
+    found = lif_kernel.gradients(membrane, slope, *arguments)
+    assert torch.equal(found.nan_to_num(), plain.nan_to_num())
+    assert not plain.isfinite().all()
+
+
+def test_nan_stays_nan_in_both_forms():
     drive = torch.randn(40, 6, 33, generator=torch.manual_seed(2))
     drive[3, 0, 0] = torch.nan
     compiled, plain = (
