@@ -151,6 +151,7 @@ class RunFolder:
         """Return state and tensors of a checkpoint."""
         path = self.checkpoint(name)
         if not path.is_file():
+            self.check_kept(name)
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
         try:
             with safe_open(path, "pt") as file:
@@ -165,8 +166,20 @@ class RunFolder:
             ) from error
         return state, tensors
 
+    def check_kept(self, name: str) -> None:
+        """Refuse a checkpoint whose numbers to read are here, and whose weights are not.
+
+        The numbers are written after the weights. So somebody deleted these, or did not keep them.
+        """
+        path = self.checkpoint(name)
+        if path.with_suffix(".json").is_file() and not path.is_file():
+            raise ConfigError(
+                f"{path} is missing, so that the run cannot be resumed or exported. "
+                f"{self._remedy(name)}"
+            )
+
     def _remedy(self, name: str) -> str:
-        """Return what can be saved of a run whose checkpoint is damaged."""
+        """Return what can be saved of a run whose checkpoint is damaged or missing."""
         others = sorted(path.stem for path in (self.path / "checkpoints").glob("*.safetensors"))
         others = [each for each in others if each != name]
         anew = "Put the file back, or train again"

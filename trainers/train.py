@@ -108,7 +108,7 @@ def _resumed(
     config = amended(run.config(kind.Config), file=file, overrides=overrides)
     config = config if budget is None else with_budget(config, budget)
     run.sweep()
-    _check_tables(run, kind, config)
+    _check_left(run, kind, config)
     with _written(run, config):
         return kind(config, run), config
 
@@ -178,8 +178,12 @@ def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
         raise
 
 
-def _check_tables(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
-    """Refuse a run to be resumed whose tables are damaged; one without a checkpoint starts anew."""
+def _check_left(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
+    """Refuse a run to be resumed whose tables are damaged, or whose last weights are missing.
+
+    One without a checkpoint starts anew.
+    """
+    run.check_kept("last")
     if run.checkpoint("last").is_file():
         state, _ = run.load("last")
         for table in kind.tables(run, config):

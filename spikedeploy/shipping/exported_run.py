@@ -22,11 +22,14 @@ def runnable(reference: str) -> str:
         return reference
     from spikedeploy.trainers.run_folder import RunFolder
 
-    run = RunFolder.find(reference).path
+    folder = RunFolder.find(reference)
+    run = folder.path
     kind = run_record.settings(run)["policy"]["kind"]
     to = "nir" if kind in run_record.SPIKING else "onnx"
-    checkpoint = run / "checkpoints" / f"{run_record.deployed(run)}.safetensors"
+    name = run_record.deployed(run)
+    checkpoint = folder.checkpoint(name)
     if not checkpoint.is_file():
+        folder.check_kept(name)
         raise ConfigError(f"{run} has no checkpoint yet: train it further, --resume {run.name}")
     file = run / f"{run.resolve().name}.{to}"
     if not file.is_file() or file.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns:

@@ -52,6 +52,18 @@ def test_a_run_with_a_damaged_checkpoint_is_not_resumed(run):
         resumed(run)
 
 
+def test_a_run_without_its_weights_is_neither_trained_from_the_beginning_nor_changed(run):
+    """As an unpacked training is, of which only what others read was kept."""
+    for path in (run / "checkpoints").glob("*.safetensors"):
+        path.unlink()
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .* cannot be resumed"):
+        train(None, resume=run, overrides=["steps=303"], quiet=True)
+    with pytest.raises(ConfigError, match=r"best\.safetensors is missing, .*train again"):
+        load_policy(run, "best")
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
 @pytest.mark.parametrize("damage", ["flip", "half", "empty"])
 def test_a_damaged_replay_is_named_and_the_policies_are_whole(damage, run):
     replay = RunFolder(run).replay

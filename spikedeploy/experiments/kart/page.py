@@ -64,6 +64,10 @@ def _finishes(design: ExperimentDesign) -> list[Record]:
     ]
 
 
+_ARCHIVES = """\
+This trains what the run folders in `{folder}` do not hold, or with `--no-train` leaves it out. What
+the trainings of this project left is kept in results/kart/trainings; before the command above,
+`python benchmarks/kart_trainings.py unpack --runs {folder}` puts it there."""
 _LEARNING = f"""\
 Environment steps, those of all copies of the world together; medians over the training seeds
 [least, most]. A training that ended without counts with all the steps it took, and what it could
@@ -117,7 +121,7 @@ def _page(
 ) -> str:
     """The page."""
     parts = ["# Karts: float and spiking networks, learned from scratch", f"    {_command()}"]
-    parts += _missing(design)
+    parts += [_ARCHIVES.format(folder=design.folder), *_missing(design)]
     said = [*learning_verdicts(learned), *chip_verdicts(driven), *heldout_verdicts(tracks)]
     parts += ["\n".join(said), "## How soon they finish", _LEARNING]
     parts += [f"![finishes against environment steps]({_PICTURE})"]
@@ -165,8 +169,6 @@ def _facts(design: ExperimentDesign) -> list[str]:
         f"{design.controls - 1}",
         *(_end(trained, preset) for preset in (*LEARNING, CORRIDOR)),
         *_begun_with(trained),
-        "- what this project's own trainings left is in results/kart/trainings: `python "
-        f"benchmarks/kart_trainings.py unpack --runs {design.folder}`, before the command above",
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(
             f"- ✗ {trial.name} was trained with other settings than its recipe has now: "

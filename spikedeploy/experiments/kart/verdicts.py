@@ -59,7 +59,7 @@ def _near(found: AnnShare | None, where: str, what: str) -> list[str]:
     """Whether the SNN comes near the ANN; its interval says whether that can be told."""
     if found is None:
         return []
-    text = f"{where}: the SNN reaches {found} of the ANN {what} (asked for {_NEAR:.0%})"
+    text = f"{where}: the SNN reaches {found} of the ANN {what} (asked for: at least {_NEAR:.0%})"
     mark = found.mark(_NEAR)
     return [f"- {mark} {text}" + ("; the interval is on both sides" if mark == "≈" else "")]
 
@@ -73,7 +73,10 @@ def chip_verdicts(driven: Sequence[Record]) -> list[str]:
             chips = on_chip(rows, world)
             apart = [abs(100 * row["success_difference_mean"]) for row in chips]
             if any(apart) or any(row["success_rate"] for row in chips):  # else neither drives
-                text = f"chip and float twin differ by up to {max(apart):.0f} points"
+                text = (
+                    f"chip and float twin differ by up to {max(apart):.0f} points of the finish "
+                    f"rate (asked for: at most {_POINTS})"
+                )
                 lines.append(_verdict(max(apart) <= _POINTS, f"{preset}, {world}: {text}"))
     return lines
 

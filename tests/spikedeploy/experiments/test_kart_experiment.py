@@ -260,7 +260,7 @@ def test_the_page_says_plainly_what_was_not_reached(design, pretend, tmp_path):
     assert f"- ✗ {where}, snn: 300 finishes after 599k steps (median)" in page
     assert f"- ✗ {where}: the SNN reaches 50.1% [50%, 50%] of the ANN in steps to 300 fin" in page
     assert f"- ✓ {where}: the SNN reaches 100.0% [100%, 100%] of the ANN in steps to greedy" in page
-    assert f"- ✓ {where}: chip and float twin differ by up to 1 points" in page
+    assert f"- ✓ {where}: chip and float twin differ by up to 1 points of the finish rate" in page
     assert "- ✗ classic, kart-grid, snn: 300 finishes after 599k" in page
 
 

@@ -3,6 +3,7 @@
 import json
 import sys
 import zlib
+from dataclasses import replace
 from zipfile import BadZipFile, ZipFile
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from benchmarks import kart_trainings
 from benchmarks.kart_trainings import pack, unpack
 from spikedeploy.experiments.kart.design import WORLDS, ExperimentDesign
+from spikedeploy.experiments.trial import perform
 from spikedeploy.files import write_text
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
 from tests import toy_race_env
 
@@ -52,6 +55,20 @@ def test_what_was_packed_is_done_where_it_is_unpacked(tmp_path):
     assert trial_of(there, seed=1).run is None
     pack(there, archives)
     assert {path: path.read_bytes() for path in archives.iterdir()} == made
+
+
+@pytest.mark.parametrize(
+    "asked", [{"episodes": 7}, {"overrides": ("steps=310000",)}], ids=["episodes", "steps"]
+)
+def test_what_was_unpacked_is_not_trained_or_evaluated_anew_in_its_place(asked, tmp_path):
+    leave(trial_of(tmp_path / "here"))
+    (archive,) = pack(tmp_path / "here", tmp_path)
+    unpack(archive, tmp_path / "there")
+    trial = replace(trial_of(tmp_path / "there"), **asked)
+    before = {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()}
+    with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .*, or train again"):
+        perform(**trial.arguments())
+    assert {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()} == before
 
 
 def test_nothing_is_written_over(tmp_path):
