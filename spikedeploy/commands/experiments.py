@@ -10,7 +10,7 @@ from spikedeploy.commands.options import Force, Json
 
 def experiment(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="kart, pareto, robustness or gymnasium.")
+        str, typer.Argument(metavar="NAME", help="kart, pareto, robustness, gymnasium or lineup.")
     ],
     env: Annotated[
         str | None,
@@ -18,7 +18,9 @@ def experiment(
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(min=1, help="Trainings of each network.", show_default="kart 5, others 3"),
+        typer.Option(
+            min=1, help="Trainings of each network.", show_default="kart, lineup 5; others 3"
+        ),
     ] = None,
     controls: Annotated[
         int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="5")
@@ -90,7 +92,7 @@ def experiment(
             "--folder",
             "--runs",
             help="Where the run folders are.",
-            show_default="runs/experiment-kart, runs/NAME/ENV, runs/gymnasium",
+            show_default="runs/experiment-kart, runs/NAME/ENV, runs/gymnasium, runs/lineup",
         ),
     ] = None,
     output: Annotated[

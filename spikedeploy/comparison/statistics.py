@@ -148,19 +148,23 @@ def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Gen
 
 
 def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
-    """Mean of values (S, n) of S trainings in n episodes / mean of a reference (n,) in the same.
+    """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
 
-    A resample draws trainings, then episodes, the same for all of its trainings and the reference;
-    the `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
+    reference  (n,), or (R, n) of R trainings
+
+    A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
+    estimate is the ratio of the sample itself. NaN where the reference is 0.
     """
-    each, beside = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    each = np.asarray(values, np.float64)
+    beside = np.atleast_2d(np.asarray(reference, np.float64))
     if not beside.any():
         return Estimate(math.nan, (math.nan, math.nan))
     trainings, episodes = each.shape
     ratios = []
     for drawn, picks in _draws(trainings, episodes, rng):
+        of = rng.integers(len(beside), size=(len(drawn), len(beside), 1))
         with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
-            ratios.append(each[drawn, picks].mean((1, 2)) / beside[picks].mean((1, 2)))
+            ratios.append(each[drawn, picks].mean((1, 2)) / beside[of, picks].mean((1, 2)))
     return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
 
 

@@ -15,6 +15,7 @@ kart          the kart experiment: how soon networks learn to drive, and how wel
 pareto        the pareto experiment: return against operations and energy
 robustness    the robustness experiment: return under disturbances and faults
 gymnasium     the gymnasium experiment: sparse policies on the field's own tasks
+lineup        the lineup experiment: shipped policies trained again with other seeds
 """
 
 # what runs it, and what makes its design of the options that were given
@@ -34,5 +35,9 @@ EXPERIMENTS = {
     "gymnasium": (
         "spikedeploy.experiments.gymnasium.experiment:experiment",
         "spikedeploy.experiments.gymnasium.design:asked",
+    ),
+    "lineup": (
+        "spikedeploy.experiments.lineup.experiment:experiment",
+        "spikedeploy.experiments.lineup.design:asked",
     ),
 }

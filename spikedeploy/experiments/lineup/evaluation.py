@@ -1,0 +1,83 @@
+"""Rows of the lineup experiment, on seeds that no training and no choice of a policy has seen.
+
+Each row is a file of its own, <runs>/evaluations/<member>.json, which says what it was made with.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from spikedeploy import zoo
+from spikedeploy.experiments.evaluation import evaluate
+from spikedeploy.experiments.lineup.design import LineupDesign, Member
+from spikedeploy.experiments.pareto.training import complete
+from spikedeploy.experiments.stored_row import StoredRow
+from spikedeploy.runtime.errors import ConfigError
+
+Record = dict[str, Any]
+_FIELDS = (
+    "kind", "chip", "episodes", "return_mean", "success_rate", "falls", "cot", "speed_rmse",
+    "turn_rmse", "sops_per_inference", "macs_dense", "macs_effective",
+)  # fmt: skip
+
+
+def row_of(design: LineupDesign, member: Member) -> StoredRow:
+    """The row of a policy that is there."""
+    if member.training is None:
+        policy = zoo.sha256(member.shipped)
+    elif member.training.run is None:
+        raise ConfigError(f"{member.name} has no run folder")
+    else:
+        policy = zoo.sha256(member.training.run / "checkpoints" / "best.safetensors")
+    made = {"policy": policy, "episodes": design.episodes, "chip": design.chip}
+    return StoredRow(Path(design.runs) / "evaluations" / f"{member.name}.json", made)
+
+
+def found(design: LineupDesign, member: Member) -> Record | None:
+    """The result; None where the policy is not trained yet, or not evaluated."""
+    if member.training is not None and not member.training.trained:
+        return None
+    return row_of(design, member).found
+
+
+def all_rows(design: LineupDesign) -> Iterator[Record]:
+    """The results so far."""
+    for member in design.members():
+        if (row := found(design, member)) is not None:
+            yield row
+
+
+def perform(design: Record, name: str) -> bool:
+    """Train if need be, and evaluate (a job of `workers`); False if it was interrupted."""
+    asked = LineupDesign(**design)
+    member = next(each for each in asked.members() if each.name == name)
+    if member.training is not None and not complete(member.training):
+        return False
+    if found(asked, member) is None:
+        row_of(asked, member).write(_evaluated(asked, member))
+    return True
+
+
+def _evaluated(design: LineupDesign, member: Member) -> Record:
+    *_, row = evaluate(member.env, {}, str(_file(member)), design.episodes, design.chip)
+    about = {"env": member.env, "policy": member.policy, "seed": member.seed}
+    about["shipped"] = member.training is None
+    numbers = {name: row[name] for name in _FIELDS if row.get(name) is not None}
+    successes = [int(each) for each in row["successes"]]
+    return about | numbers | {"returns": row["returns"], "successes": successes}
+
+
+def _file(member: Member) -> Path:
+    """The policy's file: the shipped one, or what is exported from the run."""
+    from spikedeploy.shipping.export_run import export_run
+
+    if member.training is None:
+        return member.shipped
+    if member.training.run is None:
+        raise ConfigError(f"{member.name} has no run folder")
+    to = member.shipped.suffix.lstrip(".")
+    control = zoo.card(f"{member.env}/{member.policy}")["kind"] == "control"
+    exported = export_run(str(member.training.run), to, control=control, force=True)
+    if failed := [check.name for check in exported.checks if not check.passed]:
+        raise ConfigError(f"{exported.path} does not do what was trained: {', '.join(failed)}")
+    return exported.path
