@@ -136,6 +136,13 @@ def test_a_nested_interval_covers_the_spread_of_trainings(rng):
     assert nested_ratio(apart, reference, rng).ci95 == pytest.approx((0.4, 0.6))
 
 
+def test_a_nested_ratio_draws_trainings_of_the_reference_too(rng):
+    """Half of the resamples of two trainings have both, a quarter twice the same."""
+    estimate = nested_ratio([[6.0, 6.0], [6.0, 6.0]], [[2.0, 2.0], [4.0, 4.0]], rng)
+    assert estimate.mean == pytest.approx(2.0)
+    assert estimate.ci95 == pytest.approx((1.5, 3.0))
+
+
 def test_a_nested_ratio_to_nothing_is_no_number(rng):
     estimate = nested_ratio([[0.0, 1.0]], [0.0, 0.0], rng)
     assert np.isnan([estimate.mean, *estimate.ci95]).all()
