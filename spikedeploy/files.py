@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import atomic
@@ -32,6 +33,17 @@ def write_text(path: Path, text: str) -> Path:
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file that a command wrote; ConfigError where it is damaged."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} is damaged ({error}): put it back, or delete it") from error
+    if not isinstance(found, dict):
+        raise ConfigError(f"{path} is damaged, it holds no JSON object: put it back, or delete it")
+    return found
 
 
 def as_text(data: object) -> str:

@@ -1,6 +1,5 @@
 """Greedy evaluation episodes of a policy file or a built-in policy."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 from spikedeploy.comparison.lineup import alone
 from spikedeploy.comparison.rounds import compare_policies
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.policies.registry import find
 from spikedeploy.seeds import EVALUATION
 
@@ -53,8 +52,8 @@ class BuiltInEvaluation:
         """The result; None where it is missing, or has another number of episodes."""
         if not self.file.is_file():
             return None
-        found: dict[str, Any] = json.loads(self.file.read_text(encoding="utf-8"))
-        return found if found["of"] == {"episodes": self.episodes} else None
+        found = read_json(self.file)
+        return found if found.get("of") == {"episodes": self.episodes} else None
 
     @property
     def done(self) -> bool:

@@ -1,11 +1,10 @@
 """A row of an experiment that is kept until what made it changes."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, read_json, write_text
 
 Record = dict[str, Any]
 
@@ -26,8 +25,8 @@ class StoredRow:
         """The result; None where it is missing or was made with something else."""
         if not self.file.is_file():
             return None
-        made: Record = json.loads(self.file.read_text(encoding="utf-8"))
-        return made["row"] if made["of"] == self.of else None
+        made = read_json(self.file)
+        return made.get("row") if made.get("of") == self.of else None
 
     def write(self, row: Record) -> None:
         """Write the result."""

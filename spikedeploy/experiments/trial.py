@@ -6,7 +6,6 @@ the next attempt does what is missing. A file lock keeps other processes out; th
 when the process ends.
 """
 
-import json
 import math
 import re
 import shutil
@@ -18,8 +17,8 @@ from typing import Any
 
 from spikedeploy.experiments.evaluation import evaluate
 from spikedeploy.experiments.finishes import Steps, finishes, steps_to_greedy
-from spikedeploy.files import as_text, write_text
-from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.files import as_text, read_json, write_text
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import amended, differences, resolve
 from spikedeploy.trainers.run_folder import RunFolder
@@ -94,7 +93,7 @@ class Trial:
     def counters(self) -> dict[str, Any]:
         """Counters of the last checkpoint: env_steps, finishes ...; empty without one."""
         file = self.run and self.run / "checkpoints" / "last.json"
-        return json.loads(file.read_text(encoding="utf-8")) if file and file.is_file() else {}
+        return read_json(file) if file and file.is_file() else {}
 
     @property
     def trained(self) -> bool:
@@ -108,11 +107,18 @@ class Trial:
     @property
     def finishes(self) -> Steps:
         """Environment steps at the end of each finished episode of training."""
-        return finishes(self.run / "episodes.csv") if self.run else finishes(Path())
+        return finishes(self._table("episodes.csv")) if self.run else finishes(Path())
 
     def steps_to_greedy(self, share: float) -> float:
         """Environment steps until this share of greedy validation episodes finished, and held."""
-        return steps_to_greedy(share, self.run / "metrics.csv") if self.run else math.inf
+        return steps_to_greedy(share, self._table("metrics.csv")) if self.run else math.inf
+
+    def _table(self, name: str) -> Path:
+        """A table of the run folder; ConfigError where a training that ended has lost it."""
+        path = (self.run or Path()) / name
+        if self.trained and not path.is_file():
+            raise ConfigError(f"{path} is missing: put it back, or train again")
+        return path
 
     @property
     def evaluation(self) -> dict[str, Any] | None:
@@ -120,8 +126,12 @@ class Trial:
         file = self.run and self.run / "evaluation.json"
         if not file or not file.is_file():
             return None
-        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        return found if self.trained and found["of"] == self.evaluated_with else None
+        found, of = read_json(file), (self.evaluated_with, self._identity)
+        return found if self.trained and (found.get("of"), found.get("trial")) == of else None
+
+    @property
+    def _identity(self) -> dict[str, Any]:
+        return {"recipe": self.recipe, "seed": self.seed}
 
     @property
     def evaluated_with(self) -> dict[str, Any]:
@@ -181,7 +191,7 @@ def _evaluate(trial: Trial) -> None:
         raise SpikedeployError(f"{exported.path} does not do what {run} does: {', '.join(failed)}")
     found = {
         "of": trial.evaluated_with,
-        "trial": {"recipe": trial.recipe, "seed": trial.seed},
+        "trial": trial._identity,
         "parameters": _parameters(run),
         "rows": evaluate(
             config.env.name, config.env.options, str(exported.path), trial.episodes, trial.chip

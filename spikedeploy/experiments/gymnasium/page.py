@@ -4,7 +4,6 @@ Every number is of results/gymnasium.csv, and what made it of gymnasium.json bes
 page can be written again without the runs. Rows of tasks without runs are kept as they are.
 """
 
-import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from spikedeploy.experiments.gymnasium.points import points, rate_of_trained
 from spikedeploy.experiments.gymnasium.published import published
 from spikedeploy.experiments.gymnasium.tasks import RATE, TASKS, TIMESTEPS
 from spikedeploy.experiments.gymnasium.training import TaskTraining
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.versions import installed, own
@@ -64,7 +63,7 @@ def write(design: GymnasiumDesign, results: Path) -> list[Path]:
     found = {env: points(of) for env, of in by_task.items()}
     drawn = tasks_figure(found, design.chip)
     picture = save(drawn, results / _PICTURE)
-    written = text(by_task, json.loads(made.read_text(encoding="utf-8")))
+    written = text(by_task, read_json(made))
     _, shown = write_beside(page, written, {_PICTURE: drawn})
     return [page, table, made, picture, shown]
 
@@ -153,8 +152,8 @@ def _on_gpu(trainings: Sequence[TaskTraining]) -> list[str]:
         for training in trainings
         if training.trained
         and training.run is not None
-        and json.loads((training.run / "config.json").read_text("utf-8")).get("device") == "cuda"
-        and (versions := json.loads((training.run / "versions.json").read_text("utf-8")))
+        and read_json(training.run / "config.json").get("device") == "cuda"
+        and (versions := read_json(training.run / "versions.json"))
     ]
 
 

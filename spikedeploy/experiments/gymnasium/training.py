@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.experiments.pareto.training import changed, preferred
+from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.recipe import merged
@@ -58,7 +59,7 @@ class TaskTraining:
 
     def _runs(self) -> Iterator[Path]:
         for file in Path(self.folder).glob("*/config.json"):
-            made = json.loads(file.read_text(encoding="utf-8"))
+            made = read_json(file)
             if self._is_of(made):
                 yield file.parent
 
@@ -133,7 +134,7 @@ def _names(setting: object, run: Path | None) -> bool:
 def _last(run: Path) -> dict[str, Any]:
     """The counters of a run's last checkpoint; empty without one."""
     file = run / "checkpoints" / "last.json"
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return read_json(file) if file.is_file() else {}
 
 
 def _finished(run: Path) -> bool:

@@ -1,6 +1,5 @@
 """The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
 
-import json
 import re
 import shlex
 import sys
@@ -29,6 +28,7 @@ from spikedeploy.experiments.kart.verdicts import (
     learning_verdicts,
 )
 from spikedeploy.experiments.trial import Trial
+from spikedeploy.files import read_json
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.ppo.config import HOLDS
@@ -191,7 +191,7 @@ def _begun_with(trials: Sequence[Trial]) -> list[str]:
 
 def _versions(file: Path) -> str:
     """`python 3.11.7, torch 2.13.0, numpy 2.4.6`, of a run folder's versions.json."""
-    found = json.loads(file.read_text(encoding="utf-8"))
+    found = read_json(file)
     versions = {name: str(found.get(name)) for name in ("python", "torch", "numpy")}
     return ", ".join(
         f"{name} {text if _VERSION.fullmatch(text) else 'unknown'}"

@@ -4,7 +4,6 @@ Every number is of results/pareto/<env>.csv, and what made it of <env>.json besi
 page can be written again without the runs.
 """
 
-import json
 import shlex
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from spikedeploy.experiments.pareto.fronts import Record, baseline, points
 from spikedeploy.experiments.pareto.levels import level_table, return_table
 from spikedeploy.experiments.pareto.overview import overview
 from spikedeploy.experiments.pareto.plot import front_figure
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import TABLES
@@ -119,7 +118,7 @@ def text(folder: Path) -> str:
     parts = ["# Return against operations and energy", _INTRODUCTION]
     parts += ["## All tasks", _OVERVIEW, overview(found)]
     for env, path in _tables(folder):
-        made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        made = read_json(path.with_suffix(".json"))
         parts += _section(env, found[env], made)
     return "\n\n".join(part for part in parts if part) + "\n"
 

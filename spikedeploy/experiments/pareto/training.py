@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from spikedeploy.experiments.trial import exclusive
+from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig
 from spikedeploy.trainers.resolve import differences, resolve
@@ -63,7 +64,7 @@ class Training:
 
     def _runs(self) -> Iterator[Path]:
         for file in Path(self.folder).glob("*/config.json"):
-            settings = json.loads(file.read_text(encoding="utf-8"))
+            settings = read_json(file)
             if (settings.get("recipe"), settings.get("seed")) == (self.recipe, self.seed):
                 yield file.parent
 
@@ -140,7 +141,7 @@ def finished(run: Path) -> bool:
 def progress(run: Path) -> tuple[int, int]:
     """Updates at the last checkpoint of a run, and of the whole training."""
     last = run / "checkpoints" / "last.json"
-    made = json.loads(last.read_text(encoding="utf-8"))["updates"] if last.is_file() else -1
+    made = read_json(last)["updates"] if last.is_file() else -1
     return int(made), phases(RunFolder(run).config(SparseConfig))[-1].end
 
 

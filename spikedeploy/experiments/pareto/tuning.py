@@ -13,6 +13,7 @@ from spikedeploy.experiments.pareto.training import (
     operations_of,
     preferred,
 )
+from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder
@@ -77,7 +78,7 @@ class RewardTraining:
     def _runs(self) -> Iterator[Path]:
         """Those of other students have the same recipe and seed: their starts tell them apart."""
         for file in Path(self.folder).glob("*/config.json"):
-            settings = json.loads(file.read_text(encoding="utf-8"))
+            settings = read_json(file)
             if (settings.get("recipe"), settings.get("seed")) != (self.recipe, self.seed):
                 continue
             if settings.get("start_checkpoint", BEST) != self.level:
@@ -145,7 +146,7 @@ class RewardTraining:
 def _made(run: Path) -> int:
     """Iterations at the last checkpoint of a run."""
     last = run / "checkpoints" / "last.json"
-    return int(json.loads(last.read_text(encoding="utf-8"))["iterations"]) if last.is_file() else -1
+    return int(read_json(last)["iterations"]) if last.is_file() else -1
 
 
 def _planned(run: Path) -> int:

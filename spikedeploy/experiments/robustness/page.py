@@ -20,7 +20,7 @@ from spikedeploy.experiments.robustness.design import (
 )
 from spikedeploy.experiments.robustness.evaluation import all_rows, missing
 from spikedeploy.experiments.robustness.plot import levels_figure
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.versions import installed, own
@@ -73,7 +73,7 @@ def text(folder: Path) -> str:
     """The page, of the tables in the folder."""
     parts = ["# Robustness", _INTRODUCTION]
     for path in _tables(folder):
-        made = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        made = read_json(path.with_suffix(".json"))
         parts += _section(path.stem, records.read(path), made)
     return "\n\n".join(part for part in parts if part) + "\n"
 

@@ -93,7 +93,8 @@ def leave(trial, first=1_000, gap=1_000):
     if snn:
         beside = {"success_difference_mean": -0.01, "actions_equal": 0.97}
         rows = [driven("float"), driven("loihi1", 0.97, sops_per_inference=2000.0, **beside)]
-    found = {"of": trial.evaluated_with, "parameters": 25_000, "rows": rows}
+    own = {"recipe": trial.recipe, "seed": trial.seed}
+    found = {"of": trial.evaluated_with, "trial": own, "parameters": 25_000, "rows": rows}
     (run / "evaluation.json").write_text(json.dumps(found))
 
 

@@ -34,7 +34,8 @@ def leave(trial, steps=300_000):
     (run / "checkpoints/last.safetensors").write_bytes(b"weights")
     (run / "checkpoints/last.json").write_text(json.dumps({"env_steps": steps, "finishes": 1}))
     (run / "policy.nir").write_bytes(b"a policy")
-    found = {"of": trial.evaluated_with, "parameters": 5, "rows": []}
+    own = {"recipe": trial.recipe, "seed": trial.seed}
+    found = {"of": trial.evaluated_with, "trial": own, "parameters": 5, "rows": []}
     write_text(run / "evaluation.json", json.dumps(found))
 
 
@@ -69,6 +70,33 @@ def test_what_was_unpacked_is_not_trained_or_evaluated_anew_in_its_place(asked, 
     with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .*, or train again"):
         perform(**trial.arguments())
     assert {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["evaluation.json", "checkpoints/last.json"])
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff", b"[" * 100_000])
+def test_damaged_records_of_a_training_are_named(name, content, tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    (trial.run / name).write_bytes(content)
+    with pytest.raises(ConfigError, match=rf"{name} is damaged.*: put it back, or delete it"):
+        _ = trial.done
+
+
+def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
+    one, other = trial_of(tmp_path), trial_of(tmp_path, seed=1)
+    leave(one)
+    leave(other)
+    (one.run / "evaluation.json").write_bytes((other.run / "evaluation.json").read_bytes())
+    assert other.done
+    assert not one.done
+
+
+@pytest.mark.parametrize("take", [lambda t: t.finishes, lambda t: t.steps_to_greedy(0.95)])
+def test_a_training_that_ended_and_lost_its_tables_did_not_fail_to_finish(take, tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    with pytest.raises(ConfigError, match=r"\.csv is missing: put it back, or train again"):
+        take(trial)
 
 
 def test_nothing_is_written_over(tmp_path):
