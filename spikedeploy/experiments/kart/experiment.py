@@ -14,6 +14,7 @@ from spikedeploy.experiments.finishes import progress_of
 from spikedeploy.experiments.kart.design import ExperimentDesign, Part
 from spikedeploy.experiments.kart.heldout import TrackEvaluation
 from spikedeploy.experiments.kart.page import write
+from spikedeploy.experiments.kart.records import lost
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.experiments.workers import Job, JobEnd, Outcome
 from spikedeploy.files import check_folder
@@ -111,6 +112,7 @@ def experiment(
     check_folder("--runs", Path(design.folder))
     check_folder("--output", results)
     chip(design.chip)  # raises on an unknown name
+    _check_kept(design, results)
     for trial in design.trials():
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
@@ -130,6 +132,16 @@ def experiment(
     files = write(design, results)
     done = [part.done for part in design.parts]
     return Outcome(sum(done), len(done), failed, not whole, files)
+
+
+def _check_kept(design: ExperimentDesign, results: Path) -> None:
+    """Refuse to write over a page that shows trainings which the new one would not."""
+    if count := lost(design, results / "kart" / "learning.csv"):
+        raise ConfigError(
+            f"{results / 'kart.md'} has {count} trainings that are not in {design.folder}, or not "
+            f"asked for: they would be lost. `python benchmarks/kart_trainings.py unpack --runs "
+            f"{design.folder}` puts those of this project there. Or name another folder with -o."
+        )
 
 
 def _check(trial: Trial) -> None:

@@ -15,11 +15,22 @@ from spikedeploy.files import replacing
 FIRST, NTH = "first_finish", f"finish_{COUNT}"
 HELD = f"greedy_{GREEDY:.0%}".removesuffix("%")
 Record = dict[str, Any]
+_KEYS = ("world", "preset", "policy", "seed")  # of a training
 
 
 def learning(design: ExperimentDesign) -> list[Record]:
     """A record for each complete training: steps to the first and 300th finish, and greedily."""
     return [_learned(trial) for trial in design.trials() if trial.trained]
+
+
+def lost(design: ExperimentDesign, table: Path) -> int:
+    """How many trainings of a table that was written before are not among those of the design."""
+    if not table.is_file():
+        return 0
+    here = {tuple(map(str, _identity(t).values())) for t in design.trials() if t.trained}
+    with table.open(newline="", encoding="utf-8") as file:
+        there = {tuple(str(row.get(name)) for name in _KEYS) for row in csv.DictReader(file)}
+    return len(there - here)
 
 
 def _learned(trial: Trial) -> Record:
@@ -105,7 +116,7 @@ def _script(part: BuiltInEvaluation) -> Record:
 
 def _identity(trial: Trial) -> Record:
     world, policy = trial.config.env.name, trial.recipe.rpartition("-")[2]
-    return {"world": world, "preset": preset_of(trial), "policy": policy, "seed": trial.seed}
+    return dict(zip(_KEYS, (world, preset_of(trial), policy, trial.seed), strict=True))
 
 
 def write_csv(rows: Sequence[Record], path: Path) -> Path:

@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from platform import python_version
@@ -397,6 +398,16 @@ def test_what_is_not_trained_to_its_end_is_not_counted(design, pretend, tmp_path
     assert len(learning(design)) == 1
     (trial.run / "checkpoints/last.json").write_text('{"env_steps": 5, "finishes": 0}')
     assert learning(design) == []
+
+
+def test_a_page_with_trainings_that_are_not_here_is_not_written_over(design, pretend, tmp_path):
+    files = experiment(design, ["kart-grid-ann-s0", "kart-grid-snn-s0"], 1, tmp_path).files
+    before = {path: path.read_bytes() for path in files}
+    experiment(design, ["kart-grid-ann-s0"], 1, tmp_path)
+    for other in (replace(design, folder=f"{design.folder}-b"), replace(design, seeds=0)):
+        with pytest.raises(ConfigError, match=r"kart\.md has 2 trainings that are not in .* -o\."):
+            experiment(other, ["kart-grid-ann-s0"], 1, tmp_path, train=False)
+    assert {path: path.read_bytes() for path in files} == before
 
 
 def test_lines_are_medians_up_to_where_every_run_tells():
