@@ -17,6 +17,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.recipes import RECIPES
 
+_NARROW = "-256"  # ending of a PopSAN with half the neurons in each layer, which is not shipped
 # trainings of seconds
 _QUICK = (
     "env.count=2", "iterations=2", "states=60", "updates=20", "batch=16", "log_every=10",
@@ -29,7 +30,7 @@ class Member:
     """A policy with a seed: the shipped one, or one that is trained as it was.
 
     env       short name of the environment
-    policy    name of the shipped policy
+    policy    name of the shipped policy, or of the narrower one like it
     seed      of the training
     training  None for the shipped file, which is not trained again
     """
@@ -45,11 +46,16 @@ class Member:
         return f"{self.env}-{self.policy}-s{self.seed}"
 
     @property
+    def like(self) -> str:
+        """`hexapod/popsan`: the shipped policy that this is, or is trained like."""
+        return f"{self.env}/{self.policy.removesuffix(_NARROW)}"
+
+    @property
     def shipped(self) -> Path:
-        """The shipped policy's file."""
-        file = zoo.path(f"{self.env}/{self.policy}")
+        """The file of the shipped policy."""
+        file = zoo.path(self.like)
         if file is None:
-            raise ConfigError(f"no policy {self.env}/{self.policy} is shipped")
+            raise ConfigError(f"no policy {self.like} is shipped")
         return file
 
 
@@ -94,6 +100,9 @@ class LineupDesign:
             for name, card in cards.items():
                 if seed != card["seed"]:
                     yield Member(env, name, seed, self._training(env, name, card, seed))
+                if (narrow := f"{card['recipe']}{_NARROW}") in RECIPES:
+                    own = self._training(env, f"{name}{_NARROW}", card | {"recipe": narrow}, seed)
+                    yield Member(env, own.role, seed, own)
 
     def _training(self, env: str, name: str, card: Mapping[str, Any], seed: int) -> TaskTraining:
         own = [each for each in card["overrides"] if not each.startswith("teacher=")]

@@ -76,7 +76,7 @@ def _file(member: Member) -> Path:
     if member.training.run is None:
         raise ConfigError(f"{member.name} has no run folder")
     to = member.shipped.suffix.lstrip(".")
-    control = zoo.card(f"{member.env}/{member.policy}")["kind"] == "control"
+    control = zoo.card(member.like)["kind"] == "control"
     exported = export_run(str(member.training.run), to, control=control, force=True)
     if failed := [check.name for check in exported.checks if not check.passed]:
         raise ConfigError(f"{exported.path} does not do what was trained: {', '.join(failed)}")

@@ -32,7 +32,8 @@ _PACKAGES = ("torch", "numpy", "mujoco")
 _INTRODUCTION = """\
 A row of `spikedeploy compare` is one training. Here the shipped policies that imitate a float
 teacher are trained again, by the recipes and settings of their cards, with other seeds; the shipped
-file is one of the trainings. `sparse` has its trainings from [pareto.md](pareto.md): with reward,
+file is one of the trainings. `popsan-256` is `popsan` with 256 neurons in each hidden layer instead
+of 512, and not shipped. `sparse` has its trainings from [pareto.md](pareto.md): with reward,
 at the last level of pruning, on loihi1; no success was recorded there. All play the same episodes,
 on seeds from 10,000 on that no training and no choice of a checkpoint saw, in float, spiking
 policies on loihi1.
