@@ -333,6 +333,13 @@ RULES = [
     ("the ANN finishes {}, {} and {} % of the starts, the SNN {}, {} and {} %, small {}, {} and {} "
      "%, linear {}, {} and {} %; the script finishes {}, {} and {} %", lambda:
         [n for each in ("ann", "snn", "small", "linear", "gap") for n in elsewhere(each)]),
+    ("on the same six tracks the ANN finishes {}, {} and {} % of the starts, the SNN {}, {} and {} "
+     "%", lambda: [n for each in ("ann", "snn") for n in elsewhere(each, "corridor")]),
+    ("they finish {} and {} % of them", lambda: [
+        100 * mean(mean(map(int, r["finished"])) for r in lines("kart/tracks.csv")
+                   if (r["world"], r["preset"], r["policy"], r["track"])
+                   == ("kart-grid", "corridor", policy, "corridor-8"))
+        for policy in ("ann", "snn")]),
     ("The script's laps take {} to {} % longer than the SNN's", lambda:
         spread(longer_laps())),
     ("among the fifteen SNNs of that page, {} lost {} points on the chip, the others {} at most",
@@ -394,9 +401,10 @@ COMPARISONS = [
         all(joules(env, "popsan") > joules(env, "sac") > skipping(env) for env in WALKS)),
     ("smooth, which earns more than sac", lambda:
         returns("hexapod-command", "smooth") > returns("hexapod-command", "sac")),
-    ("on grid and steer in all ten, and in neither of two on gazebo", lambda: [
-        [math.isfinite(n) for n in learned("classic", "finish_300")[kart, "snn"]] for kart in KARTS
-     ] == [5 * [True], 2 * [False], 5 * [True]]),
+    ("on grid and steer in all ten, and in one of five on gazebo", lambda: [
+        sum(math.isfinite(n) for n in learned("classic", "finish_300")[kart, "snn"])
+        for kart in KARTS
+     ] == [5, 1, 5]),
     ("in about as many environment steps as float networks, small and linear included", lambda:
         all(0.8 < median(steps[kart, "snn"]) / median(steps[kart, p]) < 1.25
             for steps in [learned("default", "finish_300")] for kart in KARTS

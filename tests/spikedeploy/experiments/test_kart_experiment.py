@@ -327,11 +327,17 @@ def tracks_rows(policy, share, seed=0):
 def test_held_out_sentences_count_only_tracks_that_nothing_was_trained_on():
     rows = tracks_rows("ann", 0.8) + tracks_rows("snn", 0.4) + tracks_rows("gap", 0.5, None)
     said = heldout_verdicts(rows)
-    assert said[0].startswith("- ✓ held-out tracks, kart-grid: ann finishes 80% of the starts")
-    assert said[1].startswith("- ✗ held-out tracks, kart-grid: snn finishes 40%")
+    assert said[0].startswith(
+        "- ✓ held-out tracks, kart-grid: ann, trained in corridors, finishes 80%"
+    )
+    assert said[1].startswith(
+        "- ✗ held-out tracks, kart-grid: snn, trained in corridors, finishes 40%"
+    )
     assert said[1].endswith("the gap follower 50%")
     assert said[2].startswith("- ✗ held-out tracks, kart-grid: the SNN reaches 50.0%")
     assert len(heldout_table(rows)) == 2 + 3
+    neither = tracks_rows("ann", 0.0) + tracks_rows("snn", 0.0) + tracks_rows("gap", 0.5, None)
+    assert len(heldout_verdicts(neither)) == 2
 
 
 def test_the_tables_are_written_in_full_as_csv(design, pretend, tmp_path):
