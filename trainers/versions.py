@@ -1,7 +1,9 @@
 """Installed versions, read from metadata without importing anything, and the commit."""
 
 import platform
+import re
 import subprocess
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -18,6 +20,8 @@ _PACKAGES = (
     "snntorch",
     "safetensors",
 )
+_NAMED = ("python", "torch", "numpy")
+_VERSION = re.compile(r"[\w.+!-]+")
 
 
 def versions() -> dict[str, str | None]:
@@ -40,6 +44,14 @@ def installed(package: str) -> str | None:
 def own() -> str:
     """The version of spikedeploy itself."""
     return installed("spikedeploy") or "not installed"
+
+
+def in_words(found: Mapping[str, object]) -> str:
+    """`python 3.11.7, torch 2.13.0, numpy 2.4.6`, of a record of versions."""
+    texts = {name: str(found.get(name)) for name in _NAMED}
+    return ", ".join(
+        f"{name} {text if _VERSION.fullmatch(text) else 'unknown'}" for name, text in texts.items()
+    )
 
 
 def _commit() -> str | None:

@@ -1,6 +1,5 @@
 """The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
 
-import re
 import shlex
 import sys
 from collections import Counter
@@ -32,10 +31,9 @@ from spikedeploy.files import read_json
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.ppo.config import HOLDS
-from spikedeploy.trainers.versions import own
+from spikedeploy.trainers.versions import in_words, own
 
 _PICTURE = "kart/finishes.png"
-_VERSION = re.compile(r"[\w.+!-]+")
 
 
 def write(design: ExperimentDesign, results: Path) -> list[Path]:
@@ -184,19 +182,9 @@ def _facts(design: ExperimentDesign) -> list[str]:
 def _begun_with(trials: Sequence[Trial]) -> list[str]:
     """Versions when trainings began, and of how many; the most frequent first."""
     files = [trial.run / "versions.json" for trial in trials if trial.run and trial.trained]
-    found = Counter(_versions(file) for file in files if file.is_file())
+    found = Counter(in_words(read_json(file)) for file in files if file.is_file())
     texts = [f"{versions} ({count} trainings)" for versions, count in found.most_common()]
     return [f"- versions when a training began: {'; '.join(texts)}"] if texts else []
-
-
-def _versions(file: Path) -> str:
-    """`python 3.11.7, torch 2.13.0, numpy 2.4.6`, of a run folder's versions.json."""
-    found = read_json(file)
-    versions = {name: str(found.get(name)) for name in ("python", "torch", "numpy")}
-    return ", ".join(
-        f"{name} {text if _VERSION.fullmatch(text) else 'unknown'}"
-        for name, text in versions.items()
-    )
 
 
 def _end(trials: Sequence[Trial], preset: str) -> str:

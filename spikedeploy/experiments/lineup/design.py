@@ -101,7 +101,7 @@ class LineupDesign:
                 if seed != card["seed"]:
                     yield Member(env, name, seed, self._training(env, name, card, seed))
                 if (narrow := f"{card['recipe']}{_NARROW}") in RECIPES:
-                    own = self._training(env, f"{name}{_NARROW}", card | {"recipe": narrow}, seed)
+                    own = self._training(env, f"{name}{_NARROW}", {**card, "recipe": narrow}, seed)
                     yield Member(env, own.role, seed, own)
 
     def _training(self, env: str, name: str, card: Mapping[str, Any], seed: int) -> TaskTraining:

@@ -12,7 +12,9 @@ from spikedeploy.experiments.evaluation import evaluate
 from spikedeploy.experiments.lineup.design import LineupDesign, Member
 from spikedeploy.experiments.pareto.training import complete
 from spikedeploy.experiments.stored_row import StoredRow
+from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.versions import in_words
 
 Record = dict[str, Any]
 _FIELDS = (
@@ -44,7 +46,14 @@ def all_rows(design: LineupDesign) -> Iterator[Record]:
     """The results so far."""
     for member in design.members():
         if (row := found(design, member)) is not None:
-            yield row
+            yield row | {"versions": _versions(member)}
+
+
+def _versions(member: Member) -> str:
+    """Versions when the training began."""
+    if member.training is None or member.training.run is None:
+        return in_words(zoo.card(member.like)["versions"])
+    return in_words(read_json(member.training.run / "versions.json"))
 
 
 def perform(design: Record, name: str) -> bool:

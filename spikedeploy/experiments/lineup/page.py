@@ -6,11 +6,13 @@ results/pareto. Rows of trainings that are not here are kept as they are in the 
 
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified
 from spikedeploy.experiments.csv_rows import Record, read_rows, write_rows
 from spikedeploy.experiments.lineup.design import LineupDesign
@@ -19,16 +21,15 @@ from spikedeploy.experiments.pareto import records as pareto
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.markdown import markdown_text
-from spikedeploy.trainers.versions import installed, own
+from spikedeploy.trainers.versions import own
 
 _COLUMNS = (
     "env", "policy", "seed", "shipped", "kind", "chip", "episodes", "return_mean", "success_rate",
     "falls", "cot", "speed_rmse", "turn_rmse", "sops_per_inference", "macs_dense",
-    "macs_effective", "returns", "successes",
+    "macs_effective", "versions", "returns", "successes",
 )  # fmt: skip
-_TEXT = ("env", "policy", "shipped", "kind", "chip")
+_TEXT = ("env", "policy", "shipped", "kind", "chip", "versions")
 _SPARSE = "sparse"
-_PACKAGES = ("torch", "numpy", "mujoco")
 _INTRODUCTION = """\
 A row of `spikedeploy compare` is one training. Here the shipped policies that imitate a float
 teacher are trained again, by the recipes and settings of their cards, with other seeds; the shipped
@@ -88,11 +89,13 @@ def text(design: LineupDesign, rows: Sequence[Record], sparse: Path) -> str:
     for env in dict.fromkeys(row["env"] for row in rows):
         file = sparse / f"{env}.csv"
         shown = [row for row in rows if row["env"] == env]
-        shown += _sparse(pareto.read(file), design.episodes) if file.is_file() else []
+        shown += _sparse(env, pareto.read(file), design.episodes) if file.is_file() else []
         parts += [f"## {env}", _table(shown), "\n".join(f"- {line}" for line in _verdicts(shown))]
-    packages = ", ".join(f"{name} {installed(name)}" for name in _PACKAGES)
+    begun = Counter(row["versions"] for row in rows).most_common()
     facts = [
-        f"- spikedeploy {own()}, {packages}",
+        f"- spikedeploy {own()}",
+        "- versions when a training began: "
+        + "; ".join(f"{versions} ({count} trainings)" for versions, count in begun),
         "- every number: [lineup.csv](lineup.csv)",
     ]
     parts += ["## How this was made", "\n".join(facts)]
@@ -116,7 +119,7 @@ def _missing(design: LineupDesign, rows: Sequence[Record]) -> str:
     return f"**Trainings that are missing: {counted}.**"
 
 
-def _sparse(rows: Sequence[Record], episodes: int) -> list[Record]:
+def _sparse(env: str, rows: Sequence[Record], episodes: int) -> list[Record]:
     """The trainings of the sparse policy that went on with reward, at its last level."""
     tuned = [
         row
@@ -124,10 +127,12 @@ def _sparse(rows: Sequence[Record], episodes: int) -> list[Record]:
         if (row["student"], row["trained_by"], row["place"]) == (_SPARSE, "reward", "loihi1")
     ]
     last = min((row["level"] for row in tuned), default=0)
+    shipped = zoo.card(f"{env}/{_SPARSE}").get("seed")
     return [
         {
             "policy": _SPARSE, "seed": row["seed"], "kind": "snn", "returns": row["scores"],
             "return_mean": row["return_mean"], "sops_per_inference": row["operations"],
+            "shipped": row["seed"] == shipped,
         }
         for row in tuned
         if (row["level"], row["episodes"]) == (last, episodes)
@@ -194,7 +199,7 @@ def _verdicts(rows: Sequence[Record]) -> list[str]:
     controls = list(dict.fromkeys(row["policy"] for row in rows if row["kind"] == "control"))
     beside = {rival: _returns(rows, rival) for rival in ("sac", _SPARSE)}
     found = [_smallest(rows, controls, rival, own) for rival, own in beside.items() if own]
-    return [*found, _luck(rows, controls)] if controls else []
+    return [*found, *_luck(rows, controls)] if controls else []
 
 
 def _smallest(
@@ -216,7 +221,7 @@ def _macs(rows: Sequence[Record], policy: str) -> float:
     return float(np.mean([row["macs_effective"] for row in rows if row["policy"] == policy]))
 
 
-def _luck(rows: Sequence[Record], controls: Sequence[str]) -> str:
+def _luck(rows: Sequence[Record], controls: Sequence[str]) -> list[str]:
     """How many shipped trainings earn more than the mean of all of their policy."""
     above = []
     for policy in controls:
@@ -224,7 +229,9 @@ def _luck(rows: Sequence[Record], controls: Sequence[str]) -> str:
         shipped = [row["return_mean"] for row in own if row.get("shipped")]
         if shipped and len(own) > 1:
             above.append(shipped[0] > np.mean([row["return_mean"] for row in own]))
-    return (
+    if not above:
+        return []
+    return [
         f"{sum(above)} of {len(above)} shipped float policies earn more than the mean of their "
         "trainings."
-    )
+    ]
