@@ -167,6 +167,37 @@ def elsewhere(policy, preset="default"):
     ]
 
 
+def lined_up(env, policy):
+    """The row of a policy in results/lineup.md."""
+    section = (RESULTS / "lineup.md").read_text("utf-8").split(f"## {env}\n")[1].split("\n## ")[0]
+    (found,) = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in section.splitlines() if line.startswith(f"| {policy} |")
+    ]  # fmt: skip
+    return found
+
+
+def of_sac(env, policy, trainings=5):
+    """Share of the return of sac [%], and its interval, over that many trainings."""
+    found = lined_up(env, policy)
+    assert int(found[2]) == trainings
+    return [float(n) for n in re.findall(r"[\d.]+", found[7])]
+
+
+def best_of_five(env, policy):
+    """Return of the shipped training, which is the highest of five, and their mean."""
+    found = lined_up(env, policy)
+    assert found[8] == found[10]
+    return [float(found[8].replace(",", "")), float(found[3].split()[0].replace(",", ""))]
+
+
+def narrow(env):
+    """Return, share of sac's [%] and SOPs of the PopSAN of 256 neurons in a layer."""
+    operations, returns = lined_up(env, "popsan-256")[1], lined_up(env, "popsan-256")[3]
+    numbers = [float(text.split()[0].replace(",", "")) for text in (returns, operations)]
+    return numbers[0], of_sac(env, "popsan-256", 1)[0], numbers[1]
+
+
 def table(file, *heads):
     """Rows (a dict each) of every table of a page of results/ that has the heads."""
     for block in re.split(r"\n\s*\n", (RESULTS / file).read_text("utf-8")):
@@ -251,7 +282,7 @@ def walker_picojoules():
 
 RULES = [
     # README
-    ("a linear policy ({} MACs) and mlp-8, eight hidden units ({}), earn what sac does", lambda:
+    ("linear policy ({} MACs) and mlp-8, eight hidden units ({}), earn what sac does", lambda:
         macs("hexapod", "linear", "mlp-8")),
     ("so do mlp-16 ({}) and fourier, linear in products with the gait's phase ({}), and "
      "mlp-32 ({}) earns more than any spiking policy", lambda:
@@ -284,6 +315,16 @@ RULES = [
      "{} of the sparse walkers", lambda: (
         1e12 * phase_table()["joules"]["operations"], 1e12 * phase_table()["joules"]["all"],
         *walker_picojoules())),
+    ("On the command task fourier earns {} % [{}, {}] of what sac does, mlp-16 {} % [{}, {}], "
+     "mlp-32 {} % [{}, {}] and mlp-8 {} % [{}, {}], sparse {} % [{}, {}]", lambda: [
+        n for each in ("fourier", "mlp-16", "mlp-32", "mlp-8", "sparse")
+        for n in of_sac("hexapod-command", each)]),
+    ("On the walking task linear earns {} % [{}, {}], mlp-8 {} % [{}, {}], sparse {} % [{}, {}]",
+     lambda: [n for each in ("linear", "mlp-8", "sparse") for n in of_sac("hexapod", each)]),
+    ("The shipped mlp-16, at {}, is the best of its five, whose mean is {}", lambda:
+        best_of_five("hexapod-command", "mlp-16")),
+    ("instead of 512 earns {}, {} % of sac, with {} SOPs, and {} on the command task, {} %, with {}",
+     lambda: [n for env in WALKS for n in narrow(env)]),
     ("down to mlp-8 with {} MACs", lambda: macs("hexapod", "mlp-8")),
     ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
      "({}) earns more than every spiking policy", lambda:
