@@ -181,14 +181,14 @@ def of_sac(env, policy, trainings=5):
     """Share of the return of sac [%], and its interval, over that many trainings."""
     found = lined_up(env, policy)
     assert int(found[2]) == trainings
-    return [float(n) for n in re.findall(r"[\d.]+", found[7])]
+    return [float(n) for n in re.findall(r"[\d.]+", found[4])]
 
 
 def best_of_five(env, policy):
     """Return of the shipped training, which is the highest of five, and their mean."""
     found = lined_up(env, policy)
-    assert found[8] == found[10]
-    return [float(found[8].replace(",", "")), float(found[3].split()[0].replace(",", ""))]
+    assert found[5] == found[7]
+    return [float(found[5].replace(",", "")), float(found[3].split()[0].replace(",", ""))]
 
 
 def narrow(env):
@@ -323,8 +323,8 @@ RULES = [
      lambda: [n for each in ("linear", "mlp-8", "sparse") for n in of_sac("hexapod", each)]),
     ("The shipped mlp-16, at {}, is the best of its five, whose mean is {}", lambda:
         best_of_five("hexapod-command", "mlp-16")),
-    ("instead of 512 earns {}, {} % of sac, with {} SOPs, and {} on the command task, {} %, with {}",
-     lambda: [n for env in WALKS for n in narrow(env)]),
+    ("instead of 512 earns {}, {} % of sac, with {} SOPs, and {} on the command task, {} %, with "
+     "{}", lambda: [n for env in WALKS for n in narrow(env)]),
     ("down to mlp-8 with {} MACs", lambda: macs("hexapod", "mlp-8")),
     ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
      "({}) earns more than every spiking policy", lambda:
@@ -375,8 +375,9 @@ RULES = [
      "%, linear {}, {} and {} %; the script finishes {}, {} and {} %", lambda:
         [n for each in ("ann", "snn", "small", "linear", "gap") for n in elsewhere(each)]),
     ("on the same six tracks the ANN finishes {}, {} and {} % of the starts, the SNN {}, {} and {} "
-     "%", lambda: [n for each in ("ann", "snn") for n in elsewhere(each, "corridor")]),
-    ("they finish {} and {} % of them", lambda: [
+     "%, small {}, {} and {} %, linear {}, {} and {} %", lambda: [
+        n for each in ("ann", "snn", "small", "linear") for n in elsewhere(each, "corridor")]),
+    ("ANN and SNN finish {} and {} % of them", lambda: [
         100 * mean(mean(map(int, r["finished"])) for r in lines("kart/tracks.csv")
                    if (r["world"], r["preset"], r["policy"], r["track"])
                    == ("kart-grid", "corridor", policy, "corridor-8"))

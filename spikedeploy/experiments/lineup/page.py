@@ -112,11 +112,12 @@ def _missing(design: LineupDesign, rows: Sequence[Record]) -> str:
     lack = [m for m in design.members() if (m.env, m.policy, m.seed) not in there]
     if not lack:
         return ""
-    names = dict.fromkeys(f"{member.env}/{member.policy}" for member in lack)
-    counted = ", ".join(
-        f"{sum(f'{m.env}/{m.policy}' == name for m in lack)} of {name}" for name in names
-    )
-    return f"**Trainings that are missing: {counted}.**"
+    found = [
+        f"{env}: {', '.join(f'{name} {count}' for name, count in counts.items())}"
+        for env in design.tasks
+        if (counts := Counter(member.policy for member in lack if member.env == env))
+    ]
+    return f"**Trainings that are missing, or were not evaluated: {'; '.join(found)}.**"
 
 
 def _sparse(env: str, rows: Sequence[Record], episodes: int) -> list[Record]:
@@ -142,8 +143,8 @@ def _sparse(env: str, rows: Sequence[Record], episodes: int) -> list[Record]:
 def _table(rows: Sequence[Record]) -> str:
     teacher = _returns(rows, "sac")
     lines = [[
-        "policy", "operations", "trainings", "return", "IQM", "risk", "success", "of `sac`",
-        "shipped", "lowest", "highest",
+        "policy", "operations", "trainings", "return", "of `sac`", "shipped", "lowest", "highest",
+        "IQM", "risk", "success",
     ]]  # fmt: skip
     for policy in dict.fromkeys(row["policy"] for row in rows):
         own = [row for row in rows if row["policy"] == policy]
@@ -151,10 +152,10 @@ def _table(rows: Sequence[Record]) -> str:
         means = [row["return_mean"] for row in own]
         shipped = [row["return_mean"] for row in own if row.get("shipped")]
         lines.append([
-            policy, _operations(own), f"{len(own)}", *map(_thousands, vars(found).values()),
-            _success(own), _of(_returns(rows, policy), teacher),
-            f"{shipped[0]:,.0f}" if shipped else ABSENT, f"{min(means):,.0f}",
-            f"{max(means):,.0f}",
+            policy, _operations(own), f"{len(own)}", _thousands(found.mean),
+            _of(_returns(rows, policy), teacher), f"{shipped[0]:,.0f}" if shipped else ABSENT,
+            f"{min(means):,.0f}", f"{max(means):,.0f}", _thousands(found.iqm),
+            _thousands(found.risk), _success(own),
         ])  # fmt: skip
     return markdown_text(lines)
 
@@ -209,10 +210,10 @@ def _smallest(
     shares = {policy: nested_ratio(_returns(rows, policy), beside, rng(0)) for policy in controls}
     equal = [policy for policy in controls if shares[policy].ci95[1] >= 1]
     if not equal:
-        return f"Every float policy that imitates is shown to earn less than `{rival}`."
+        return f"All of these float policies are shown to earn less than `{rival}`."
     least = min(equal, key=lambda policy: _macs(rows, policy))
     return (
-        f"The smallest float policy not shown to earn less than `{rival}` is {least}: "
+        f"The smallest of these float policies not shown to earn less than `{rival}` is {least}: "
         f"{_macs(rows, least):,.0f} MACs, {_percent(shares[least])} of its return."
     )
 

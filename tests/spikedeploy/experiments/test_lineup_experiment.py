@@ -90,7 +90,7 @@ def test_the_page_has_a_row_a_policy_and_what_is_smallest(results):
     mean = np.mean([row["return_mean"] for row in rows(results) if row["policy"] == "linear"])
     assert "| 2 |" in linear
     assert f"| {mean:,.0f} [" in linear
-    assert "The smallest float policy not shown to earn less than `sac` is" in text
+    assert "The smallest of these float policies not shown to earn less than `sac` is" in text
     assert "of 2 shipped float policies earn more than the mean of their trainings." in text
     assert "missing" not in text
 
