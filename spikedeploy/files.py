@@ -40,9 +40,11 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is damaged ({error}): put it back, or delete it") from error
+        raise ConfigError(f"{path} is damaged ({error}): put it back, or move it away") from error
     if not isinstance(found, dict):
-        raise ConfigError(f"{path} is damaged, it holds no JSON object: put it back, or delete it")
+        raise ConfigError(
+            f"{path} is damaged, it holds no JSON object: put it back, or move it away"
+        )
     return found
 
 

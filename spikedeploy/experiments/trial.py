@@ -18,6 +18,7 @@ from typing import Any
 from spikedeploy.experiments.evaluation import evaluate
 from spikedeploy.experiments.finishes import Steps, finishes, steps_to_greedy
 from spikedeploy.files import as_text, read_json, write_text
+from spikedeploy.policies.run_record import whole
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import amended, differences, resolve
@@ -39,6 +40,7 @@ def exclusive(path: Path) -> Iterator[None]:
         yield
 
 
+_RESULTS = ("evaluation.json", "tracks.json", "policy.*")  # of a training that ended
 _STAMP = r"\d{8}-\d{6}(-\d+)?"
 
 
@@ -99,15 +101,22 @@ class Trial:
     def trained(self) -> bool:
         """Whether all limits of the training are reached, or the budget is spent."""
         counters, config = self.counters, self.config
-        if not counters:
+        if not counters or self.run is None:
             return False
-        enough = config.reached(counters["finishes"], counters.get("held", 0))
-        return enough or bool(counters["env_steps"] >= config.steps)
+        with whole(self.run / "checkpoints" / "last.json"):
+            enough = config.reached(counters["finishes"], counters.get("held", 0))
+            return enough or bool(counters["env_steps"] >= config.steps)
 
     @property
     def finishes(self) -> Steps:
         """Environment steps at the end of each finished episode of training."""
-        return finishes(self._table("episodes.csv")) if self.run else finishes(Path())
+        found = finishes(self._table("episodes.csv")) if self.run else finishes(Path())
+        if self.trained and len(found) != self.counters["finishes"]:
+            raise ConfigError(
+                f"{self.run}/episodes.csv is damaged: it has {len(found)} finishes of "
+                f"{self.counters['finishes']}. Put it back, or train again."
+            )
+        return found
 
     def steps_to_greedy(self, share: float) -> float:
         """Environment steps until this share of greedy validation episodes finished, and held."""
@@ -162,17 +171,33 @@ def perform(**arguments: Any) -> bool:  # noqa: ANN401
     return True
 
 
+def begun(run: Path | None) -> Path | None:
+    """The run folder to resume; one that was killed before its first checkpoint is deleted.
+
+    Raises ConfigError where it holds results, which are made after that checkpoint.
+    """
+    if run is None or any(run.glob("checkpoints/last.*")):
+        return run
+    if made := [path.name for name in _RESULTS for path in run.glob(name)]:
+        raise ConfigError(
+            f"{run / 'checkpoints' / 'last.json'} is missing, and {made[0]} is there: put it back, "
+            "or move the folder away to train again"
+        )
+    if any(run.glob("checkpoints/*.safetensors")):
+        return run  # resuming says whether that is of the beginning
+    shutil.rmtree(run)
+    return None
+
+
 def _train(trial: Trial) -> None:
     """Start or resume the training."""
     from spikedeploy.trainers.train import train
 
-    if trial.run and not trial.counters:
-        shutil.rmtree(trial.run)  # killed before its first checkpoint: nothing to resume
     train(
         trial.recipe,
         overrides=trial.overrides,
         seed=trial.seed,
-        resume=trial.run,
+        resume=begun(trial.run),
         runs=trial.folder,
         quiet=True,
     )

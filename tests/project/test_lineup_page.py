@@ -14,5 +14,5 @@ def test_the_page_is_made_of_the_table(monkeypatch):
     text = (RESULTS / "lineup.md").read_text("utf-8")
     command = next(shlex.split(line) for line in text.splitlines() if line.startswith("    "))
     monkeypatch.setattr(sys, "argv", command)
-    rows = page._read(RESULTS / "lineup.csv")
+    rows = page.read(RESULTS / "lineup.csv")
     assert page.text(asked({}), rows, RESULTS / "pareto") == text

@@ -135,12 +135,13 @@ def experiment(
 
 
 def _check_kept(design: ExperimentDesign, results: Path) -> None:
-    """Refuse to write over a page that shows trainings which the new one would not."""
-    if count := lost(design, results / "kart" / "learning.csv"):
+    """Refuse to write over tables with rows that the new ones would not have."""
+    if count := lost(design, results / "kart"):
         raise ConfigError(
-            f"{results / 'kart.md'} has {count} trainings that are not in {design.folder}, or not "
-            f"asked for: they would be lost. `python benchmarks/kart_trainings.py unpack --runs "
-            f"{design.folder}` puts those of this project there. Or name another folder with -o."
+            f"the tables of {results / 'kart.md'} have {count} rows that new ones would not, of "
+            f"trainings that are not in {design.folder} or were not asked for. Name another folder "
+            f"with -o; or `python benchmarks/kart_trainings.py unpack --runs {design.folder}` puts "
+            "this project's trainings there."
         )
 
 

@@ -1,7 +1,7 @@
 """Results of the kart experiment: a record for each training and each evaluation, also as CSV."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ from spikedeploy.experiments.kart.design import COUNT, DEFAULT, GREEDY, Experime
 from spikedeploy.experiments.kart.heldout import UNSEEN
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.files import replacing
+from spikedeploy.policies.run_record import whole
+from spikedeploy.runtime.errors import ConfigError
 
 FIRST, NTH = "first_finish", f"finish_{COUNT}"
 HELD = f"greedy_{GREEDY:.0%}".removesuffix("%")
@@ -23,14 +25,31 @@ def learning(design: ExperimentDesign) -> list[Record]:
     return [_learned(trial) for trial in design.trials() if trial.trained]
 
 
-def lost(design: ExperimentDesign, table: Path) -> int:
-    """How many trainings of a table that was written before are not among those of the design."""
-    if not table.is_file():
-        return 0
-    here = {tuple(map(str, _identity(t).values())) for t in design.trials() if t.trained}
-    with table.open(newline="", encoding="utf-8") as file:
-        there = {tuple(str(row.get(name)) for name in _KEYS) for row in csv.DictReader(file)}
-    return len(there - here)
+def lost(design: ExperimentDesign, folder: Path) -> int:
+    """How many rows of tables that were written before are not among those of the design.
+
+    folder  of learning.csv, driving.csv and tracks.csv
+    """
+    made = {"learning": learning, "driving": driving, "tracks": heldout}
+    return sum(
+        len(_keys(_read(table)) - _keys(records(design)))
+        for name, records in made.items()
+        if (table := folder / f"{name}.csv").is_file()
+    )
+
+
+def _keys(rows: Iterable[Mapping[str, Any]]) -> set[tuple[str, ...]]:
+    """What tells rows of a table apart, as it stands in the table."""
+    names = (*_KEYS, "chip", "track")
+    return {tuple("" if row.get(n) is None else str(row[n]) for n in names) for row in rows}
+
+
+def _read(table: Path) -> list[dict[str, str]]:
+    try:
+        with table.open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{table} is damaged ({error}): put it back, or move it away") from error
 
 
 def _learned(trial: Trial) -> Record:
@@ -51,12 +70,14 @@ def driving(design: ExperimentDesign) -> list[Record]:
     for trial in design.trials():
         evaluation = trial.evaluation
         if evaluation:
-            facts = {**_identity(trial), "parameters": evaluation["parameters"]}
-            found += [facts | _driven(row) for row in evaluation["rows"]]
+            with whole((trial.run or Path()) / "evaluation.json"):
+                facts = {**_identity(trial), "parameters": evaluation["parameters"]}
+                found += [facts | _driven(row) for row in evaluation["rows"]]
     for part in design.built_in():
         if part.evaluation:
-            facts = {**_script(part), "parameters": None}
-            found += [facts | _driven(row) for row in part.evaluation["rows"]]
+            with whole(part.file):
+                facts = {**_script(part), "parameters": None}
+                found += [facts | _driven(row) for row in part.evaluation["rows"]]
     return found
 
 

@@ -46,6 +46,11 @@ class Member:
         return f"{self.env}-{self.policy}-s{self.seed}"
 
     @property
+    def key(self) -> tuple[str, int]:
+        """Environment and seed."""
+        return self.env, self.seed
+
+    @property
     def like(self) -> str:
         """`hexapod/popsan`: the shipped policy that this is, or is trained like."""
         return f"{self.env}/{self.policy.removesuffix(_NARROW)}"

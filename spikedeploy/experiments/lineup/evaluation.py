@@ -5,7 +5,7 @@ Each row is a file of its own, <runs>/evaluations/<member>.json, which says what
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from spikedeploy import zoo
 from spikedeploy.experiments.evaluation import evaluate
@@ -17,6 +17,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.versions import in_words
 
 Record = dict[str, Any]
+_COUNTS = ("sops_per_inference", "macs_dense", "macs_effective")
 _FIELDS = (
     "kind", "chip", "episodes", "return_mean", "success_rate", "falls", "cot", "speed_rmse",
     "turn_rmse", "sops_per_inference", "macs_dense", "macs_effective",
@@ -39,7 +40,27 @@ def found(design: LineupDesign, member: Member) -> Record | None:
     """The result; None where the policy is not trained yet, or not evaluated."""
     if member.training is not None and not member.training.trained:
         return None
-    return row_of(design, member).found
+    stored = row_of(design, member)
+    row = stored.found
+    if row is not None and not (whole(row) and (row["env"], row["seed"]) == member.key):
+        raise ConfigError(f"{stored.file} is damaged: put it back, or move it away")
+    return row
+
+
+def whole(row: Record) -> bool:
+    """Whether a row has what the page is made of."""
+    returns, successes, count = row.get("returns"), row.get("successes"), row.get("episodes")
+    return (
+        all(isinstance(row.get(name), str) for name in ("env", "policy", "kind"))
+        and isinstance(row.get("seed"), int)
+        and isinstance(row.get("return_mean"), int | float)
+        and all(isinstance(row.get(name, 0.0) or 0.0, int | float) for name in _COUNTS)
+        and all(_numbers(each) and len(each) == count for each in (returns, successes))
+    )
+
+
+def _numbers(values: object) -> TypeGuard[list[float]]:
+    return isinstance(values, list) and all(isinstance(each, int | float) for each in values)
 
 
 def all_rows(design: LineupDesign) -> Iterator[Record]:

@@ -51,6 +51,7 @@ def experiment(
     """
     check_folder("--runs", Path(design.runs))
     check_folder("--output", results)
+    page.check_kept(design, results)
     members = design.members()
     for member in members:
         if member.training is not None:

@@ -4,6 +4,7 @@ Every number is of results/lineup.csv, one row a training, and of the sparse pol
 results/pareto. Rows of trainings that are not here are kept as they are in the table.
 """
 
+import csv
 import shlex
 import sys
 from collections import Counter
@@ -16,19 +17,20 @@ from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified
 from spikedeploy.experiments.csv_rows import Record, read_rows, write_rows
 from spikedeploy.experiments.lineup.design import LineupDesign
-from spikedeploy.experiments.lineup.evaluation import all_rows
+from spikedeploy.experiments.lineup.evaluation import all_rows, whole
 from spikedeploy.experiments.pareto import records as pareto
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.versions import own
 
 _COLUMNS = (
     "env", "policy", "seed", "shipped", "kind", "chip", "episodes", "return_mean", "success_rate",
     "falls", "cot", "speed_rmse", "turn_rmse", "sops_per_inference", "macs_dense",
-    "macs_effective", "versions", "returns", "successes",
+    "macs_effective", "quick", "versions", "returns", "successes",
 )  # fmt: skip
-_TEXT = ("env", "policy", "shipped", "kind", "chip", "versions")
+_TEXT = ("env", "policy", "shipped", "kind", "chip", "quick", "versions")
 _SPARSE = "sparse"
 _INTRODUCTION = """\
 A row of `spikedeploy compare` is one training. Here the shipped policies that imitate a float
@@ -49,18 +51,45 @@ control step and without neuron updates and encoder."""
 def write(design: LineupDesign, results: Path) -> list[Path]:
     """Write page and table of the complete rows; return the files, the page first."""
     table, page = results / "lineup.csv", results / "lineup.md"
-    kept = _read(table) if table.is_file() else []
-    new = [row | {"shipped": "yes" if row["shipped"] else ""} for row in all_rows(design)]
-    rows = _merged(new, [row for row in kept if row["episodes"] == design.episodes])
+    kept = check_kept(design, results)
+    about = {"quick": "yes" if design.quick else ""}
+    new = [row | {"shipped": "yes" if row["shipped"] else ""} | about for row in all_rows(design)]
+    rows = _merged(new, kept)
     results.mkdir(parents=True, exist_ok=True)
     write_rows(rows, _COLUMNS, table)
     # as they stand in the table, so that the page can be written again from it
-    shown = write_beside(page, text(design, _read(table), results / "pareto"), {})
+    shown = write_beside(page, text(design, read(table), results / "pareto"), {})
     return [page, table, shown[1]]
 
 
-def _read(table: Path) -> list[Record]:
-    return read_rows(table, _TEXT)
+def check_kept(design: LineupDesign, results: Path) -> list[Record]:
+    """The rows of the table so far; ConfigError where they cannot stand beside those of the design.
+
+    That is where they have other episodes, another chip, or quick trainings.
+    """
+    table = results / "lineup.csv"
+    kept = read(table) if table.is_file() else []
+    for row in kept:
+        alike = row["episodes"] == design.episodes and bool(row["quick"]) == design.quick
+        if not alike or row["chip"] not in (None, design.chip):
+            raise ConfigError(
+                f"{table} has rows of {row['episodes']} episodes"
+                f"{', of quick trainings' if row['quick'] else ''}"
+                f"{', on ' + row['chip'] if row['chip'] else ''}: name another folder with -o"
+            )
+    return kept
+
+
+def read(table: Path) -> list[Record]:
+    """The rows of the table; ConfigError where it is damaged."""
+    try:
+        rows = read_rows(table, _TEXT)
+        for row in rows:
+            if tuple(row) != _COLUMNS or not whole(row):
+                raise ValueError(f"a row of {row.get('policy')}")
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{table} is damaged ({error}): put it back, or move it away") from error
+    return rows
 
 
 def _merged(new: Sequence[Record], old: Sequence[Record]) -> list[Record]:
@@ -89,7 +118,7 @@ def text(design: LineupDesign, rows: Sequence[Record], sparse: Path) -> str:
     for env in dict.fromkeys(row["env"] for row in rows):
         file = sparse / f"{env}.csv"
         shown = [row for row in rows if row["env"] == env]
-        shown += _sparse(env, pareto.read(file), design.episodes) if file.is_file() else []
+        shown += _sparse(env, file, design.episodes) if file.is_file() else []
         parts += [f"## {env}", _table(shown), "\n".join(f"- {line}" for line in _verdicts(shown))]
     begun = Counter(row["versions"] for row in rows).most_common()
     facts = [
@@ -120,11 +149,11 @@ def _missing(design: LineupDesign, rows: Sequence[Record]) -> str:
     return f"**Trainings that are missing, or were not evaluated: {'; '.join(found)}.**"
 
 
-def _sparse(env: str, rows: Sequence[Record], episodes: int) -> list[Record]:
+def _sparse(env: str, table: Path, episodes: int) -> list[Record]:
     """The trainings of the sparse policy that went on with reward, at its last level."""
     tuned = [
         row
-        for row in rows
+        for row in pareto.read(table)
         if (row["student"], row["trained_by"], row["place"]) == (_SPARSE, "reward", "loihi1")
     ]
     last = min((row["level"] for row in tuned), default=0)

@@ -1,14 +1,13 @@
 """One training of the experiment: found among the run folders, resumed, or started."""
 
 import json
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from spikedeploy.experiments.trial import exclusive
+from spikedeploy.experiments.trial import begun, exclusive
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig
@@ -206,11 +205,7 @@ def _train(training: Trainable) -> None:
     from spikedeploy.trainers.train import train
 
     start = partial(train, training.recipe, runs=training.folder, quiet=True)
-    run = training.run
-    if run and not (run / "checkpoints" / "last.json").is_file():
-        shutil.rmtree(run)  # killed before its first checkpoint: nothing to resume
-        run = None
-    if run:
+    if run := begun(training.run):
         start(resume=run)
     else:
         start(overrides=[*training.overrides, *training.beginning()], seed=training.seed)

@@ -410,8 +410,9 @@ def test_a_page_with_trainings_that_are_not_here_is_not_written_over(design, pre
     files = experiment(design, ["kart-grid-ann-s0", "kart-grid-snn-s0"], 1, tmp_path).files
     before = {path: path.read_bytes() for path in files}
     experiment(design, ["kart-grid-ann-s0"], 1, tmp_path)
-    for other in (replace(design, folder=f"{design.folder}-b"), replace(design, seeds=0)):
-        with pytest.raises(ConfigError, match=r"kart\.md has 2 trainings that are not in .* -o\."):
+    others = {"folder": f"{design.folder}-b"}, {"seeds": 0}, {"episodes": 3}, {"chip": "xylo-a2"}
+    for other in (replace(design, **changed) for changed in others):
+        with pytest.raises(ConfigError, match=r"kart\.md have \d+ rows that new ones .* -o"):
             experiment(other, ["kart-grid-ann-s0"], 1, tmp_path, train=False)
     assert {path: path.read_bytes() for path in files} == before
 

@@ -78,7 +78,7 @@ def test_damaged_records_of_a_training_are_named(name, content, tmp_path):
     trial = trial_of(tmp_path)
     leave(trial)
     (trial.run / name).write_bytes(content)
-    with pytest.raises(ConfigError, match=rf"{name} is damaged.*: put it back, or delete it"):
+    with pytest.raises(ConfigError, match=rf"{name} is damaged.*: put it back, or move it away"):
         _ = trial.done
 
 
@@ -89,6 +89,33 @@ def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
     (one.run / "evaluation.json").write_bytes((other.run / "evaluation.json").read_bytes())
     assert other.done
     assert not one.done
+
+
+def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    for name in ("last.json", "last.safetensors"):
+        (trial.run / "checkpoints" / name).unlink()
+    with pytest.raises(ConfigError, match=r"last\.json is missing, and evaluation\.json is there"):
+        perform(**trial.arguments())
+    assert (trial.run / "policy.nir").is_file()
+
+
+def test_a_table_that_was_cut_is_not_one_of_few_finishes(tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    (trial.run / "episodes.csv").write_text("env_steps,finish\n")
+    with pytest.raises(ConfigError, match=r"episodes\.csv is damaged: it has 0 finishes of 1\."):
+        _ = trial.finishes
+
+
+@pytest.mark.parametrize("content", ['{"env_steps": "x", "finishes": 1}', '{"env_steps": 3}'])
+def test_counters_that_are_none_are_named(content, tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    (trial.run / "checkpoints/last.json").write_text(content)
+    with pytest.raises(ConfigError, match=r"last\.json is damaged"):
+        _ = trial.trained
 
 
 @pytest.mark.parametrize("take", [lambda t: t.finishes, lambda t: t.steps_to_greedy(0.95)])

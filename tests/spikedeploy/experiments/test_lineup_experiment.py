@@ -2,6 +2,8 @@
 
 import csv
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +113,37 @@ def test_rows_of_trainings_elsewhere_are_kept(design, results, tmp_path):
     assert (copy / "lineup.csv").read_bytes() == (results / "lineup.csv").read_bytes()
     with (copy / "lineup.csv").open(newline="") as file:
         assert len(list(csv.DictReader(file))) == 6
+
+
+def test_rows_of_other_sizes_are_not_written_over(design, results):
+    before = {path: path.read_bytes() for path in results.iterdir()}
+    for changed in ({"episodes": 3}, {"quick": False}):
+        with pytest.raises(
+            ConfigError, match=r"lineup\.csv has rows of 2 episodes, of quick .* -o"
+        ):
+            experiment(replace(design, **changed), (), 1, results, train=False)
+    assert {path: path.read_bytes() for path in results.iterdir()} == before
+
+
+def test_a_damaged_table_is_named_before_anything_is_done(design, results, tmp_path):
+    written = (results / "lineup.csv").read_text(encoding="utf-8")
+    for text in (written[:-40], written.replace('"[', '"x', 1), f"{written}a,b", "a,b\n1,2\n"):
+        (tmp_path / "lineup.csv").write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError, match=r"lineup\.csv is damaged .*: put it back, or move"):
+            experiment(design, (), 1, tmp_path)
+        assert (tmp_path / "lineup.csv").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("damage", [{"returns": "x"}, {"returns": [1.0]}, {"return_mean": None}])
+def test_a_damaged_evaluation_is_named_and_no_table_written(damage, design, results, tmp_path):
+    runs = Path(shutil.copytree(design.runs, tmp_path / "runs"))
+    file = runs / "evaluations" / f"{ENV}-linear-s0.json"
+    made = json.loads(file.read_text(encoding="utf-8"))
+    made["row"] |= damage
+    file.write_text(json.dumps(made), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"linear-s0\.json is damaged: put it back, or move it"):
+        page.write(replace(design, runs=str(runs)), tmp_path / "results")
+    assert not (tmp_path / "results").exists()
 
 
 def test_a_refusal_names_the_option_and_what_is_not_shipped():

@@ -95,8 +95,9 @@ def test_an_interrupted_training_goes_on_where_it_stopped(monkeypatch, tmp_path)
 def test_a_training_killed_before_its_first_checkpoint_begins_anew(tmp_path):
     one = make(tmp_path)
     perform(**one.arguments())
-    for file in (one.run / "checkpoints").iterdir():
+    for file in (*(one.run / "checkpoints").iterdir(), *one.run.glob("policy.*")):
         file.unlink()
+    (one.run / "evaluation.json").unlink()
     rows = len(read(one.run / "episodes.csv"))
     assert perform(**one.arguments())
     assert len(read(one.run / "episodes.csv")) == rows
