@@ -14,9 +14,10 @@ from statistics import mean, median
 
 import numpy as np
 
-from spikedeploy.comparison.statistics import ratio_of_medians
+from spikedeploy.comparison.statistics import nested_ratio, ratio_of_medians
 from spikedeploy.envs.hexapod.command import FOLLOWED, SPEED
 from spikedeploy.experiments.kart.design import GREEDY
+from spikedeploy.experiments.lineup import page
 from spikedeploy.experiments.pareto.tables import NEAR, NEARLY
 from spikedeploy.runtime.metrics.energy import energy_table
 from spikedeploy.trainers.ppo.config import PpoConfig
@@ -195,7 +196,25 @@ def narrow(env):
     """Return, share of sac's [%] and SOPs of the PopSAN of 256 neurons in a layer."""
     operations, returns = lined_up(env, "popsan-256")[1], lined_up(env, "popsan-256")[3]
     numbers = [float(text.split()[0].replace(",", "")) for text in (returns, operations)]
-    return numbers[0], of_sac(env, "popsan-256", 1)[0], numbers[1]
+    return numbers[0], *of_sac(env, "popsan-256", 1), numbers[1]
+
+
+def of_sparse(env, policy):
+    """Share of the return of sparse [%], and its interval, over five trainings of both."""
+    rows = page.read(RESULTS / "lineup.csv")
+    own = [r["returns"] for r in rows if (r["env"], r["policy"]) == (env, policy)]
+    beside = [r["returns"] for r in page._sparse(env, RESULTS / f"pareto/{env}.csv", 100)]
+    assert len(own) == len(beside) == 5
+    found = nested_ratio(own, beside, np.random.default_rng(0))
+    return [100 * n for n in (found.mean, *found.ci95)]
+
+
+def cornered(policy, kart):
+    """Share of the ANN's steps to 300 finishes in corridors [%], and its interval."""
+    text = (RESULTS / "kart.md").read_text("utf-8").split("### corridor preset\n")[1]
+    line = next(each for each in text.splitlines() if each.startswith(f"| {kart} | {policy} |"))
+    found = re.findall(r"[\d.]+", line.split("|")[6])
+    return [float(n) for n in found]
 
 
 def table(file, *heads):
@@ -323,8 +342,8 @@ RULES = [
      lambda: [n for each in ("linear", "mlp-8", "sparse") for n in of_sac("hexapod", each)]),
     ("The shipped mlp-16, at {}, is the best of its five, whose mean is {}", lambda:
         best_of_five("hexapod-command", "mlp-16")),
-    ("instead of 512 earns {}, {} % of sac, with {} SOPs, and {} on the command task, {} %, with "
-     "{}", lambda: [n for env in WALKS for n in narrow(env)]),
+    ("instead of 512 earns {}, {} % [{}, {}] of sac, with {} SOPs, and {} on the command task, "
+     "{} % [{}, {}], with {}", lambda: [n for env in WALKS for n in narrow(env)]),
     ("down to mlp-8 with {} MACs", lambda: macs("hexapod", "mlp-8")),
     ("mlp-16 ({} MACs) and fourier ({}), which has no hidden layer, earn more than sac, and mlp-32 "
      "({}) earns more than every spiking policy", lambda:
@@ -377,14 +396,29 @@ RULES = [
     ("on the same six tracks the ANN finishes {}, {} and {} % of the starts, the SNN {}, {} and {} "
      "%, small {}, {} and {} %, linear {}, {} and {} %", lambda: [
         n for each in ("ann", "snn", "small", "linear") for n in elsewhere(each, "corridor")]),
-    ("ANN and SNN finish {} and {} % of them", lambda: [
+    ("ANN, SNN, small and linear finish {}, {}, {} and {} % of them, the script {} %", lambda: [
         100 * mean(mean(map(int, r["finished"])) for r in lines("kart/tracks.csv")
                    if (r["world"], r["preset"], r["policy"], r["track"])
-                   == ("kart-grid", "corridor", policy, "corridor-8"))
-        for policy in ("ann", "snn")]),
+                   == ("kart-grid", preset, policy, "corridor-8"))
+        for policy, preset in [(p, "corridor") for p in ("ann", "snn", "small", "linear")]
+        + [("gap", "default")]]),
+    ("its share is {} % [{}, {}] on gazebo and {} % [{}, {}] on steer, that of linear {} and {} %, "
+     "of small {} and {} %", lambda: [
+        *cornered("snn", "kart-gazebo"), *cornered("snn", "kart-steer"),
+        *(cornered(p, kart)[0] for p in ("linear", "small") for kart in KARTS[1:])]),
+    ("mlp-16 earns {} % [{}, {}], fourier {} % [{}, {}] and mlp-32 {} % [{}, {}]; on the walking "
+     "task mlp-8 {} % [{}, {}], fourier {} % [{}, {}] and linear {} % [{}, {}]", lambda: [
+        n for env, policy in (
+            ("hexapod-command", "mlp-16"), ("hexapod-command", "fourier"),
+            ("hexapod-command", "mlp-32"), ("hexapod", "mlp-8"), ("hexapod", "fourier"),
+            ("hexapod", "linear"))
+        for n in of_sparse(env, policy)]),
+    ("sac, which succeeds in {} % of the episodes: mlp-16 in {} %, fourier in {}, mlp-32 in {}",
+     lambda: [float(lined_up("hexapod-command", p)[10].split("%")[0])
+              for p in ("sac", "mlp-16", "fourier", "mlp-32")]),
     ("The script's laps take {} to {} % longer than the SNN's", lambda:
         spread(longer_laps())),
-    ("among the fifteen SNNs of that page, {} lost {} points on the chip, the others {} at most",
+    ("among the fifteen SNNs of that preset, {} lost {} points on the chip, the others {} at most",
      lost_on_chip),
     ("stopped by hand at {}, {} and {} of 120,000 steps", lambda:
         [float(lines(f"hexapod-popsan/seed{seed}.csv")[-1]["env_steps"]) for seed in range(3)]),

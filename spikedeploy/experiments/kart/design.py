@@ -25,7 +25,8 @@ NETWORKS = ("ann", "snn")
 CONTROLS = ("small", "linear")
 POLICIES = (*NETWORKS, *CONTROLS)
 DEFAULT, CLASSIC, CORRIDOR = "default", "classic", "corridor"
-LEARNING = (DEFAULT, CLASSIC)  # presets on big_S, whose learning and driving are compared
+LEARNING = (DEFAULT, CLASSIC)  # presets on big_S, as kart-simulator's
+PRESETS = (*LEARNING, CORRIDOR)
 COUNT = 300  # finishes of training, as kart-simulator's table has it
 GREEDY = 0.95  # share of greedy validation episodes that must finish
 

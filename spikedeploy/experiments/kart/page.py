@@ -13,6 +13,7 @@ from spikedeploy.experiments.kart.design import (
     DEFAULT,
     GREEDY,
     LEARNING,
+    PRESETS,
     ExperimentDesign,
     preset_of,
 )
@@ -90,6 +91,9 @@ what a user of this project gets, not which of these differences is worth how mu
 kart-simulator's observation, reward, terminations, networks and settings of PPO; what still differs
 is listed in [docs/karts.md](../docs/karts.md). A training that ends early, as said at the end of
 this page, was not watched for greedy driving any longer than that.""",
+    CORRIDOR: """\
+Corridors of eight cells, drawn anew in each episode, in training, validation and evaluation; the
+default settings, without a position among the observations.""",
 }
 _DRIVING = """\
 Greedy episodes from {episodes} starts that no training saw, for the best checkpoint by validation
@@ -123,15 +127,15 @@ def _page(
     said = [*learning_verdicts(learned), *chip_verdicts(driven), *heldout_verdicts(tracks)]
     parts += ["\n".join(said), "## How soon they finish", _LEARNING]
     parts += [f"![finishes against environment steps]({_PICTURE})"]
-    for preset in LEARNING:
+    for preset in PRESETS:
         own = [row for row in learned if row["preset"] == preset]
         parts += [f"### {preset} preset", _PRESETS[preset], "\n".join(learning_table(own))]
     parts += ["## How well they drive", _DRIVING.format(**vars(design))]
-    for preset in LEARNING:
+    for preset in PRESETS:
         own = [row for row in driven if row["preset"] == preset]
         parts += [f"### {preset} preset, driving", "\n".join(driving_table(own))]
     parts += ["## The chip beside its float twin", _CHIP]
-    for preset in LEARNING:
+    for preset in PRESETS:
         own = [row for row in driven if row["preset"] == preset]
         parts += [f"### {preset} preset, on the chip", "\n".join(chip_table(own))]
     parts += ["## Tracks that were not trained on", _TRACKS, "\n".join(heldout_table(tracks))]
@@ -165,7 +169,7 @@ def _facts(design: ExperimentDesign) -> list[str]:
         f"- spikedeploy {own()}; run folders in `{design.folder}`",
         f"- training seeds asked for: 0 to {design.seeds - 1}; of controls 0 to "
         f"{design.controls - 1}",
-        *(_end(trained, preset) for preset in (*LEARNING, CORRIDOR)),
+        *(_end(trained, preset) for preset in PRESETS),
         *_begun_with(trained),
         *(f"- `--set {setting}`" for setting in design.overrides),
         *(

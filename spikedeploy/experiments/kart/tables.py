@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
-from spikedeploy.experiments.kart.design import COUNT, GREEDY, PEERS, POLICIES, WORLDS
+from spikedeploy.experiments.kart.design import CORRIDOR, COUNT, GREEDY, PEERS, POLICIES, WORLDS
 from spikedeploy.experiments.kart.records import FIRST, HELD, NTH, Record
 from spikedeploy.policies.interface import FLOAT
 from spikedeploy.reports.columns import ABSENT, scaled
@@ -26,10 +26,15 @@ def on_chip(rows: Iterable[Record], world: str) -> list[Record]:
 
 
 def learning_table(rows: Sequence[Record]) -> list[str]:
-    """Markdown: steps to the first and to the 300th finish, and until greedy episodes finish."""
+    """Markdown: steps to the first and to the 300th finish, and until greedy episodes finish.
+
+    Of corridors, which kart-simulator has no figures of, without its columns.
+    """
+    beside = not any(row["preset"] == CORRIDOR for row in rows)
     own = ["first finish", f"{COUNT} finishes", "% of ANN"]
     heads = [*own, f"greedy {GREEDY:.0%}", "% of ANN"]
-    lines = [["world", "policy", "seeds", *heads, *(f"kart-simulator: {head}" for head in own)]]
+    theirs = [f"kart-simulator: {head}" for head in own if beside]
+    lines = [["world", "policy", "seeds", *heads, *theirs]]
     for world in WORLDS:
         for policy in POLICIES:
             found = of(rows, world, policy)
@@ -43,7 +48,7 @@ def learning_table(rows: Sequence[Record]) -> list[str]:
                     percent_of_ann(rows, world, policy, NTH),
                     steps(found, HELD),
                     percent_of_ann(rows, world, policy, HELD),
-                    *_peer(world, policy),
+                    *(_peer(world, policy) if beside else ()),
                 ]
             )
     return markdown_table(lines)

@@ -5,7 +5,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spikedeploy.experiments.kart.design import COUNT, GREEDY, LEARNING, NETWORKS, PEERS, WORLDS
+from spikedeploy.experiments.kart.design import (
+    COUNT,
+    GREEDY,
+    LEARNING,
+    NETWORKS,
+    PEERS,
+    PRESETS,
+    WORLDS,
+)
 from spikedeploy.experiments.kart.heldout_table import on_unseen, ratio_of_means
 from spikedeploy.experiments.kart.records import HELD, NTH, Record
 from spikedeploy.experiments.kart.tables import AnnShare, of, on_chip, share, taken
@@ -18,10 +26,10 @@ _POINTS = 2  # of the finish rate that the chip may differ from the float twin
 def learning_verdicts(learned: Sequence[Record]) -> list[str]:
     """Steps beside kart-simulator's, and the SNN beside the ANN, for each preset and world."""
     lines = []
-    for preset in LEARNING:
+    for preset in PRESETS:
         rows = [row for row in learned if row["preset"] == preset]
         for world in WORLDS:
-            for policy in NETWORKS:
+            for policy in NETWORKS if preset in LEARNING else ():
                 lines += _finishes(rows, f"{preset}, {world}", world, policy)
             for field, what in ((NTH, f"{COUNT} finishes"), (HELD, f"greedy {GREEDY:.0%}")):
                 found = share(rows, world, "snn", field)
@@ -68,7 +76,7 @@ def _near(found: AnnShare | None, where: str, what: str) -> list[str]:
 def chip_verdicts(driven: Sequence[Record]) -> list[str]:
     """Chip beside float twin, for each preset and world."""
     lines = []
-    for preset in LEARNING:
+    for preset in PRESETS:
         rows = [row for row in driven if row["preset"] == preset]
         for world in WORLDS:
             chips = on_chip(rows, world)

@@ -129,6 +129,15 @@ def _distilled(env: str) -> dict[str, dict[str, Any]]:
     }
 
 
+def teachers(env: str) -> str:
+    """Which policies imitate which teacher, in a sentence."""
+    found: dict[str, list[str]] = {}
+    for name, card in _distilled(env).items():
+        found.setdefault(_teacher(card).partition("/")[2], []).append(name)
+    said = (f"{', '.join(names)} imitate `{teacher}`" for teacher, names in found.items())
+    return f"{'; '.join(said)}."
+
+
 def _teacher(card: Mapping[str, Any]) -> str:
     """`hexapod/sac`, however the settings of the training named it."""
     path = Path(card["config"]["teacher"])

@@ -16,7 +16,7 @@ import numpy as np
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified
 from spikedeploy.experiments.csv_rows import Record, read_rows, write_rows
-from spikedeploy.experiments.lineup.design import LineupDesign
+from spikedeploy.experiments.lineup.design import LineupDesign, teachers
 from spikedeploy.experiments.lineup.evaluation import all_rows, whole
 from spikedeploy.experiments.pareto import records as pareto
 from spikedeploy.pages.markdown import write_beside
@@ -44,6 +44,9 @@ policies on loihi1.
 Intervals of 95 % are of the stratified bootstrap over trainings and episodes (Agarwal et al. 2021),
 of one training over episodes alone. IQM is the mean without the lowest and the highest quarter,
 risk the mean of the worst 5 %. The teachers are one training each, whose chance no interval covers.
+Of five trainings such intervals are narrow: that of five normal values holds their mean in 84 % of
+cases, not 95. So a share just beside 100 % shows little. The shipped files of float policies are of
+seed 0; `sparse` was chosen by validation, and went on with reward, which the others did not.
 MACs are multiply-accumulates with an input that is not 0, SOPs synaptic operations, both of a
 control step and without neuron updates and encoder."""
 
@@ -119,7 +122,12 @@ def text(design: LineupDesign, rows: Sequence[Record], sparse: Path) -> str:
         file = sparse / f"{env}.csv"
         shown = [row for row in rows if row["env"] == env]
         shown += _sparse(env, file, design.episodes) if file.is_file() else []
-        parts += [f"## {env}", _table(shown), "\n".join(f"- {line}" for line in _verdicts(shown))]
+        parts += [
+            f"## {env}",
+            teachers(env),
+            _table(shown),
+            "\n".join(f"- {line}" for line in _verdicts(shown)),
+        ]
     begun = Counter(row["versions"] for row in rows).most_common()
     facts = [
         f"- spikedeploy {own()}",
