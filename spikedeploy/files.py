@@ -35,16 +35,14 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path, remedy: str = "put it back, or move it away") -> dict[str, Any]:
     """The object in a JSON file that a command wrote; ConfigError where it is damaged."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is damaged ({error}): put it back, or move it away") from error
+        raise ConfigError(f"{path} is damaged ({error}): {remedy}") from error
     if not isinstance(found, dict):
-        raise ConfigError(
-            f"{path} is damaged, it holds no JSON object: put it back, or move it away"
-        )
+        raise ConfigError(f"{path} is damaged, it holds no JSON object: {remedy}")
     return found
 
 

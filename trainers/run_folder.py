@@ -151,7 +151,7 @@ class RunFolder:
         """Return state and tensors of a checkpoint."""
         path = self.checkpoint(name)
         if not path.is_file():
-            self.check_kept(name)
+            self.check_weights(name)
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
         try:
             with safe_open(path, "pt") as file:
@@ -166,7 +166,7 @@ class RunFolder:
             ) from error
         return state, tensors
 
-    def check_kept(self, name: str) -> None:
+    def check_weights(self, name: str) -> None:
         """Refuse a checkpoint whose numbers to read are here, and whose weights are not.
 
         The numbers are written after the weights. So somebody deleted these, or did not keep them.

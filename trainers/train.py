@@ -183,7 +183,7 @@ def _check_left(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> N
 
     One without a checkpoint starts anew.
     """
-    run.check_kept("last")
+    run.check_weights("last")
     if run.checkpoint("last").is_file():
         state, _ = run.load("last")
         for table in kind.tables(run, config):

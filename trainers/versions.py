@@ -3,7 +3,8 @@
 import platform
 import re
 import subprocess
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -52,6 +53,16 @@ def in_words(found: Mapping[str, object]) -> str:
     return ", ".join(
         f"{name} {text if _VERSION.fullmatch(text) else 'unknown'}" for name, text in texts.items()
     )
+
+
+def began_with(records: Iterable[Mapping[str, object] | str]) -> list[str]:
+    """A line on the versions when trainings began, and of how many; the most frequent first.
+
+    records  of each training, or the same in words; without any there is no line
+    """
+    found = Counter(each if isinstance(each, str) else in_words(each) for each in records)
+    texts = [f"{versions} ({count} trainings)" for versions, count in found.most_common()]
+    return [f"- versions when a training began: {'; '.join(texts)}"] if texts else []
 
 
 def _commit() -> str | None:

@@ -39,6 +39,11 @@ class Estimate:
         """Plain numbers for a report."""
         return asdict(self)
 
+    def text(self, form: str) -> str:
+        """`3,438 [3,436, 3,441]`, each number in a format such as `,.0f`."""
+        low, high = self.ci95
+        return f"{self.mean:{form}} [{low:{form}}, {high:{form}}]"
+
     def mark(self, bound: float) -> str:
         """✓ where the whole interval reaches the bound, ✗ where none of it does, else ≈."""
         low, high = self.ci95

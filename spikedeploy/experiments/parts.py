@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from spikedeploy.console import console
 from spikedeploy.experiments import workers
@@ -42,6 +42,18 @@ class ExperimentPart(Protocol):
     @property
     def done(self) -> bool:
         """Whether nothing is missing."""
+
+
+Part = TypeVar("Part", bound=ExperimentPart)
+
+
+def parts_to_do(parts: Sequence[Part], only: Sequence[str], train: bool) -> list[Part]:
+    """The parts that are not done and whose names begin so; none where nothing is to be trained.
+
+    Raises ConfigError where a beginning is of none.
+    """
+    names = workers.chosen([part.job.name for part in parts], only)
+    return [p for p in parts if p.job.name in names and not p.done] if train else []
 
 
 def run_parts(

@@ -111,10 +111,11 @@ class Trial:
     def finishes(self) -> Steps:
         """Environment steps at the end of each finished episode of training."""
         found = finishes(self._table("episodes.csv")) if self.run else finishes(Path())
-        if self.trained and len(found) != self.counters["finishes"]:
+        counted = self.counters.get("finishes", 0)
+        if len(found) != counted and self.trained:
             raise ConfigError(
-                f"{self.run}/episodes.csv is damaged: it has {len(found)} finishes of "
-                f"{self.counters['finishes']}. Put it back, or train again."
+                f"{self.run}/episodes.csv is damaged: it has {len(found)} finishes of {counted}. "
+                "Put it back, or train again."
             )
         return found
 
@@ -125,7 +126,7 @@ class Trial:
     def _table(self, name: str) -> Path:
         """A table of the run folder; ConfigError where a training that ended has lost it."""
         path = (self.run or Path()) / name
-        if self.trained and not path.is_file():
+        if not path.is_file() and self.trained:
             raise ConfigError(f"{path} is missing: put it back, or train again")
         return path
 
@@ -171,7 +172,7 @@ def perform(**arguments: Any) -> bool:  # noqa: ANN401
     return True
 
 
-def begun(run: Path | None) -> Path | None:
+def resumable(run: Path | None) -> Path | None:
     """The run folder to resume; one that was killed before its first checkpoint is deleted.
 
     Raises ConfigError where it holds results, which are made after that checkpoint.
@@ -197,7 +198,7 @@ def _train(trial: Trial) -> None:
         trial.recipe,
         overrides=trial.overrides,
         seed=trial.seed,
-        resume=begun(trial.run),
+        resume=resumable(trial.run),
         runs=trial.folder,
         quiet=True,
     )

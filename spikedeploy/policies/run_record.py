@@ -1,12 +1,12 @@
 """The records of a run folder: configuration, versions, checkpoint; read without torch."""
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from spikedeploy.files import read_json
 from spikedeploy.policies.interface import env_id
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
@@ -104,12 +104,4 @@ def whole(path: Path) -> Iterator[None]:
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ConfigError(f"{path.parent} is no run folder: it has no {path.name}")
-    try:
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(
-            f"{path} is damaged ({error}): copy it from a backup, or train again"
-        ) from error
-    if not isinstance(record, dict):
-        raise ConfigError(f"{path} is damaged, it holds no JSON object: copy it from a backup")
-    return record
+    return read_json(path, "copy it from a backup, or train again")

@@ -29,7 +29,7 @@ def runnable(reference: str) -> str:
     name = run_record.deployed(run)
     checkpoint = folder.checkpoint(name)
     if not checkpoint.is_file():
-        folder.check_kept(name)
+        folder.check_weights(name)
         raise ConfigError(f"{run} has no checkpoint yet: train it further, --resume {run.name}")
     file = run / f"{run.resolve().name}.{to}"
     if not file.is_file() or file.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns:

@@ -3,7 +3,7 @@
 import shlex
 import sys
 
-from spikedeploy.experiments.lineup import page
+from spikedeploy.experiments.lineup import page, records
 from spikedeploy.experiments.lineup.design import asked
 from tests.paths import ROOT
 
@@ -14,5 +14,5 @@ def test_the_page_is_made_of_the_table(monkeypatch):
     text = (RESULTS / "lineup.md").read_text("utf-8")
     command = next(shlex.split(line) for line in text.splitlines() if line.startswith("    "))
     monkeypatch.setattr(sys, "argv", command)
-    rows = page.read(RESULTS / "lineup.csv")
+    rows = records.read(RESULTS / "lineup.csv")
     assert page.text(asked({}), rows, RESULTS / "pareto") == text

@@ -9,8 +9,8 @@ from spikedeploy.experiments.gymnasium.design import GymnasiumDesign
 from spikedeploy.experiments.gymnasium.evaluation import missing
 from spikedeploy.experiments.gymnasium.training import TaskTraining
 from spikedeploy.experiments.pareto.training import check
-from spikedeploy.experiments.parts import run_parts
-from spikedeploy.experiments.workers import Job, Outcome, chosen
+from spikedeploy.experiments.parts import parts_to_do, run_parts
+from spikedeploy.experiments.workers import Job, Outcome
 from spikedeploy.files import check_folder
 
 _EVALUATION = "spikedeploy.experiments.gymnasium.evaluation"
@@ -55,8 +55,7 @@ def experiment(
     for training in design.trainings():
         check(training)
     parts = _parts(design)
-    names = chosen([part.job.name for part in parts], only)
-    to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
+    to_do = parts_to_do(parts, only, train)
     _check_what_comes_before(to_do)
     trainings = {part.job.name: part.training for part in parts if not part.evaluates}
     return run_parts(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.experiments.csv_rows import Record
 from spikedeploy.experiments.gymnasium.design import DENSE, RANDOM, RIVAL, SPARSE, TEACHER, TUNED
 from spikedeploy.experiments.gymnasium.points import Reference, TaskPoint, judged, points, reference
@@ -48,18 +47,13 @@ def _line(point: TaskPoint, dense: Reference) -> list[str]:
         LABELS[point.role],
         point.place,
         f"{len(point.rows)}",
-        _estimate(point.earned),
+        point.earned.text(",.0f"),
         ABSENT if point.role == RANDOM else share(point.of_teacher),
         f"{point.mean('terminated') or 0.0:.0%}",
         counted,
         part,
         number(None if joules is None else joules * _PICO),
     ]
-
-
-def _estimate(value: Estimate) -> str:
-    low, high = value.ci95
-    return f"{value.mean:,.0f} [{low:,.0f}, {high:,.0f}]"
 
 
 def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None = None) -> str:
@@ -79,7 +73,7 @@ def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None =
     mark = earned.mark(bound)
     goal = f"{ENOUGH:.0%} of the teacher" if wanted is None else f"a return of {wanted:g}"
     return (
-        f"* {mark if few else '✗'} **{env}**: {_estimate(point.earned)}, "
+        f"* {mark if few else '✗'} **{env}**: {point.earned.text(',.0f')}, "
         f"{share(point.of_teacher)} of the teacher, with {operations:,.0f} SOPs a control step on "
         f"{chip}, {operations / dense.operations:.2%} of the PopSAN's {dense.operations:,.0f} "
         f"({_how(env, dense, operations, trained)}), {LABELS[point.role]}, {_seeds(point)}. "

@@ -112,7 +112,7 @@ def experiment(
     check_folder("--runs", Path(design.folder))
     check_folder("--output", results)
     chip(design.chip)  # raises on an unknown name
-    _check_kept(design, results)
+    _refuse_loss(design, results)
     for trial in design.trials():
         _check(trial)
     jobs = [_job(part, design) for part in _chosen(design, only) if not part.done] if train else []
@@ -134,7 +134,7 @@ def experiment(
     return Outcome(sum(done), len(done), failed, not whole, files)
 
 
-def _check_kept(design: ExperimentDesign, results: Path) -> None:
+def _refuse_loss(design: ExperimentDesign, results: Path) -> None:
     """Refuse to write over tables with rows that the new ones would not have."""
     if count := lost(design, results / "kart"):
         raise ConfigError(

@@ -1,7 +1,5 @@
 """The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
 
-import shlex
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,9 +28,10 @@ from spikedeploy.experiments.kart.verdicts import (
 from spikedeploy.experiments.trial import Trial
 from spikedeploy.files import read_json
 from spikedeploy.pages.markdown import write_beside
+from spikedeploy.pages.written import command_line
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.ppo.config import HOLDS
-from spikedeploy.trainers.versions import in_words, own
+from spikedeploy.trainers.versions import began_with, own
 
 _PICTURE = "kart/finishes.png"
 
@@ -122,7 +121,7 @@ def _page(
     tracks: Sequence[Record],
 ) -> str:
     """The page."""
-    parts = ["# Karts: float and spiking networks, learned from scratch", f"    {_command()}"]
+    parts = ["# Karts: float and spiking networks, learned from scratch", f"    {command_line()}"]
     parts += [_ARCHIVES.format(folder=design.folder), *_missing(design)]
     said = [*learning_verdicts(learned), *chip_verdicts(driven), *heldout_verdicts(tracks)]
     parts += ["\n".join(said), "## How soon they finish", _LEARNING]
@@ -141,10 +140,6 @@ def _page(
     parts += ["## Tracks that were not trained on", _TRACKS, "\n".join(heldout_table(tracks))]
     parts += ["## How this was made", "\n".join(_facts(design))]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _command() -> str:
-    return shlex.join(["spikedeploy", *sys.argv[1:]])
 
 
 def _missing(design: ExperimentDesign) -> list[str]:
@@ -186,9 +181,7 @@ def _facts(design: ExperimentDesign) -> list[str]:
 def _begun_with(trials: Sequence[Trial]) -> list[str]:
     """Versions when trainings began, and of how many; the most frequent first."""
     files = [trial.run / "versions.json" for trial in trials if trial.run and trial.trained]
-    found = Counter(in_words(read_json(file)) for file in files if file.is_file())
-    texts = [f"{versions} ({count} trainings)" for versions, count in found.most_common()]
-    return [f"- versions when a training began: {'; '.join(texts)}"] if texts else []
+    return began_with(read_json(file) for file in files if file.is_file())
 
 
 def _end(trials: Sequence[Trial], preset: str) -> str:

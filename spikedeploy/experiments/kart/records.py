@@ -30,12 +30,17 @@ def lost(design: ExperimentDesign, folder: Path) -> int:
 
     folder  of learning.csv, driving.csv and tracks.csv
     """
-    made = {"learning": learning, "driving": driving, "tracks": heldout}
+    made = {"learning": _trained, "driving": driving, "tracks": heldout}
     return sum(
         len(_keys(_read(table)) - _keys(records(design)))
         for name, records in made.items()
         if (table := folder / f"{name}.csv").is_file()
     )
+
+
+def _trained(design: ExperimentDesign) -> list[Record]:
+    """What tells complete trainings apart; their episodes, which are many, are not read."""
+    return [_identity(trial) for trial in design.trials() if trial.trained]
 
 
 def _keys(rows: Iterable[Mapping[str, Any]]) -> set[tuple[str, ...]]:

@@ -29,8 +29,9 @@ def learning_verdicts(learned: Sequence[Record]) -> list[str]:
     for preset in PRESETS:
         rows = [row for row in learned if row["preset"] == preset]
         for world in WORLDS:
-            for policy in NETWORKS if preset in LEARNING else ():
-                lines += _finishes(rows, f"{preset}, {world}", world, policy)
+            if preset in LEARNING:  # as kart-simulator's
+                for policy in NETWORKS:
+                    lines += _finishes(rows, f"{preset}, {world}", world, policy)
             for field, what in ((NTH, f"{COUNT} finishes"), (HELD, f"greedy {GREEDY:.0%}")):
                 found = share(rows, world, "snn", field)
                 lines += _near(found, f"{preset}, {world}", f"in steps to {what}")

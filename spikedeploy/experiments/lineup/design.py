@@ -46,9 +46,9 @@ class Member:
         return f"{self.env}-{self.policy}-s{self.seed}"
 
     @property
-    def key(self) -> tuple[str, int]:
-        """Environment and seed."""
-        return self.env, self.seed
+    def key(self) -> tuple[str, str, int]:
+        """Environment, policy and seed: what tells rows apart."""
+        return self.env, self.policy, self.seed
 
     @property
     def like(self) -> str:
@@ -144,17 +144,16 @@ def _teacher(card: Mapping[str, Any]) -> str:
     return f"{path.parent.name}/{path.stem}"
 
 
-_OPTIONS = {name: name for name in ("seeds", "runs", "episodes", "chip", "quick")}
 _SMALL = {"seeds": 2, "episodes": 2}
 
 
 def asked(options: Mapping[str, Any]) -> LineupDesign:
     """The design of the options of a command; ConfigError where one is of other experiments."""
-    if other := sorted(options.keys() - _OPTIONS.keys() - {"env"}):
+    if other := sorted(options.keys() - {"env", "seeds", "runs", "episodes", "chip", "quick"}):
         raise ConfigError(f"the experiment lineup has no {other[0]}. Leave it out.")
-    quick = options.get("quick", False)
-    runs = str(Path("runs") / ("lineup-quick" if quick else "lineup"))
-    given = {_OPTIONS[name]: value for name, value in options.items() if name != "env"}
+    given = {name: value for name, value in options.items() if name != "env"}
     if "env" in options:
         given["tasks"] = (options["env"],)
+    quick = options.get("quick", False)
+    runs = str(Path("runs") / ("lineup-quick" if quick else "lineup"))
     return LineupDesign(**{"runs": runs, **(_SMALL if quick else {}), **given})

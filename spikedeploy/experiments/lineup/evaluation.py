@@ -14,17 +14,18 @@ from spikedeploy.experiments.pareto.training import complete
 from spikedeploy.experiments.stored_row import StoredRow
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.versions import in_words
 
 Record = dict[str, Any]
 _COUNTS = ("sops_per_inference", "macs_dense", "macs_effective")
 _FIELDS = (
-    "kind", "chip", "episodes", "return_mean", "success_rate", "falls", "cot", "speed_rmse",
+    "chip", "episodes", "return_mean", "success_rate", "falls", "cot", "speed_rmse",
     "turn_rmse", "sops_per_inference", "macs_dense", "macs_effective",
 )  # fmt: skip
 
 
-def row_of(design: LineupDesign, member: Member) -> StoredRow:
+def _stored(design: LineupDesign, member: Member) -> StoredRow:
     """The row of a policy that is there."""
     if member.training is None:
         policy = zoo.sha256(member.shipped)
@@ -36,18 +37,18 @@ def row_of(design: LineupDesign, member: Member) -> StoredRow:
     return StoredRow(Path(design.runs) / "evaluations" / f"{member.name}.json", made)
 
 
-def found(design: LineupDesign, member: Member) -> Record | None:
+def result(design: LineupDesign, member: Member) -> Record | None:
     """The result; None where the policy is not trained yet, or not evaluated."""
     if member.training is not None and not member.training.trained:
         return None
-    stored = row_of(design, member)
+    stored = _stored(design, member)
     row = stored.found
-    if row is not None and not (whole(row) and (row["env"], row["seed"]) == member.key):
+    if row is not None and not (has_fields(row) and key(row) == member.key):
         raise ConfigError(f"{stored.file} is damaged: put it back, or move it away")
     return row
 
 
-def whole(row: Record) -> bool:
+def has_fields(row: Record) -> bool:
     """Whether a row has what the page is made of."""
     returns, successes, count = row.get("returns"), row.get("successes"), row.get("episodes")
     return (
@@ -59,6 +60,11 @@ def whole(row: Record) -> bool:
     )
 
 
+def key(row: Record) -> tuple[str, str, int]:
+    """Environment, policy and seed: what tells rows apart."""
+    return row["env"], row["policy"], row["seed"]
+
+
 def _numbers(values: object) -> TypeGuard[list[float]]:
     return isinstance(values, list) and all(isinstance(each, int | float) for each in values)
 
@@ -66,7 +72,7 @@ def _numbers(values: object) -> TypeGuard[list[float]]:
 def all_rows(design: LineupDesign) -> Iterator[Record]:
     """The results so far."""
     for member in design.members():
-        if (row := found(design, member)) is not None:
+        if (row := result(design, member)) is not None:
             yield row | {"versions": _versions(member)}
 
 
@@ -83,31 +89,24 @@ def perform(design: Record, name: str) -> bool:
     member = next(each for each in asked.members() if each.name == name)
     if member.training is not None and not complete(member.training):
         return False
-    if found(asked, member) is None:
-        row_of(asked, member).write(_evaluated(asked, member))
+    if result(asked, member) is None:
+        _stored(asked, member).write(_evaluated(asked, member))
     return True
 
 
 def _evaluated(design: LineupDesign, member: Member) -> Record:
-    *_, row = evaluate(member.env, {}, str(_file(member)), design.episodes, design.chip)
+    *_, row = evaluate(member.env, {}, _file(member), design.episodes, design.chip)
     about = {"env": member.env, "policy": member.policy, "seed": member.seed}
-    about["shipped"] = member.training is None
+    about |= {"shipped": member.training is None, "kind": zoo.card(member.like)["kind"]}
     numbers = {name: row[name] for name in _FIELDS if row.get(name) is not None}
     successes = [int(each) for each in row["successes"]]
     return about | numbers | {"returns": row["returns"], "successes": successes}
 
 
-def _file(member: Member) -> Path:
+def _file(member: Member) -> str:
     """The policy's file: the shipped one, or what is exported from the run."""
-    from spikedeploy.shipping.export_run import export_run
-
     if member.training is None:
-        return member.shipped
+        return str(member.shipped)
     if member.training.run is None:
         raise ConfigError(f"{member.name} has no run folder")
-    to = member.shipped.suffix.lstrip(".")
-    control = zoo.card(member.like)["kind"] == "control"
-    exported = export_run(str(member.training.run), to, control=control, force=True)
-    if failed := [check.name for check in exported.checks if not check.passed]:
-        raise ConfigError(f"{exported.path} does not do what was trained: {', '.join(failed)}")
-    return exported.path
+    return runnable(str(member.training.run))

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from spikedeploy.experiments.lineup import page
+from spikedeploy.experiments.lineup import page, records
 from spikedeploy.experiments.lineup.design import LineupDesign, Member
-from spikedeploy.experiments.lineup.evaluation import found
+from spikedeploy.experiments.lineup.evaluation import result
 from spikedeploy.experiments.pareto.training import check
-from spikedeploy.experiments.parts import run_parts
-from spikedeploy.experiments.workers import Job, Outcome, chosen
+from spikedeploy.experiments.parts import parts_to_do, run_parts
+from spikedeploy.experiments.workers import Job, Outcome
 from spikedeploy.files import check_folder
 
 _PERFORM = "spikedeploy.experiments.lineup.evaluation:perform"
@@ -32,7 +32,7 @@ class _MemberPart:
     @property
     def done(self) -> bool:
         """Whether nothing is missing."""
-        return found(self.design, self.member) is not None
+        return result(self.design, self.member) is not None
 
 
 def experiment(
@@ -51,14 +51,13 @@ def experiment(
     """
     check_folder("--runs", Path(design.runs))
     check_folder("--output", results)
-    page.check_kept(design, results)
+    records.kept(design, results / page.TABLE)
     members = design.members()
     for member in members:
         if member.training is not None:
             check(member.training)
     parts = [_MemberPart(design, member) for member in members]
-    names = chosen([member.name for member in members], only)
-    to_do = [p for p in parts if p.member.name in names and not p.done] if train else []
+    to_do = parts_to_do(parts, only, train)
     trainings = {member.name: member.training for member in members}
 
     def progress(job: Job) -> str:

@@ -9,8 +9,8 @@ from spikedeploy.experiments.pareto.design import ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
-from spikedeploy.experiments.parts import run_parts
-from spikedeploy.experiments.workers import Job, Outcome, chosen
+from spikedeploy.experiments.parts import parts_to_do, run_parts
+from spikedeploy.experiments.workers import Job, Outcome
 from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
@@ -63,8 +63,7 @@ def experiment(
     for training in design.everything():
         check(training)
     parts = _parts(design)
-    names = chosen([part.job.name for part in parts], only)
-    to_do = [p for p in parts if p.job.name in names and not p.done] if train else []
+    to_do = parts_to_do(parts, only, train)
     _check_what_comes_before(to_do)
     trainings = {training.name: training for training in design.everything()}
     return run_parts(

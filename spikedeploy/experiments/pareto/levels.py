@@ -118,7 +118,4 @@ def _returns(rows: Sequence[Record], racing: bool) -> list[str]:
 
 def _between(found: Estimate | None, form: str) -> str:
     """`3,438 [3,430, 3,446]`; a dash where there is none."""
-    if found is None:
-        return ABSENT
-    low, high = found.ci95
-    return f"{found.mean:{form}} [{low:{form}}, {high:{form}}]"
+    return ABSENT if found is None else found.text(form)

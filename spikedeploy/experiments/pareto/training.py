@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from spikedeploy.experiments.trial import begun, exclusive
+from spikedeploy.experiments.trial import exclusive, resumable
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig
@@ -205,7 +205,7 @@ def _train(training: Trainable) -> None:
     from spikedeploy.trainers.train import train
 
     start = partial(train, training.recipe, runs=training.folder, quiet=True)
-    if run := begun(training.run):
+    if run := resumable(training.run):
         start(resume=run)
     else:
         start(overrides=[*training.overrides, *training.beginning()], seed=training.seed)

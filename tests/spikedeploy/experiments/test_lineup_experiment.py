@@ -11,9 +11,8 @@ import pytest
 
 from spikedeploy import zoo
 from spikedeploy.experiments import workers
-from spikedeploy.experiments.csv_rows import read_rows
 from spikedeploy.experiments.lineup import design as designs
-from spikedeploy.experiments.lineup import page
+from spikedeploy.experiments.lineup import page, records
 from spikedeploy.experiments.lineup.design import LineupDesign, asked
 from spikedeploy.experiments.lineup.experiment import experiment
 from spikedeploy.runtime.errors import ConfigError
@@ -54,7 +53,7 @@ def results(design, ran):
 
 
 def rows(results):
-    return read_rows(results / "lineup.csv", page._TEXT)
+    return records.read(results / "lineup.csv")
 
 
 def test_shipped_policies_are_evaluated_and_the_other_seeds_trained(results, ran):
