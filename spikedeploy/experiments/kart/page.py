@@ -66,6 +66,8 @@ _ARCHIVES = """\
 This trains what the run folders in `{folder}` do not hold, or with `--no-train` leaves it out. What
 the trainings of this project left is kept in results/kart/trainings; before the command above,
 `python benchmarks/kart_trainings.py unpack --runs {folder}` puts it there."""
+_SHARES = """\
+In steps, the SNN's share of the ANN is the ANN's steps over the SNN's: above 100% it is sooner."""
 _LEARNING = f"""\
 Environment steps, those of all copies of the world together; medians over the training seeds
 [least, most]. A training that ended without counts with all the steps it took, and what it could
@@ -124,7 +126,7 @@ def _page(
     parts = ["# Karts: float and spiking networks, learned from scratch", f"    {command_line()}"]
     parts += [_ARCHIVES.format(folder=design.folder), *_missing(design)]
     said = [*learning_verdicts(learned), *chip_verdicts(driven), *heldout_verdicts(tracks)]
-    parts += ["\n".join(said), "## How soon they finish", _LEARNING]
+    parts += [_SHARES, "\n".join(said), "## How soon they finish", _LEARNING]
     parts += [f"![finishes against environment steps]({_PICTURE})"]
     for preset in PRESETS:
         own = [row for row in learned if row["preset"] == preset]

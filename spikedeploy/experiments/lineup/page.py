@@ -22,20 +22,24 @@ _INTRODUCTION = """\
 A row of `spikedeploy compare` is one training. Here the shipped policies that imitate a float
 teacher are trained again, by the recipes and settings of their cards, with other seeds; the shipped
 file is one of the trainings. `popsan-256` is `popsan` with 256 neurons in each hidden layer instead
-of 512, and not shipped. `sparse` has its trainings from [pareto.md](pareto.md): with reward,
-at the last level of pruning, on loihi1; no success was recorded there. All play the same episodes,
-on seeds from 10,000 on that no training and no choice of a checkpoint saw, in float, spiking
-policies on loihi1.
+of 512, and not shipped. The trainings of `sparse`, where it is shown, are those of the pareto
+experiment: with reward, at the last level of pruning, on loihi1, without a record of success. All
+are evaluated in the same episodes, on seeds from 10,000 on that no training and no choice of a
+checkpoint saw; spiking policies run on the chip, the others in float.
 
 Intervals of 95 % are of the stratified bootstrap over trainings and episodes (Agarwal et al. 2021),
 of one training over episodes alone. IQM is the mean without the lowest and the highest quarter,
-risk the mean of the worst 5 %. The teachers are one training each, whose chance no interval covers.
+risk the mean of the worst 5 %. The teachers are one training each: no interval includes their
+variance over seeds. Lowest and highest are mean returns of one training, operations are means.
 Bootstrap intervals over five trainings are too narrow: for five normal values they cover the mean
 in 84 % of cases instead of 95 %, so one that narrowly excludes 100 % is weak evidence. The shipped
 float policies were trained with seed 0. The shipped `sparse` was chosen by validation, and was then
 trained with reward, which the others were not.
 MACs are multiply-accumulates with an input that is not 0, SOPs synaptic operations, both of a
 control step and without neuron updates and encoder."""
+
+
+_TRIAL = "**A quick trial, whose trainings take seconds: its returns say nothing.**"
 
 
 def write(design: LineupDesign, results: Path) -> list[Path]:
@@ -53,7 +57,7 @@ def text(design: LineupDesign, rows: Sequence[Record], sparse: Path) -> str:
     sparse  folder of the tables of the pareto experiment
     """
     parts = ["# The line-up over training seeds", f"    {command_line()}", _missing(design, rows)]
-    parts += [_INTRODUCTION]
+    parts += [_TRIAL if design.quick else "", _INTRODUCTION]
     for env in dict.fromkeys(row["env"] for row in rows):
         file = sparse / f"{env}.csv"
         shown = [row for row in rows if row["env"] == env]
