@@ -97,6 +97,7 @@ def _untrained(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
         "events_above": encoder.threshold,
         "clip": codec.normaliser.clip,
         "head": "discrete" if codec.chooses else "continuous",
+        "clock": artifact.convention.clock,
     }
     actions = nodes["action"].bias.size
     if graded:

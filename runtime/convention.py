@@ -13,6 +13,8 @@ Integrator = Literal["euler", "exponential"]
 State = Literal["reset", "kept"]
 Spikes = Literal["above", "reached", "many"]
 Floor = Literal["none", "zero", "threshold"]
+Clock = Literal["gated", "pipelined", "free"]
+CLOCKS: tuple[Clock, ...] = get_args(Clock)
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,12 @@ class Convention:
         subtracted ("many").
     floor: lower bound of a spiking neuron's membrane: "none", 0 ("zero"), or minus its threshold
         ("threshold").
+    clock: when layers update. "gated": all layers in each timestep, one after the other, so that
+        spikes arrive in the timestep in which they are emitted; a chip then updates each layer
+        once, when its spikes have arrived, and holds it meanwhile. "pipelined": all layers at once,
+        and every connection onto neurons, the input's included, takes one timestep.
+        A chip whose cores all advance in each of its timesteps may also run a gated network "free"
+        (runtime.compiler), which is no property of a network.
     """
 
     dt: float
@@ -44,6 +52,7 @@ class Convention:
     source: str = field(default="stated", compare=False)
     spikes: Spikes = "above"
     floor: Floor = "none"
+    clock: Literal["gated", "pipelined"] = "gated"
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dt) and self.dt > 0):
@@ -57,6 +66,12 @@ class Convention:
         _one_of("state", self.state, get_args(State))
         _one_of("spikes", self.spikes, get_args(Spikes))
         _one_of("floor", self.floor, get_args(Floor))
+        _one_of("clock", self.clock, CLOCKS[:2])
+        if self.delay and self.clock == "pipelined":
+            raise ConventionError(
+                "clock 'pipelined' and delay 1 contradict each other: connections onto neurons "
+                "take a timestep by the clock already. Choose delay 0, or clock 'gated'."
+            )
         if self.spikes == "many" and self.reset != "subtract":
             raise ConventionError(
                 f"reset {self.reset!r} and spikes 'many' contradict each other: several spikes of "
@@ -65,10 +80,11 @@ class Convention:
 
     def describe(self) -> str:
         """One line for reports: every choice, and where it comes from."""
-        optional = "".join(f", {name}={value}" for name, value in self._optional().items())
+        optional = {**self._optional(), "clock": self.clock}
+        more = "".join(f", {name}={value}" for name, value in optional.items())
         return (
             f"dt={self.dt:g} s, reset={self.reset}, integrator={self.integrator}, "
-            f"delay={self.delay}, state={self.state}{optional} ({self.source})"
+            f"delay={self.delay}, state={self.state}{more} ({self.source})"
         )
 
     def with_options(self, options: Mapping[str, Any]) -> "Convention":
@@ -97,12 +113,16 @@ class Convention:
             fields["spikes"] = self.spikes
         if self.floor != "none":
             fields["floor"] = self.floor
+        if self.clock != "gated":
+            fields["clock"] = self.clock
         return fields
 
     @classmethod
     def from_record(cls, record: Record) -> "Convention":
         """The convention stored in a file; impossible ones raise ConventionError."""
-        record.only("dt", "reset", "integrator", "delay", "state", "source", "spikes", "floor")
+        names = "dt", "reset", "integrator", "delay", "clock", "state", "source", "spikes", "floor"
+        record.only(*names)
+        clock = record.text("clock") if "clock" in record else "gated"
         return cls(
             dt=record.number("dt"),
             reset=cast("Reset", record.text("reset")),
@@ -112,6 +132,7 @@ class Convention:
             source=record.text("source"),
             spikes=cast("Spikes", record.text("spikes") if "spikes" in record else "above"),
             floor=cast("Floor", record.text("floor") if "floor" in record else "none"),
+            clock=cast("Literal['gated', 'pipelined']", clock),
         )
 
 

@@ -73,3 +73,14 @@ def followed(policy, observation):
     seen = torch.from_numpy(observation).to(policy.action_bias.dtype)
     rows = [policy.advance(row[None], state) for row in seen]
     return [torch.cat(column).numpy() for column in zip(*rows, strict=True)]
+
+
+def arriving(policy, events):
+    """What arrives (S, obs) in each control step of events (S, obs), and what currents hold."""
+    moved = torch.from_numpy(events) * policy.step
+    if policy.delay:
+        moved = torch.cat([torch.zeros_like(moved[:1]), moved[:-1]])
+    seen = torch.zeros_like(moved)
+    for t, now in enumerate(moved):
+        seen[t] = policy.current_decay * seen[t - 1] + now
+    return moved, seen

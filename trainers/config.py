@@ -124,6 +124,8 @@ class DeltaSnnConfig(_Section):
     integrated: whether they do so through readouts of their own that hardly decay
     most, code: events of an observation in a control step, and on which channels; see
         runtime.codec.delta
+    clock: "pipelined", as on chips whose cores all advance in each timestep, or "gated", for
+        software and hardware that can update one layer after the other (runtime.convention.Clock)
     """
 
     kind: Literal["delta-snn"] = "delta-snn"
@@ -132,6 +134,7 @@ class DeltaSnnConfig(_Section):
     integrated: bool = False
     most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
+    clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0
 
     @property
@@ -143,7 +146,7 @@ class DeltaSnnConfig(_Section):
 class DeltaMlpConfig(_Section):
     """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
 
-    hidden, skip, most, code: as in DeltaSnnConfig
+    hidden, skip, most, code, clock: as in DeltaSnnConfig
     threshold: of a neuron, below which a change of its activation is not sent [standard deviations
         of the activation]
     """
@@ -153,6 +156,7 @@ class DeltaMlpConfig(_Section):
     skip: bool = True
     most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
+    clock: Literal["gated", "pipelined"] = "pipelined"
     threshold: Rate = 0.5
 
     @property

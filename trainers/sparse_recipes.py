@@ -54,7 +54,7 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
 
 # operations of each student at the end, and on the way there; and sizes
 _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
-    ("hexapod", "sparse"): {"budget": 50, "levels": [210, 140, 105, 84, 66], "polish": 3},
+    ("hexapod", "sparse"): {"budget": 56, "levels": [210, 140, 105, 84, 68], "polish": 3},
     ("hexapod", "sparse-linear"): {"budget": 50, "levels": [160, 100, 70], "walks": 25},
     ("hexapod", "small-mlp"): {"budget": 70, "levels": [400, 250, 180, 130, 95], "walks": 25},
     ("hexapod", "small-linear"): {"budget": 100, "levels": [600, 300, 180], "walks": 25},
@@ -76,7 +76,11 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
         (env, student): settings
         for env in KART_ENVS
         for student, settings in {
-            "sparse": {"budget": 28, "levels": [45, 35], "policy": {"integrated": True}},
+            "sparse": {
+                "budget": 33,
+                "levels": [60, 48, 40, 36],
+                "policy": {"integrated": True},
+            },
             "sparse-linear": {"budget": 10, "levels": [20, 14]},
             "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
             "small-linear": {"budget": 30, "levels": [60, 40]},

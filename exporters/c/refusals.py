@@ -57,6 +57,11 @@ def check_program(program: Program) -> None:
             f"--to c: layer {min(program.graded)!r}: sigma-delta neurons send graded spikes, which "
             "is not written in C. Train neurons that spike."
         )
+    if program.clock == "free":
+        raise ConfigError(
+            "--to c: clock 'free': layers run on between their windows, as on a chip whose cores "
+            "all advance, which is not written in C. Compile with clock='gated' or 'pipelined'."
+        )
     if program.host:
         raise ConfigError(
             f"--to c: readout {program.host[0].name!r}: its membranes do not leave {chip}, so that "

@@ -19,7 +19,7 @@ from spikedeploy.runtime.analysis.spike_distance import TAU, mean_distance
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ObservationError
 
@@ -156,9 +156,13 @@ def drift(
     """
     _check(artifact, raster, episodes)
     program = compile_program(artifact, on, quantisation, limits=limits)
-    floats = compile_program(artifact, chip("ideal")) if on.arithmetic.ablation_steps else None
+    clock = program.clock
+    staged = bool(on.arithmetic.ablation_steps)
+    floats = compile_program(artifact, chip("ideal"), clock=clock) if staged else None
     twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
     steps = ablation_programs(floats, program) if floats else [("chip", program)]
+    if floats and artifact.convention.state == "kept" and clock != own_clock(artifact.convention):
+        steps = [("clock", floats), *steps]
     runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
     seen = list(runs.values())[-1]
     names = [layer.name for layer in program.spiking]

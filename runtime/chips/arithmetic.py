@@ -119,16 +119,14 @@ class ArithmeticDefaults(Protocol):
         network_input: str,
         convention: Convention,
         delay: int,
-        stagger: bool | None,
+        stagger: bool,
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with starts and delays, and remarks on what is not as in the file.
 
         layers: with the lags of the graph for delays, all starting at once.
         delay: [timesteps] from a spike to its arrival on the chip.
-        stagger: as in compile_program.
+        stagger: start each layer when the first spikes can reach it.
         """
-        if stagger is None:
-            stagger = convention.delay == 0
         differs = convention.spikes == "reached" and not self.spikes_at_threshold
         remarks = [_AT_THRESHOLD] if differs else []
         input_delay = self.input_delay(delay)

@@ -10,9 +10,13 @@ from spikedeploy.runtime.chips import CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
 from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
+from spikedeploy.runtime.convention import CLOCKS, Clock
 from spikedeploy.runtime.errors import ChipError
 
 __all__ = ["CHIPS", "Chip", "chip"]
+
+# of chips whose neurons all update in each timestep
+ALL_AT_ONCE: tuple[Clock, ...] = ("pipelined", "free")
 
 # how a membrane leaves a chip: read by the host from its register, sent as a graded spike, or put
 # out by a program; "none" leaves neurons that do not spike to the host
@@ -36,6 +40,9 @@ class Chip:
     limits: what fits on it, with sources of their own; None where nothing limits it.
     membrane_output: how membranes of neurons that do not spike leave it; "none" where no way is
         published, and the host integrates their input then. "none" can be chosen on every chip.
+    clocks: how it can advance the layers of a network, its own way first (runtime.convention.Clock,
+        and "free": all neurons update in each of its timesteps, and a network that has no delays
+        takes as many more of them as it is deep). Others are emulated too, and called assumptions.
     """
 
     name: str
@@ -49,6 +56,7 @@ class Chip:
     evidence: str = field(default="compared with nothing", compare=False)
     limits: Limits | None = None
     membrane_output: MembraneOutput = "none"
+    clocks: tuple[Clock, ...] = CLOCKS
 
     def __post_init__(self) -> None:
         if self.membrane_output not in get_args(MembraneOutput):

@@ -215,7 +215,7 @@ def _delay(synapses: Synapses, target: str, starts: dict[str, int], delay: int) 
     if due < delay and any(starts.values()):
         raise RuleError(
             f"rule delay: layers {synapses.source!r} -> {target!r}: the feedback would have to "
-            f"arrive {delay - due} timesteps before it can. Compile with stagger=False, which "
+            f"arrive {delay - due} timesteps before it can. Compile with clock='pipelined', which "
             "lengthens every loop by the delays of its layers."
         )
     return max(due, delay)

@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
-from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.design_rules.rule import RuleResult, design
 from spikedeploy.runtime.design_rules.table import ARITHMETIC, CAPACITY, judged, refuse
@@ -28,15 +28,16 @@ def compile_program(
     artifact: Artifact,
     chip: Chip,
     quantisation: Quantisation = PLAIN,
-    stagger: bool | None = None,
+    clock: Clock | None = None,
     limits: bool = True,
 ) -> Program:
     """The artifact as a program of the chip.
 
     quantisation: of weights, biases, thresholds and decays.
-    stagger: start each layer, and so its biases, when the first spikes can reach it: a network then
-        means the same with delays as without. False starts all at once, as lava does. None staggers
-        unless the convention itself has a delay, and on Xylo where Xylo can.
+    clock: how layers advance, as in Program; None is `clock_on`. Gated and free, each layer, and so
+        its bias axon, starts when the first spikes can reach it, so that a network without delays
+        means the same on a chip that has some: always when gated; free where states are reset and
+        no bias stands in a register. Pipelined starts all at once, as lava does.
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip lacks capacity for the network, or something that the network asks for.
     """
@@ -44,24 +45,52 @@ def compile_program(
     _check_graded(artifact, chip)
     if not limits:
         chip = replace(chip, delay_max=_ENDLESS)
+    clock = clock or clock_on(artifact.convention, chip)
+    artifact = _clocked(artifact, clock)
     graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
     plan = design(artifact, chip, chip.limits) if limits and chip.limits else None
     if plan:
         refuse(plan, CAPACITY)
     chip.arithmetic.check_quantisation(quantisation, chip.name)
-    program = float_program(artifact, chip, graph, stagger)
-    layers = chip.arithmetic.quantise(
-        program, quantisation, chip.name, _window(artifact), limits=limits
-    )
+    program = float_program(artifact, chip, graph, clock)
+    rows = _rows(artifact, program)
+    layers = chip.arithmetic.quantise(program, quantisation, chip.name, rows, limits=limits)
     if plan:  # last: the compiler itself is more precise
         refuse(plan, ARITHMETIC)
-    ranges = chip.arithmetic.ranges(layers, _window(artifact))
+    ranges = chip.arithmetic.ranges(layers, rows)
     return replace(program, layers=tuple(layers), remarks=(*program.remarks, *ranges))
 
 
-def float_program(
-    artifact: Artifact, chip: Chip, graph: LayerGraph, stagger: bool | None = None
-) -> Program:
+def own_clock(convention: Convention) -> Clock:
+    """The clock that a network of this convention was made for; a delay of all is a pipeline."""
+    return "pipelined" if convention.delay else convention.clock
+
+
+def clock_on(convention: Convention, chip: Chip) -> Clock:
+    """The clock by which a chip runs a network of this convention: the network's own, or free.
+
+    Raises RuleError where the chip has neither.
+    """
+    if (wanted := own_clock(convention)) in chip.clocks:
+        return wanted
+    if convention.clock == "gated":
+        return "free" if "free" in chip.clocks and not convention.delay else "gated"
+    raise RuleError(
+        f"rule clock: {chip.name} advances its layers {' or '.join(chip.clocks)}, and this network "
+        f"was made for clock {wanted!r}. Train it for the chip, or emulate it with clock={wanted}."
+    )
+
+
+def _clocked(artifact: Artifact, clock: Clock) -> Artifact:
+    """The artifact with the delays of the clock, in which those of free layers are none."""
+    convention = artifact.convention
+    own = "pipelined" if clock == "pipelined" and not convention.delay else "gated"
+    if own == convention.clock:
+        return artifact
+    return replace(artifact, convention=replace(convention, clock=own))
+
+
+def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Clock) -> Program:
     """The program in floats, with the starts, delays and decays that the chip has."""
     floats = [_layer(artifact, graph, name) for name in graph.layers]
     here = [layer for layer in floats if layer.spiking or chip.membrane_output != "none"]
@@ -73,13 +102,16 @@ def float_program(
             "it in float."
         )
     layers, remarks = chip.arithmetic.prepare(
-        here, graph.input, artifact.convention, chip.delay, stagger
+        here, graph.input, artifact.convention, chip.delay, clock != "pipelined"
     )
     remarks += chip.arithmetic.carried(layers, graph.input)
     remarks += [_on_host(layer, chip.name) for layer in host]
     if chip.arithmetic.rounds:
         remarks += [_on_chip(layer, chip) for layer in here if not layer.spiking]
     program = _program(artifact, chip, graph, layers, host, remarks)
+    program = replace(program, clock=clock)
+    if program.assumed_clock:
+        program = replace(program, remarks=(*program.remarks, _assumed(clock, chip)))
     chip.arithmetic.check_output(program, chip.name)
     return program
 
@@ -110,6 +142,14 @@ def _program(
         outlets=outlets,
         remarks=tuple(remarks),
         host=tuple(host),
+    )
+
+
+def _assumed(clock: Clock, chip: Chip) -> str:
+    """That the chip is not known to advance its layers so, in a sentence."""
+    return (
+        f"clock {clock!r} is an assumption: nothing published says that {chip.name} can advance "
+        f"its layers so; it advances them {' or '.join(chip.clocks)}"
     )
 
 
@@ -199,10 +239,10 @@ def _threshold(name: str, neuron: DiscreteNeuron) -> NDArray[np.float64]:
     return neuron.threshold
 
 
-def _window(artifact: Artifact) -> int | None:
-    """T of an inference; None where it is not known or states continue from one to the next."""
+def _rows(artifact: Artifact, program: Program) -> int | None:
+    """Rows of an inference; None where unknown, or where states go on from one to the next."""
     reset = artifact.convention.state == "reset"
-    return artifact.codec.timesteps if artifact.codec is not None and reset else None
+    return program.rows(artifact.codec.timesteps) if artifact.codec is not None and reset else None
 
 
 def _ways_out(
@@ -269,7 +309,7 @@ def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
     except SpikedeployError as error:
         return RuleResult(COMPILE, None, "fail", str(error))
     arithmetic, layers = program.chip.arithmetic, program.layers
-    ranges = arithmetic.ranges(layers, _window(artifact))
+    ranges = arithmetic.ranges(layers, _rows(artifact, program))
     carried = arithmetic.carried(layers, program.input)
     note = "; ".join(program.remarks if program.reads_membranes else (*carried, *ranges))
     return RuleResult(COMPILE, None, "pass", "a program", note=note)

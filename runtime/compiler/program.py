@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.damage import Damage, Upsets
 from spikedeploy.runtime.chips.layer import Layer, Synapses
-from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.ports import Port, concatenate
 
@@ -84,9 +84,14 @@ class Readout:
 class Program:
     """Everything that a Machine runs.
 
-    Time is counted in chip timesteps from the first input row. A layer runs T timesteps from its
-    start: its window. With biases staggered, layer k starts k timesteps later than the input, so
-    that row t of every window means the same as without delays.
+    Time is counted in chip timesteps from the first input row. Row t of the input reaches a layer
+    `start` timesteps later.
+
+    Where the clock is gated, a layer runs T timesteps from its start, its window, and is held in
+    all others, so that row t of every window means the same as without delays. Pipelined, all
+    starts are 0, and windows are the same T timesteps of the chip. Free, every layer runs in all
+    timesteps from the first row until the last layer has seen the last; its window are the T from
+    its start, in which its bias axon spikes and the host listens to it.
 
     chip: the one that it runs on.
     convention: of the artifact; reset and state are read from it.
@@ -104,6 +109,7 @@ class Program:
         membranes; their delays are lags of the graph. Outlets say what becomes of them.
     damage: what faults of the chip have hit; the layers have them (runtime.faults).
     upsets: what goes wrong while it runs; None where nothing does.
+    clock: how the layers advance.
     """
 
     chip: Chip
@@ -120,6 +126,7 @@ class Program:
     host: tuple[Layer, ...] = ()
     damage: tuple[Damage, ...] = ()
     upsets: Upsets | None = None
+    clock: Clock = "gated"
 
     def __post_init__(self) -> None:
         presynaptic = {self.input}
@@ -137,9 +144,28 @@ class Program:
         return self._by_name[name]
 
     def lag(self, layer: Layer, synapses: Synapses) -> int:
-        """Rows by which the layer's window trails its spikes: 0 where starts make up delays."""
-        start = 0 if synapses.source == self.input else self.layer(synapses.source).start
-        return start + synapses.delay - layer.start
+        """Rows by which what the layer runs trails its spikes: 0 where starts make up delays."""
+        source = 0 if synapses.source == self.input else self.begin(self.layer(synapses.source))
+        return source + synapses.delay - self.begin(layer)
+
+    def begin(self, layer: Layer) -> int:
+        """Timestep of the first row that the layer runs in an inference."""
+        return layer.start if self.clock == "gated" else 0
+
+    def rows(self, timesteps: int) -> int:
+        """Rows that each layer runs in an inference of T input rows."""
+        return timesteps + (self._fill if self.clock == "free" else 0)
+
+    def window(self, layer: Layer, rows: int) -> slice:
+        """The layer's window among the rows that it runs: all of them, unless it runs free."""
+        if self.clock != "free":
+            return slice(0, rows)
+        return slice(layer.start, layer.start + rows - self._fill)
+
+    @property
+    def assumed_clock(self) -> bool:
+        """Whether nothing says that the chip can advance its layers so."""
+        return self.clock not in self.chip.clocks
 
     @cached_property
     def lags(self) -> tuple[tuple[int, ...], ...]:
@@ -206,9 +232,9 @@ class Program:
         targets = {target for source, target in connections if source == self.output}
         return self.input not in presynaptic and not targets
 
-    def steps(self, timesteps: int) -> int:
-        """Chip timesteps of one inference of T timesteps."""
-        return timesteps + self._fill
+    def steps(self, rows: int) -> int:
+        """Chip timesteps of one inference in which each layer runs so many rows."""
+        return rows + (self._fill if self.clock == "gated" else 0)
 
     @cached_property
     def _fill(self) -> int:
@@ -234,5 +260,5 @@ class Program:
             raise RuleError(
                 f"rule delay: {edge} deliver a spike {synapses.delay} timesteps after it was "
                 f"emitted, too early or too late for a layer that starts at {layer.start}. Compile "
-                "with stagger=False, or remove the feedback."
+                "with clock='pipelined', or remove the feedback."
             )

@@ -44,7 +44,7 @@ _NETWORK_RULES: dict[str, Rule] = {
 RULES = (*NODE_RULES, *_NETWORK_RULES)
 # what the compiler alone finds: biases that no neuron can have, a network too large to unroll, and
 # an option that no scale satisfies; all else that it refuses has the name of a rule
-COMPILER_RULES = ("bias", "matrix", "headroom")
+COMPILER_RULES = ("bias", "clock", "matrix", "headroom")
 # about numbers and not about capacity: the compiler looks at them when it rounds, too
 ARITHMETIC = (
     "primitive",

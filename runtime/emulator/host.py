@@ -52,7 +52,10 @@ class Host:
         ]
 
     def output(self, raster: NDArray[Any], backend: Backend) -> Floats:
-        """Output (B, T, act) of the last window, whose input was the raster (T, B, M)."""
+        """Output (B, T, act) of the last window, whose input was the raster (T, B, M).
+
+        Of layers that run free, the T timesteps of their windows are heard.
+        """
         rows = self._rows(raster, backend)
         for integrator in self._integrators:
             rows[integrator.layer.name] = integrator.run(rows)
@@ -67,12 +70,12 @@ class Host:
         """(T, B, N) of the input, where it is heard, and of all that leaves the chip."""
         program = self._program
         rows = {program.input: raster.astype(np.float64)} if self._hears_input else {}
+        single = backend.schedule.mode == "step"
         for name in program.to_host:
             layer = program.layer(name)
-            if layer.spiking:
-                rows[name] = backend.spikes(name).astype(np.float64)
-            else:
-                rows[name] = backend.membranes(name) * layer.scale
+            ran = backend.spikes(name) if layer.spiking else backend.membranes(name) * layer.scale
+            heard = ran if single else ran[program.window(layer, len(ran))]
+            rows[name] = heard.astype(np.float64, copy=False)
         return rows
 
 

@@ -5,7 +5,7 @@ is tested to be equal to this in every current, membrane and spike.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,10 +35,22 @@ class LayerTrace:
     overflows: NDArray[np.int64]
     lost: NDArray[np.int64] | None = None
 
+    def part(self, window: slice) -> "LayerTrace":
+        """The same of some of the timesteps."""
+        parts = {
+            name: None if all_ is None else all_[:, window] for name, all_ in vars(self).items()
+        }
+        return LayerTrace(**parts)
+
 
 def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-    """What every layer does with the raster (B, T, M), from zero states."""
-    return Interpreter(program, raster.shape[0]).run(raster)
+    """What every layer does in its window with the raster (B, T, M), from zero states."""
+    rows = program.rows(raster.shape[1])
+    filled = np.pad(raster, ((0, 0), (0, rows - raster.shape[1]), (0, 0)))
+    found = Interpreter(program, raster.shape[0]).run(filled)
+    return {
+        name: each.part(program.window(program.layer(name), rows)) for name, each in found.items()
+    }
 
 
 class Interpreter:
@@ -60,9 +72,12 @@ class Interpreter:
     ) -> dict[str, LayerTrace]:
         """One inference; states go on from the one before.
 
-        waiting: names of layers that stand still meanwhile.
+        raster: (B, T, M), where layers run free with the rows behind the input's last.
+        waiting: names of layers that are held meanwhile.
         """
         program, timesteps = self.program, raster.shape[1]
+        begins = {layer.name: program.begin(layer) for layer in program.layers}
+        biased = {layer.name: program.window(layer, timesteps) for layer in program.layers}
         output_spikes = {name: _lengthened(tail, timesteps) for name, tail in self.tails.items()}
         output_spikes[program.input][:, self._memory :] = raster
         history: dict[str, list[tuple[Numbers, Numbers, StepResult]]] = {
@@ -71,7 +86,8 @@ class Interpreter:
         for step in range(program.steps(timesteps)):
             together = self._together(step, output_spikes)
             for layer in program.layers:
-                if not layer.start <= step < layer.start + timesteps:
+                row = step - begins[layer.name]
+                if not 0 <= row < timesteps:
                     continue
                 state = self.states[layer.name]
                 if layer.name in together:
@@ -80,8 +96,9 @@ class Interpreter:
                     tick = _waiting(state)
                 else:
                     presynaptic = self._presynaptic(layer, step, output_spikes)
-                    tick = self._advanced(layer, step, presynaptic, state)
-                output_spikes[layer.name][:, self._memory + step - layer.start] = tick.spikes
+                    now = layer if row in range(timesteps)[biased[layer.name]] else unbiased(layer)
+                    tick = self._advanced(now, step, presynaptic, state)
+                output_spikes[layer.name][:, self._memory + row] = tick.spikes
                 history[layer.name].append((state.current, state.membrane, tick))
         self.tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
         return {name: _stacked(ticks, output_spikes[name].dtype) for name, ticks in history.items()}
@@ -112,9 +129,14 @@ class Interpreter:
         presynaptic = []
         for synapses in layer.synapses:
             of = synapses.source
-            start = 0 if of == self.program.input else self.program.layer(of).start
-            presynaptic.append(output_spikes[of][:, self._memory + step - synapses.delay - start])
+            begin = 0 if of == self.program.input else self.program.begin(self.program.layer(of))
+            presynaptic.append(output_spikes[of][:, self._memory + step - synapses.delay - begin])
         return presynaptic
+
+
+def unbiased(layer: Layer) -> Layer:
+    """The layer while its bias axon is silent."""
+    return replace(layer, bias=0 * layer.bias) if layer.bias.any() else layer
 
 
 def _waiting(state: LayerState) -> StepResult:

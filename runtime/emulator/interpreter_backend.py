@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
-from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
+from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace, unbiased
 from spikedeploy.runtime.emulator.ledger import LedgerBuilder, count
 
 
@@ -23,7 +22,7 @@ class InterpreterBackend:
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.schedule = schedule
         streaming = schedule.mode == "step"
-        self._program = _unstaggered(program) if streaming else program
+        self._program = _at_once(program) if streaming else program
         self._starts = {layer.name: layer.start for layer in program.layers} if streaming else {}
         self._batch = batch
         self._lag = program.readout.lag if program.readout else 0
@@ -108,18 +107,15 @@ class InterpreterBackend:
                 setattr(state, quantity, saved[f"{quantity} of {name}"].copy())
 
 
-def _unstaggered(program: Program) -> Program:
+def _at_once(program: Program) -> Program:
     """The program with all layers starting at once, so that lags are the delays of the chip."""
-    return replace(program, layers=tuple(replace(layer, start=0) for layer in program.layers))
+    layers = tuple(replace(layer, start=0) for layer in program.layers)
+    return replace(program, layers=layers, clock="pipelined")
 
 
 def _without_biases(program: Program, names: Iterable[str]) -> Program:
     """The program with silent bias axons for the layers of these names."""
     if not (waiting := set(names)):
         return program
-    layers = (_unbiased(layer) if layer.name in waiting else layer for layer in program.layers)
+    layers = (unbiased(layer) if layer.name in waiting else layer for layer in program.layers)
     return replace(program, layers=tuple(layers))
-
-
-def _unbiased(layer: Layer) -> Layer:
-    return replace(layer, bias=0 * layer.bias)

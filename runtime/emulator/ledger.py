@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.errors import ConfigError
 
 Counts = NDArray[np.int64]
@@ -39,6 +40,7 @@ class Ledger:
     timesteps: network updates of each layer in all of them.
     steps: chip timesteps in all of them, those that only fill the pipeline included.
     several: whether a neuron can spike several times in a timestep.
+    clock: how the layers advanced, as in Program.
     readouts: names of the layers that never spike, which sparsity leaves out.
     """
 
@@ -49,6 +51,7 @@ class Ledger:
     timesteps: int
     steps: int
     several: bool = False
+    clock: Clock = "gated"
     readouts: tuple[str, ...] = ()
 
     def total(self, event: str) -> int:
@@ -100,7 +103,8 @@ def count(
 ) -> Counts:
     """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
 
-    spikes: (B, T, N) of the input and of each layer that can spike; a graded one counts as one.
+    spikes: (B, T, N) of the input and of each layer that can spike, in all rows that they run; a
+        graded one counts as one.
     busy: (B, T, N) of each layer, as in StepResult; None takes every neuron-timestep for an update.
     overflows: (B, T, N) of each layer, as in StepResult; None takes none.
     waiting: names of layers that have not started.
@@ -117,16 +121,17 @@ def count(
         spike_in = sum(_each(arriving[s.source]) for s in layer.synapses)
         spike_out = _each(spikes[layer.name]) if layer.spiking else np.zeros(batch, np.int64)
         update = _each(busy[layer.name]) if busy else timesteps * layer.size
-        sent = spike_out if layer.spiking else timesteps * layer.size * (layer.name not in waiting)
+        window = len(range(timesteps)[program.window(layer, timesteps)])
+        sent = spike_out if layer.spiking else window * layer.size * (layer.name not in waiting)
         to_host = sent if layer.name in program.to_host else 0
         event = {
             "spike_in": spike_in,
             "sop": sum(_each(arriving[s.source] * s.fan_out) for s in layer.synapses),
-            "bias_sop": timesteps * layer.bias_fan_out,
+            "bias_sop": window * layer.bias_fan_out,
             "neuron_update": update,
             "neuron_idle": neuron_steps - update,
             "spike_out": spike_out,
-            "message": spike_in + timesteps * (layer.bias_fan_out > 0) + to_host,
+            "message": spike_in + window * (layer.bias_fan_out > 0) + to_host,
             "saturation": _each(overflows[layer.name]) if overflows else 0,
             "graded_sop": sum(
                 (_each(spikes[s.source] * s.fan_out) for s in layer.synapses if s.source in graded),
@@ -211,6 +216,7 @@ class LedgerBuilder:
             timesteps=self._timesteps,
             steps=self._steps,
             several=self._program.chip.spikes_max > 1,
+            clock=self._program.clock,
             readouts=tuple(a.name for a in self._program.layers if not a.spiking),
         )
 

@@ -106,16 +106,19 @@ class Machine:
     def infer(self, spikes: NDArray[Any]) -> Floats:
         """Output (B, T, act) of the spikes (B, T, M); states as the convention says."""
         with self._calls.lock:
-            rows = self._checked(spikes, 3).swapaxes(0, 1)
+            raster = self._checked(spikes, 3).swapaxes(0, 1)
+            rows = self._with_fill(raster)
             if self.program.convention.state == "reset":
                 self._reset()
             backend = self._prepared("window" if self.program.feed_forward else "row", len(rows))
             presynaptic = self._run(backend, rows)
             if self._trace:
-                self.recordings = backend.recordings()
+                recorded = backend.recordings()
+                self.recordings = {n: self._heard(n, each) for n, each in recorded.items()}
             if self._host is not None:
-                return self._host.output(rows, backend)
-            return self._output(presynaptic)
+                return self._host.output(raster, backend)
+            output = self.program.layer(self.program.output)
+            return self._output(presynaptic[self.program.window(output, len(rows))])
 
     def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:
         """Output (B, act) after one chip timestep with the input spikes (B, M).
@@ -224,6 +227,20 @@ class Machine:
         if not spikes.size or spikes.dtype.kind not in "bu":
             raise not_spikes(spikes, self.program.chip.input_spikes_max)
         return spikes
+
+    def _with_fill(self, raster: NDArray[Any]) -> NDArray[Any]:
+        """The raster (T, B, M) with the silent rows in which layers that run free go on."""
+        fill = self.program.rows(len(raster)) - len(raster)
+        return np.pad(raster, ((0, fill), (0, 0), (0, 0))) if fill else raster
+
+    def _heard(self, name: str, recorded: Recording) -> Recording:
+        """What a layer did in its window."""
+        rows = recorded.spikes.shape[1]
+        window = self.program.window(self.program.layer(name), rows)
+        if window == slice(0, rows):
+            return recorded
+        parts = recorded.current, recorded.membrane, recorded.spikes
+        return Recording(*(part[:, window] for part in parts))
 
     def _prepared(self, mode: RunMode, timesteps: int) -> Backend:
         """The backend for a way of running, which has to stay the same while states are kept."""

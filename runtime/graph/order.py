@@ -54,6 +54,7 @@ class Timing:
 def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     """The timing of a graph under a convention.
 
+    Where the clock is pipelined, what leaves an Input or neurons for neurons is a timestep late.
     A Delay node that holds every value back for at least one timestep opens a loop by itself; its
     edges are late then, and that timestep is part of its delay: I[t] = w z[t - delay].
     """
@@ -66,12 +67,16 @@ def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     late = {edge for edge in graph.edges if edge[1] in delaying}
     if convention.delay:
         late |= _into_weights(graph)
+    if pipelined := convention.clock == "pipelined":
+        late = _out_of_spikes(graph)  # of a Delay the timesteps come on top
     stepwise, loops = order(graph, late), _has_loop(graph)
     return Timing(
         # without loops a node runs for all timesteps at once, after its late sources too
         names=stepwise.names if loops else order(graph).names,
         late=stepwise.late,
-        delays={name: steps - (name in delaying) for name, steps in delays.items()},
+        delays={
+            name: steps - (name in delaying and not pipelined) for name, steps in delays.items()
+        },
         loops=loops,
     )
 
@@ -171,6 +176,20 @@ def sources(graph: nir.NIRGraph) -> dict[str, list[str]]:
 def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
     kinds = (nir.Affine, nir.Linear, *CONVOLUTIONS)
     return {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], kinds)}
+
+
+def _out_of_spikes(graph: nir.NIRGraph) -> set[Edge]:
+    """Edges that leave an Input or neurons towards neurons, whose spikes arrive a timestep late."""
+    waiting = [name for name, node in graph.nodes.items() if isinstance(node, NEURONS)]
+    found, before, seen = set[Edge](), sources(graph), set[str]()
+    while waiting:
+        for source in before[target := waiting.pop()]:
+            if isinstance(graph.nodes[source], (nir.Input, *NEURONS)):
+                found.add((source, target))
+            elif source not in seen:
+                seen.add(source)
+                waiting.append(source)
+    return found
 
 
 def _feedback(graph: nir.NIRGraph, pending: set[str], delayed: set[Edge]) -> set[Edge]:

@@ -16,7 +16,7 @@ from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
@@ -92,7 +92,8 @@ def export_c(
         )
     names = file_names(prefix, codec=True)
     check_output_folder("-o", folder, names, (file, policy), force, _written_before)
-    program = compile_program(artifact, on)
+    # software updates a layer when it is told to
+    program = compile_program(artifact, on, clock=own_clock(artifact.convention))
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
     files = policy_in_c(program, artifact.codec, seen, origin, prefix)

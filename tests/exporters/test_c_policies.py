@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser
 from spikedeploy.runtime.codec.population import pattern_table
 from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
@@ -66,7 +66,7 @@ def stepped(loaded, observation, count, kind=np.float64):
 @pytest.mark.parametrize("name", ZOO)
 def test_every_shipped_policy_equals_the_interpreter(tmp_path, name):
     artifact = load(zoo.path(name))
-    program = compile_program(artifact, LOIHI)
+    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
     assert check_policy(program, artifact.codec, walk(artifact.codec, 12), tmp_path) > 0
 
 
@@ -111,7 +111,7 @@ POLICIES = {
 @pytest.mark.parametrize("name", POLICIES)
 def test_policies_of_every_code_equal_the_interpreter(tmp_path, name):
     artifact = POLICIES[name]()
-    program = compile_program(artifact, LOIHI)
+    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
     flags = SANITIZED if name in ("population, delays", "random rate", "delta") else ()
     assert check_policy(program, artifact.codec, walk(artifact.codec), tmp_path, flags) > 0
 
@@ -120,7 +120,7 @@ def test_policies_of_every_code_equal_the_interpreter(tmp_path, name):
 @pytest.mark.parametrize("name", ["int", "int:membrane=12,weight_bits=4", "loihi1-nengo", "loihi2"])
 def test_a_policy_equals_the_interpreter_on_other_chips(tmp_path, name):
     artifact = popsan()
-    program = compile_program(artifact, chip(name))
+    program = compile_program(artifact, chip(name), clock=own_clock(artifact.convention))
     assert check_policy(program, artifact.codec, walk(artifact.codec), tmp_path) > 0
 
 
@@ -128,7 +128,12 @@ def test_a_policy_equals_the_interpreter_on_other_chips(tmp_path, name):
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_every_compiler_builds_it_without_a_warning(tmp_path, compiler):
     artifact = event_driven()
-    files = policy_in_c(compile_program(artifact, LOIHI), artifact.codec, walk(artifact.codec), "")
+    files = policy_in_c(
+        compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
+        artifact.codec,
+        walk(artifact.codec),
+        "",
+    )
     write(files, tmp_path)
     for level in ("-O0", "-O2", "-Os"):
         assert passed(built(tmp_path, level, compiler=compiler)) > 0
@@ -137,7 +142,7 @@ def test_every_compiler_builds_it_without_a_warning(tmp_path, compiler):
 @needs_c
 def test_the_makefile_tests_and_builds_a_library_under_another_prefix(tmp_path):
     artifact = event_driven()
-    program = compile_program(artifact, LOIHI)
+    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
     write(policy_in_c(program, artifact.codec, walk(artifact.codec), "", "walk"), tmp_path)
     words = ["make", "-s", f"CC={COMPILERS[0]}", "CFLAGS=-O1", "test", "lib"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -149,7 +154,12 @@ def test_the_makefile_tests_and_builds_a_library_under_another_prefix(tmp_path):
 @needs_c
 def test_a_self_test_with_a_wrong_number_fails(tmp_path):
     artifact = event_driven()
-    files = policy_in_c(compile_program(artifact, LOIHI), artifact.codec, walk(artifact.codec), "")
+    files = policy_in_c(
+        compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
+        artifact.codec,
+        walk(artifact.codec),
+        "",
+    )
     write(files, tmp_path)
     vectors = (tmp_path / "vectors.h").read_text()
     head, tail = vectors.split("vector_membrane[", 1)
@@ -168,7 +178,7 @@ def test_a_self_test_with_a_wrong_number_fails(tmp_path):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_an_observation_that_is_not_finite_changes_nothing(tmp_path, value):
     artifact = event_driven()
-    program = compile_program(artifact, LOIHI)
+    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
     seen = walk(artifact.codec)
     write(policy_in_c(program, artifact.codec, seen, ""), tmp_path)
     loaded = library(tmp_path)
@@ -189,8 +199,19 @@ def test_an_observation_that_is_not_finite_changes_nothing(tmp_path, value):
 def test_random_codes_draw_what_the_runtime_draws(tmp_path, seed):
     artifact = with_rate("bernoulli")
     seen = walk(artifact.codec)
-    write(policy_in_c(compile_program(artifact, LOIHI), artifact.codec, seen, ""), tmp_path)
-    loaded, controller = library(tmp_path), SpikingController(artifact, LOIHI)
+    write(
+        policy_in_c(
+            compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
+            artifact.codec,
+            seen,
+            "",
+        ),
+        tmp_path,
+    )
+    loaded, controller = (
+        library(tmp_path),
+        SpikingController(artifact, LOIHI, clock=own_clock(artifact.convention)),
+    )
     controller.reset(seed)
     loaded.policy_reset()
     loaded.policy_seed(ctypes.c_uint64(seed))
@@ -218,7 +239,15 @@ def test_delta_codes_of_any_scale_send_the_same_events(tmp_path, scale):
     seen = parts / 256 * encoder.step * normaliser.std + normaliser.mean
     seen[::7] = np.nextafter(seen[::7], np.inf)
     seen[3] = np.array([1e300, -1e300, 5e-324])
-    assert check_policy(compile_program(artifact, LOIHI), artifact.codec, seen, tmp_path) > 0
+    assert (
+        check_policy(
+            compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
+            artifact.codec,
+            seen,
+            tmp_path,
+        )
+        > 0
+    )
 
 
 def test_exponents_are_the_last_that_do_not_exceed_a_drive():
@@ -230,6 +259,8 @@ def test_exponents_are_the_last_that_do_not_exceed_a_drive():
 
 def test_a_readout_that_the_host_integrates_is_refused():
     artifact = onto_readouts("same", neurons="IF", state="kept")
-    program = compile_program(artifact, chip("loihi1", membrane_output="none"))
+    program = compile_program(
+        artifact, chip("loihi1", membrane_output="none"), clock=own_clock(artifact.convention)
+    )
     with pytest.raises(ConfigError, match="the host integrates"):
         policy_in_c(program, artifact.codec, walk(artifact.codec), "")

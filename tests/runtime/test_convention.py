@@ -8,7 +8,8 @@ from spikedeploy.runtime.metadata import Record
 def test_a_convention_describes_itself_in_one_line():
     line = Convention(1e-3, reset="subtract", source="as trained").describe()
     assert line == (
-        "dt=0.001 s, reset=subtract, integrator=euler, delay=0, state=reset (as trained)"
+        "dt=0.001 s, reset=subtract, integrator=euler, delay=0, state=reset, "
+        "clock=gated (as trained)"
     )
 
 

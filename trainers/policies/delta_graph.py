@@ -42,7 +42,7 @@ def delta_artifact(
     Hidden neurons without synapses on one of their sides are left out.
     """
     precise = deepcopy(policy).double()
-    convention = Convention(dt=dt, source="as trained").with_options({"state": "kept"})
+    convention = Convention(dt=dt, source="as trained", state="kept", clock=policy.clock)
     graph = _graph(precise, dt)
     graded = _sigma_delta(precise) if "sd1" in graph.nodes else {}
     return Artifact(graph, delta_codec(precise), convention, origin, graded)
@@ -156,7 +156,7 @@ def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | n
         r=tau_mem / dt,
         v_leak=bias / (1 - beta),
         v_reset=np.zeros(beta.size),
-        v_threshold=np.ones(beta.size),
+        v_threshold=_array(policy.threshold[live]),
         w_in=tau_syn / dt,
     )
 

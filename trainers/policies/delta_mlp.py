@@ -32,7 +32,6 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     """
 
     kind = "delta-mlp"
-    threshold: Tensor
 
     def __init__(
         self,
@@ -46,14 +45,15 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         threshold: float = 0.5,
         clip: float = 4.0,
         head: Head = "continuous",
+        clock: Literal["gated", "pipelined"] = "pipelined",
     ) -> None:
         super().__init__(
             observations, actions, hidden, skip, most, code, events_above,
-            current_decay=1.0, clip=clip, head=head,
+            current_decay=1.0, clip=clip, head=head, clock=clock,
         )  # fmt: skip
         del self._beta, self._gamma
         self.share = threshold
-        self.register_buffer("threshold", torch.full((hidden,), threshold))
+        self.threshold.fill_(threshold)
 
     @property
     def beta(self) -> Tensor:
@@ -71,12 +71,13 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         `state` is moved on.
         """
         events = self.events(observation, state.level)
-        moved = events * self.step
         state.level = state.level + events
+        moved = self._arriving(events * self.step, state)
         state.current = state.current + moved @ self.into().T
         graded = self._graded(torch.relu(state.current + self.bias), state.membrane)
         state.membrane = state.membrane + graded
-        state.readout = state.readout + (graded * self.threshold) @ self.out().T
+        delivered = self._delivered(graded, state)
+        state.readout = state.readout + (delivered * self.threshold) @ self.out().T
         if self.skip:
             state.readout = state.readout + moved @ self.past().T
         return state.readout + self.action_bias, events, graded
@@ -100,9 +101,13 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         mean = seen @ weights.past.T if self.skip else seen.new_zeros(*seen.shape[:2], self.actions)
         if not self.hidden:
             return mean + self.action_bias, seen.new_zeros(*seen.shape[:2], 0)
-        activation = torch.relu(seen @ weights.into.T + self.bias)
+        activation = torch.relu(seen @ weights.into.T + weights.bias)
         level, sent = self._sent(activation.detach(), burn_in, begins)
         held = level * self.threshold + (activation - activation.detach())
+        if self.delay:  # the readout holds what had been sent a control step before
+            first = torch.arange(seen.shape[1]) == burn_in
+            rests = (begins[:, None] & first)[:, :, None]
+            held = torch.cat([held[:, :1], held[:, :-1]], 1).masked_fill(rests, 0.0)
         change = torch.diff(activation, dim=1, prepend=activation[:, :1]).abs() / self.threshold
         messages = sent + (change - change.detach())
         return mean + held @ weights.out.T + self.action_bias, messages

@@ -12,6 +12,12 @@ observation is and not only how it moved lately:
     y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
 
 One timestep per control step; currents, membranes and readouts live on from one to the next.
+
+The equations are those of a gated clock. Pipelined, as on a chip whose cores all advance in each
+timestep, everything takes one timestep to arrive: events reach currents and readouts one control
+step late, and hidden spikes the readout one later still (runtime.convention.Clock):
+
+    I[t] = a I[t-1] + W (step n[t-1]) ;  y[t] = gamma y[t-1] + Wo s[t-1] + Ws (step n[t-1])
 """
 
 from dataclasses import dataclass
@@ -40,6 +46,8 @@ class DeltaState:
     membrane: (B, H)
     readout: (B, act)
     integral: (B, act) of an integrated skip
+    moved: (B, obs) step times events that arrive in the next control step, where pipelined
+    spikes: (B, H) likewise of the hidden neurons
     """
 
     level: Tensor
@@ -47,6 +55,8 @@ class DeltaState:
     membrane: Tensor
     readout: Tensor
     integral: Tensor
+    moved: Tensor
+    spikes: Tensor
 
 
 class DeltaSnnPolicy(Policy):
@@ -57,13 +67,16 @@ class DeltaSnnPolicy(Policy):
     skip: whether events also reach the readout directly
     integrated: whether they do so through readouts that hardly decay
     most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
+    clock: "pipelined", or "gated" for software and hardware that can update layer after layer
     step: (obs,) distance that one event stands for [normalised observation]
+    threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
     into, out, past: synapses onto the hidden neurons, from them, and past them
     """
 
     kind = "delta-snn"
     timesteps = 1
     step: Tensor
+    threshold: Tensor
 
     def __init__(
         self,
@@ -80,8 +93,10 @@ class DeltaSnnPolicy(Policy):
         clip: float = 4.0,
         head: Head = "continuous",
         integrated: bool = False,
+        clock: Literal["gated", "pipelined"] = "pipelined",
     ) -> None:
         super().__init__()
+        self.clock = clock
         self.observations, self.actions, self.hidden = observations, actions, hidden
         self.integrated = integrated and skip and hidden > 0
         self.skip, self.most, self.code = skip or not hidden, most, code
@@ -90,6 +105,7 @@ class DeltaSnnPolicy(Policy):
         self.latent_size = hidden
         self.normalizer = TorchNormaliser(observations, clip)
         self.register_buffer("step", torch.full((observations,), step))
+        self.register_buffer("threshold", torch.full((hidden,), _THRESHOLD))
         spread = 0.6 * (2 / observations) ** 0.5
         self.into = PrunedWeight(torch.randn(hidden, observations) * spread)
         self.bias = nn.Parameter(torch.full((hidden,), 0.2))
@@ -105,6 +121,11 @@ class DeltaSnnPolicy(Policy):
     def beta(self) -> Tensor:
         """Decay factor of each hidden neuron's membrane (H,)."""
         return torch.sigmoid(self._beta)
+
+    def set_decays(self, beta: Tensor, gamma: Tensor) -> None:
+        """Set the decay factors (H,) and (act,); those that are not trained stay as they are."""
+        self._beta.data = torch.logit(beta)
+        self._gamma.data = torch.logit(gamma) if self.hidden else self._gamma.data
 
     @property
     def gamma(self) -> Tensor:
@@ -122,11 +143,17 @@ class DeltaSnnPolicy(Policy):
         events: Tensor = torch.floor((far + 128) / 256).clamp(max=self.most) * apart.sign()
         return torch.where(far > self.events_above, events, torch.zeros_like(events))
 
+    @property
+    def delay(self) -> int:
+        """Control steps from an event, or a hidden spike, to where it acts."""
+        return int(self.clock == "pipelined")
+
     def rest(self, robots: int) -> DeltaState:
         """Return the state at the beginning of an episode."""
         zeros = self.action_bias.new_zeros
-        hidden, actions = zeros(robots, self.hidden), zeros(robots, self.actions)
-        return DeltaState(zeros(robots, self.observations), hidden, hidden, actions, actions)
+        seen, hidden = zeros(robots, self.observations), zeros(robots, self.hidden)
+        actions = zeros(robots, self.actions)
+        return DeltaState(seen, hidden, hidden, actions, actions, seen, hidden)
 
     def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
         """Take one control step: return mean (B, act), events (B, obs) and hidden spikes (B, H).
@@ -134,13 +161,13 @@ class DeltaSnnPolicy(Policy):
         `state` is moved on.
         """
         events = self.events(observation, state.level)
-        moved = events * self.step
         state.level = state.level + events
+        moved = self._arriving(events * self.step, state)
         state.current = self.current_decay * state.current + moved @ self.into().T
         membrane = self.beta * state.membrane + state.current + self.bias
-        spikes = (membrane > _THRESHOLD).to(membrane.dtype)
+        spikes = (membrane > self.threshold).to(membrane.dtype)
         state.membrane = membrane * (1 - spikes)
-        drive: Tensor = spikes @ self.out().T
+        drive: Tensor = self._delivered(spikes, state) @ self.out().T
         past = moved @ self.past().T if self.skip else 0.0
         if self.integrated:
             state.integral = self.current_decay * state.integral + past
@@ -149,13 +176,27 @@ class DeltaSnnPolicy(Policy):
         state.readout = self.gamma * state.readout + drive
         return state.readout + state.integral + self.action_bias, events, spikes
 
+    def _arriving(self, moved: Tensor, state: DeltaState) -> Tensor:
+        """Return what arrives (B, obs) in a control step that sends `moved`."""
+        if not self.delay:
+            return moved
+        arriving, state.moved = state.moved, moved
+        return arriving
+
+    def _delivered(self, spikes: Tensor, state: DeltaState) -> Tensor:
+        """Return the spikes (B, H) that reach the readout when these are emitted."""
+        if not self.delay:
+            return spikes
+        delivered, state.spikes = state.spikes, spikes
+        return delivered
+
     def unrolled(
         self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return means (B, L, act) and spikes (B, L, H) of windows of walks, from rest.
 
         seen: (B, L, obs) what the currents hold of the observation: the decayed sum of `moved`
-        moved: (B, L, obs) step times events
+        moved: (B, L, obs) step times the events that arrive, `delay` after they were sent
         weights: as `weights` returned them
         burn_in: control steps without gradient at the beginning, which bring the states up
         begins: (B,) whether an episode begins behind the burn-in: then states are at rest there
@@ -165,7 +206,8 @@ class DeltaSnnPolicy(Policy):
             return mean, mean.new_zeros(*mean.shape[:2], 0)
         membrane = seen.new_zeros(len(seen), self.hidden)
         readout = seen.new_zeros(len(seen), self.actions)
-        drives = seen @ weights.into.T + self.bias
+        emitted = seen.new_zeros(len(seen), self.hidden)
+        drives = seen @ weights.into.T + weights.bias
         # the integrals hold what currents would hold
         held = seen @ weights.past.T if self.integrated else None
         past = moved @ weights.past.T if self.skip and held is None else None
@@ -174,12 +216,14 @@ class DeltaSnnPolicy(Policy):
         for t in range(seen.shape[1]):
             if t == burn_in:
                 membrane, readout = membrane * runs_on, readout * runs_on
+                emitted = emitted * runs_on
             with torch.set_grad_enabled(t >= burn_in):
                 membrane = weights.beta * membrane + drives[:, t]
-                spikes = _Spike.apply(membrane - _THRESHOLD, self._gradient)  # type: ignore[no-untyped-call]
+                spikes = _Spike.apply(membrane - weights.threshold, self._gradient)  # type: ignore[no-untyped-call]
                 # no gradient through the reset
                 membrane = membrane * (1 - spikes.detach())
-                readout = weights.gamma * readout + spikes @ weights.out.T
+                arriving, emitted = (emitted if self.delay else spikes), spikes
+                readout = weights.gamma * readout + arriving @ weights.out.T
                 if past is not None:
                     readout = readout + past[:, t]
             means.append(readout + self.action_bias)
@@ -189,7 +233,8 @@ class DeltaSnnPolicy(Policy):
 
     def weights(self) -> "DeltaWeights":
         """Return what `unrolled` computes with, masks and decay factors applied."""
-        return DeltaWeights(self.into(), self.out(), self.past(), self.beta, self.gamma)
+        matrices = self.into(), self.out(), self.past()
+        return DeltaWeights(*matrices, self.beta, self.gamma, self.bias, self.threshold)
 
     def latent(self, observation: Tensor) -> Latent:
         """Return the output of the first control step of an episode."""
@@ -212,18 +257,30 @@ class DeltaSnnPolicy(Policy):
             "surrogate_width": self.surrogate_width,
             "clip": self.normalizer.clip,
             "head": self.head,
+            "clock": self.clock,
         }
 
 
 @dataclass(frozen=True)
 class DeltaWeights:
-    """Weights and decay factors of a DeltaSnnPolicy; shapes as there, masks applied."""
+    """Weights, decay factors, biases and thresholds of a DeltaSnnPolicy, masks applied.
+
+    into: (H, obs)
+    out: (act, H)
+    past: (act, obs)
+    beta: (H,)
+    gamma: (act,)
+    bias: (H,)
+    threshold: (H,)
+    """
 
     into: Tensor
     out: Tensor
     past: Tensor
     beta: Tensor
     gamma: Tensor
+    bias: Tensor
+    threshold: Tensor
 
 
 class _Spike(torch.autograd.Function):

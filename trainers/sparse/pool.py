@@ -40,7 +40,7 @@ class Windows:
     """Parts of walks, W of them with L control steps each.
 
     seen: (W, L, obs) what synapses with a decaying current hold of the observation
-    moved: (W, L, obs) the encoder's step times its signed events
+    moved: (W, L, obs) the encoder's step times its signed events, as they arrive
     label: (W, L, act)
     begins: (W,) whether the episode begins after the burn-in
     """
@@ -82,12 +82,17 @@ class WalkPool:
         return np.concatenate([walk.observation for walk in self.walks])
 
     def encode(
-        self, normalised: Iterable[NDArray[np.floating[Any]]], encoder: DeltaEncoder, decay: float
+        self,
+        normalised: Iterable[NDArray[np.floating[Any]]],
+        encoder: DeltaEncoder,
+        decay: float,
+        delay: int = 0,
     ) -> None:
         """Compute the events of all walks.
 
         normalised: (S, obs) observations of each walk
         decay: factor by which currents keep, in a control step, what events brought
+        delay: control steps from an event to its arrival
         """
         rows = [np.asarray(each) for each in normalised]
         self._length = np.array([len(each) for each in rows])
@@ -106,7 +111,7 @@ class WalkPool:
             spikes += sizes.sum(0) if encoder.code == "unary" else (sizes > 0).sum(0)
             moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
             before = now
-        self._moved, self._seen = torch.from_numpy(moved), torch.from_numpy(seen)
+        self._moved, self._seen = (_delayed(each, delay) for each in (moved, seen))
         self._label = torch.from_numpy(self._labels())
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
@@ -179,6 +184,13 @@ class WalkPool:
         longest = max(map(len, labels))
         padded = [np.pad(each, ((0, longest - len(each)), (0, 0)), "edge") for each in labels]
         return np.stack(padded, axis=1)
+
+
+def _delayed(rows: Single, delay: int) -> Tensor:
+    """Return rows (S, ...) as they arrive, so many control steps late; nothing before."""
+    arriving = np.zeros_like(rows)
+    arriving[delay:] = rows[: len(rows) - delay]
+    return torch.from_numpy(arriving)
 
 
 def save_walks(walks: list[Walk], path: Path) -> str:

@@ -1,4 +1,6 @@
-"""Rounding in training: what a chip's own quantiser makes of a policy's weights.
+"""Rounding in training: what a chip's own quantiser makes of a policy's numbers.
+
+Decay factors, biases and thresholds of LIF neurons are those of the chip's registers.
 
 The channels of an observation must weigh exactly 1, 2 ... K times the same integer. Rounded each by
 itself, three events up and one event down three times would not cancel, and currents that hardly
@@ -7,7 +9,7 @@ with rounded weights has multiples of it on all channels, which the quantiser th
 are: its scale is that of the largest weight, which is 255 on Loihi and a multiple of K for 3 and 5.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 
 import numpy as np
@@ -37,9 +39,10 @@ def check_rounding(target: Chip) -> None:
 
 
 def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
-    """Return what rounding adds to the weights of `into`, `out` and `past`, by name, each (N, M).
+    """Return what rounding adds to each field of DeltaWeights, by name.
 
-    That of an observation is the error of the channel of one event.
+    That of an observation is the error of the channel of one event. Of sigma-delta neurons only
+    weights are rounded here.
     """
     artifact = delta_artifact(policy)
     exact = compile_program(artifact, chip("ideal"), limits=False)
@@ -57,21 +60,57 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
             columns = hidden if name == "out" else torch.arange(policy.observations)
             offsets[name][rows[:, None], columns[None]] = torch.from_numpy(added.T).float()
     # what pruning took out stays out
-    return {name: added * getattr(policy, name).mask for name, added in offsets.items()}
+    offsets = {name: added * getattr(policy, name).mask for name, added in offsets.items()}
+    if isinstance(policy, DeltaMlpPolicy):
+        return offsets
+    layers = zip(exact.layers, rounded.layers, strict=True)
+    return offsets | _neuron_offsets(policy, hidden, layers, target)
+
+
+@torch.no_grad()
+def _neuron_offsets(
+    policy: DeltaSnnPolicy, hidden: Tensor, layers: Iterable[tuple[Layer, Layer]], target: Chip
+) -> dict[str, Tensor]:
+    """Return what rounding adds to decay factors, biases and thresholds."""
+    offsets = {"gamma": torch.zeros_like(policy.gamma)}
+    offsets |= {name: torch.zeros_like(policy.bias) for name in ("beta", "bias", "threshold")}
+    for before, after in layers:
+        decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one)
+        if before.name == "readout" and policy.hidden:
+            offsets["gamma"] = decay.float() - policy.gamma
+        if before.spiking:
+            offsets["beta"][hidden] = decay.float() - policy.beta[hidden]
+            for name, exact, rounded in (
+                ("bias", before.voltage_bias, after.voltage_bias),
+                ("threshold", before.threshold, after.threshold),
+            ):
+                offsets[name][hidden] = torch.from_numpy(rounded * after.scale - exact).float()
+    return offsets
+
+
+@torch.no_grad()
+def add_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> None:
+    """Add what rounding adds, so that the policy computes with the numbers of the chip."""
+    for name in ("into", "out", "past"):
+        if name in offsets:
+            getattr(policy, name).weight += offsets[name]
+    if "beta" in offsets:
+        policy.set_decays(policy.beta + offsets["beta"], policy.gamma + offsets["gamma"])
+        policy.bias += offsets["bias"]
+        policy.threshold += offsets["threshold"]
 
 
 @torch.no_grad()
 def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
-    """Return the policy with the weights that the chip holds; a float policy as it is.
+    """Return the policy with the numbers that the chip holds; a float policy as it is.
 
-    rounding: whether they are rounded; those that round to 0 are taken out
+    rounding: whether they are rounded; weights that round to 0 are taken out
     """
     if not rounding or not isinstance(policy, DeltaSnnPolicy):
         return policy
     copy = deepcopy(policy)
-    for name, added in rounding_offsets(policy, target).items():
-        matrix = getattr(copy, name)
-        matrix.weight += added
+    add_offsets(copy, rounding_offsets(policy, target))
+    for matrix in (copy.into, copy.out, copy.past):
         matrix.mask *= matrix.weight != 0
     return copy
 

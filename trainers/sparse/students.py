@@ -64,7 +64,8 @@ class DeltaStudent:
     """A DeltaSnnPolicy, which learns from windows of walks.
 
     hidden_rate: (H,) mean spikes of the hidden neurons in a control step
-    offsets: what rounding by the chip adds to each kind of weights; none before it is asked for
+    offsets: what rounding by the chip adds to each field of DeltaWeights; none before it is asked
+        for
     """
 
     def __init__(self, policy: DeltaSnnPolicy, config: SparseConfig) -> None:
@@ -79,7 +80,8 @@ class DeltaStudent:
         precise = deepcopy(self.policy).double()
         normaliser = delta_codec(precise).normaliser
         rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
-        pool.encode(rows, delta_encoder(precise), self.policy.current_decay)
+        policy = self.policy
+        pool.encode(rows, delta_encoder(precise), policy.current_decay, policy.delay)
         self._event_rate = pool.event_rate
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,7 @@ from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolic
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import WalkPool, Windows
 from spikedeploy.trainers.sparse.pruning import operations
-from spikedeploy.trainers.sparse.rounding import rounding_offsets
+from spikedeploy.trainers.sparse.rounding import add_offsets, rounding_offsets
 from spikedeploy.trainers.sparse.students import DeltaStudent, MlpStudent
 
 
@@ -73,8 +73,7 @@ class DeltaReplay:
     def acting(self) -> "DeltaMeans":
         """Return the policy in episodes, with the weights that are computed with."""
         policy = deepcopy(self.policy)
-        for name, added in self.student.offsets.items():
-            getattr(policy, name).weight.data += added
+        add_offsets(policy, self.student.offsets)
         return DeltaMeans(policy)
 
     def prepare(self, pool: WalkPool) -> None:

@@ -59,7 +59,7 @@ class CubaFloat64(ArithmeticDefaults):
         network_input: str,
         convention: Convention,
         delay: int,
-        stagger: bool | None,
+        stagger: bool,
     ) -> tuple[list[Layer], list[str]]:
         """As other chips; V >= threshold is V > the next number below it, which is exact."""
         if convention.spikes != "reached" or convention.reset != "zero":
@@ -205,6 +205,7 @@ IDEAL = Chip(
     energy_tables=(),
     membrane_output="software",
     sources={
+        "clocks": "by definition",
         "arithmetic": "by definition",
         "membrane_output": "by definition",
         "resets": "by definition: both that a convention can name",
@@ -258,6 +259,8 @@ SPINNAKER2 = Chip(
     limits=_LIMITS,
     membrane_output="software",
     sources={
+        "clocks": "neurons are programs on ARM cores, so software can update a layer when it is "
+        "told to; py-spinnaker2's own programs update every neuron in each timer tick",
         "membrane_output": f"{_PY}: neurons are programs, and its recordings hold their voltages",
         "weight_bits": f"{_S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
         "resets": f"{_S2_NIR}: subtraction is its default",

@@ -121,6 +121,7 @@ INT = Chip(
     energy_tables=(),
     membrane_output="probe",
     sources={
+        "clocks": "by definition",
         "membrane_output": _DEFINED,
         "weight_bits": f"{_FREE}, 1 to 16",
         "weight_bits_allowed": _DEFINED,

@@ -12,7 +12,7 @@ membranes of 0 and above, a current that decays to 0 at once.
 
 from dataclasses import replace
 
-from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import ALL_AT_ONCE, Chip
 from spikedeploy.runtime.chips.limits import (
     ENDS,
     READOUTS,
@@ -98,7 +98,10 @@ LOIHI1 = Chip(
     delay_max=62,
     energy_tables=("davies2018", "sanafe"),
     membrane_output="probe",
+    clocks=ALL_AT_ONCE,
     sources={
+        "clocks": "all cores advance together, timestep by timestep, by a barrier across the mesh "
+        f"({_DAVIES}); no way to hold a layer is published",
         "membrane_output": "nengo-loihi 1.1.0 probes the voltage of compartments; NxSDK has a "
         "threshold mode NO_SPIKE (secondary: public scripts)",
         "weight_bits": f"{_DAVIES}, p. 87: 1 to 9 bits with the sign",
@@ -146,6 +149,7 @@ LOIHI1_BRIAN2 = replace(
     delay=0,
     limits=replace(_LIMITS, current_loss=(0.0, 1.0), membrane_loss=(0.0, 1.0)),
     sources={
+        "clocks": "brian2-loihi 0.5.2: one schedule updates every group in each timestep",
         **LOIHI1.sources,
         "step_rounding": f"{BRIAN2}: odd mixed weights go toward zero",
         "exponents": f"{BRIAN2}: each weight is rounded down and clipped at 21 bits less 64",
@@ -178,6 +182,7 @@ LOIHI1_NENGO = replace(
     ),
     delay=0,
     sources={
+        "clocks": "nengo-loihi 1.1.0: CompartmentState.step updates all compartments",
         **LOIHI1.sources,
         "step_rounding": f"{NENGO}: rounded when the network is built, the same way for both signs",
         "exponents": f"{NENGO}: weights are shifted by 6 and the exponent together",
@@ -229,6 +234,8 @@ LOIHI2 = replace(
     membrane_output="graded",
     sources={
         **{field: f"{LAVA}, as on Loihi 1; {_GUESS}" for field in LOIHI1.sources},
+        "clocks": "as Loihi 1 (assumed); lava-nc 0.10.0, LoihiProtocol: all processes take part in "
+        "each timestep. A spike acts one timestep later: board, NIR paper, 01_lif",
         "membrane_output": "graded spikes of 32 bits (Orchard et al. 2021, IEEE SiPS); that a "
         "membrane of 24 bits goes into one is derived",
         "mantissa_shift": _BOARD,

@@ -44,17 +44,18 @@ OVERFLOWS = {
 
 @lru_cache(maxsize=8)
 def constants(
-    program: Program, fixed: CubaFixedPoint, delays: tuple[tuple[int, ...], ...]
+    program: Program, fixed: CubaFixedPoint, delays: tuple[tuple[int, ...], ...], windows: bool
 ) -> Constants:
     """All that does not change while the program runs; shared by its machines.
 
     delays: rows by which each synapse of each layer delivers late.
+    windows: whether what runs are windows, in which biases may start late, or single timesteps.
     """
     return Constants(
         weights=_weights(program),
         fan_out=np.concatenate([s.fan_out for a in program.layers for s in a.synapses]),
         wires=_wires(program, delays),
-        layers=_layers(program, fixed),
+        layers=_layers(program, fixed, windows),
         sources=_sources(program, delays),
         chip=_chip(program, fixed),
         registers=_registers(fixed),
@@ -87,7 +88,7 @@ def _wires(program: Program, delays: tuple[tuple[int, ...], ...]) -> Integers:
     return np.array(rows, np.int64)
 
 
-def _layers(program: Program, fixed: CubaFixedPoint) -> Integers:
+def _layers(program: Program, fixed: CubaFixedPoint, windows: bool) -> Integers:
     rows, neurons, wires = [], 0, 0
     biases = sum(s.weight.size for layer in program.layers for s in layer.synapses)
     for layer in program.layers:
@@ -100,7 +101,11 @@ def _layers(program: Program, fixed: CubaFixedPoint) -> Integers:
         proven = max(limits.current, limits.above, limits.below) <= min(_rooms(fixed)[1:])
         about = (layer.start, biases + neurons, layer.bias_fan_out, output, forgets, proven)
         leaves = (layer.size if output and not layer.spiking else 0, layer.name == program.output)
-        rows.append((layer.size, neurons, 0, wires, end, bits, in_integers, *about, *leaves))
+        window = program.window(layer, program.rows(1)) if windows else slice(0, program.rows(1))
+        silent = (window.start, program.rows(1) - window.stop)
+        rows.append(
+            (layer.size, neurons, 0, wires, end, bits, in_integers, *about, *leaves, *silent)
+        )
         neurons, wires = neurons + layer.size, end
     return np.array(rows, np.int64)
 

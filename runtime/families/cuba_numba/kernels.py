@@ -112,13 +112,17 @@ def run(
             for row in range(timesteps):
                 for layer in range(len(layers)):
                     _timesteps(
-                        constants, memory, counts, b, layer, row, row + 1, slots, step, counting
-                    )
+                        constants, memory, counts, b, layer, row, row + 1, timesteps, slots, step,
+                        counting,
+                    )  # fmt: skip
     else:
         # the weights of a layer stay in the cache for the whole batch
         for layer in range(len(layers)):
             for b in range(batch):
-                _timesteps(constants, memory, counts, b, layer, 0, timesteps, slots, step, counting)
+                _timesteps(
+                    constants, memory, counts, b, layer, 0, timesteps, timesteps, slots, step,
+                    counting,
+                )  # fmt: skip
     for b in range(batch):
         _leave(constants, memory, presynaptic, b, timesteps, lag)
         if counting:
@@ -152,6 +156,7 @@ def _timesteps(
     layer: int,
     first: int,
     last: int,
+    timesteps: int,
     slots: int,
     step: int,
     counting: bool,
@@ -161,11 +166,20 @@ def _timesteps(
     if 0 <= step < about[START]:
         _pause(constants, memory, b, layer, first, last, slots)
     elif about[SUM_BITS] == 16:
-        _run(constants, memory, memory.sums16, counts, b, layer, first, last, slots, counting)
+        _run(
+            constants, memory, memory.sums16, counts, b, layer, first, last, timesteps, slots,
+            counting,
+        )  # fmt: skip
     elif about[SUM_BITS] == 32:
-        _run(constants, memory, memory.sums32, counts, b, layer, first, last, slots, counting)
+        _run(
+            constants, memory, memory.sums32, counts, b, layer, first, last, timesteps, slots,
+            counting,
+        )  # fmt: skip
     else:
-        _run(constants, memory, memory.sums64, counts, b, layer, first, last, slots, counting)
+        _run(
+            constants, memory, memory.sums64, counts, b, layer, first, last, timesteps, slots,
+            counting,
+        )  # fmt: skip
     for row in range(first, last):
         list_spikes(constants, memory, b, layer + 1, row)
 
@@ -202,10 +216,11 @@ def _run(
     layer: int,
     first: int,
     last: int,
+    timesteps: int,
     slots: int,
     counting: bool,
 ) -> None:
-    """Timesteps in which a layer runs."""
+    """Timesteps in which a layer runs, of those of the window."""
     about, own, chip = constants.layers[layer], constants.sources[layer + 1], constants.chip
     size, neuron, rooms = about[SIZE], about[NEURON], constants.rooms[layer]
     neurons = KernelNeurons(
@@ -227,7 +242,7 @@ def _run(
         before, after = states[at : at + 2 * size], states[to : to + 2 * size]
         at = own[RASTER] + (own[REMEMBERS] + row) * size
         spikes = rasters[at : at + size]
-        sum_weights(constants, memory, sums, bias, b, layer, row)
+        sum_weights(constants, memory, sums, bias, b, layer, row, timesteps)
         in_integers = about[IN_INTEGERS] == 1
         if not in_integers and about[NO_CURRENT]:
             in_integers = float_step(neurons, sums, before, after, spikes, False)

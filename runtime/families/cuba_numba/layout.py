@@ -14,9 +14,10 @@ Number = Any
 # KernelMemory.states, BIAS where its biases begin in Constants.weights; of a layer with NO_CURRENT
 # nothing stays of a current, of one that is PROVEN no number can be too large, and one IN_INTEGERS
 # is always computed in int64; of each layer that IS_OUTPUT the spikes leave the chip, and in each
-# timestep so many membranes as are READ, and the one that LEAVES is what the kernel puts out
+# timestep so many membranes as are READ, and the one that LEAVES is what the kernel puts out; the
+# bias axon of a layer is silent, and the host deaf to it, in HEAD rows first and in TAIL rows last
 SIZE, NEURON, STATE, FIRST_WIRE, LAST_WIRE, SUM_BITS, IN_INTEGERS, START = range(8)
-BIAS, BIAS_FAN_OUT, IS_OUTPUT, NO_CURRENT, PROVEN, READ, LEAVES = range(8, 15)
+BIAS, BIAS_FAN_OUT, IS_OUTPUT, NO_CURRENT, PROVEN, READ, LEAVES, HEAD, TAIL = range(8, 17)
 # columns of Constants.wires
 SOURCE, LAG, WEIGHT, FAN_OUT = range(4)
 # columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its

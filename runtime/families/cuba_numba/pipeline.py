@@ -12,7 +12,7 @@ from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba_numba.arrays import OVERFLOWS, WindowMemory, constants
-from spikedeploy.runtime.families.cuba_numpy.pipeline import NumpyPipeline
+from spikedeploy.runtime.families.cuba_numpy.pipeline import unsupported_synapses
 
 
 class NumbaPipeline:
@@ -28,7 +28,7 @@ class NumbaPipeline:
         if not isinstance(fixed, CubaFixedPoint):
             raise ConfigError(str(self.obstacle(program)))
         slots = timesteps + 1 if schedule.trace else 2
-        known = constants(program, fixed, schedule.delays)
+        known = constants(program, fixed, schedule.delays, schedule.mode != "step")
         self._memory = memory = WindowMemory(known, timesteps, batch, slots)
         self._membranes = self._views_of_membranes()
         self._counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
@@ -52,7 +52,7 @@ class NumbaPipeline:
                 f"chip {chip.name!r} has no integers, so its sums depend on their order, and "
                 "compiled ones would not be equal. Choose a chip with integers."
             )
-        if obstacle := NumpyPipeline.obstacle(program):
+        if obstacle := unsupported_synapses(program):
             return obstacle
         if _has_unknown_registers(chip.arithmetic):
             return (

@@ -6,6 +6,7 @@ from spikedeploy.runtime.families.cuba_numba.layout import (
     BIAS_SOP,
     FAN_OUT,
     FIRST_WIRE,
+    HEAD,
     IDLE,
     IS_OUTPUT,
     LAG,
@@ -22,6 +23,7 @@ from spikedeploy.runtime.families.cuba_numba.layout import (
     SPIKE_IN,
     SPIKE_OUT,
     START,
+    TAIL,
     UPDATE,
     WEIGHT,
     Array,
@@ -56,13 +58,24 @@ def list_spikes(constants: Array, memory: Array, b: int, source: int, row: int) 
 
 @jit
 def sum_weights(
-    constants: Array, memory: Array, sums: Array, bias: Array, b: int, layer: int, row: int
+    constants: Array,
+    memory: Array,
+    sums: Array,
+    bias: Array,
+    b: int,
+    layer: int,
+    row: int,
+    timesteps: int,
 ) -> None:
     """Fill sums (N,) with those of the bias and of each axon that spiked."""
     about, wires, sources = constants.layers[layer], constants.wires, constants.sources
     size = about[SIZE]
-    for n in range(size):
-        sums[n] = bias[n]
+    if about[HEAD] <= row < timesteps - about[TAIL]:
+        for n in range(size):
+            sums[n] = bias[n]
+    else:
+        for n in range(size):
+            sums[n] = 0
     for wire in range(about[FIRST_WIRE], about[LAST_WIRE]):
         source = wires[wire, SOURCE]
         place = sources[source, REMEMBERS] + row - wires[wire, LAG]
@@ -123,7 +136,8 @@ def count(
         own = sources[layer + 1]
         at = own[LENGTHS] + own[REMEMBERS]
         events[SPIKE_OUT] = memory.lengths[b, at : at + timesteps].sum()
-        always_on = 0 if 0 <= step < about[START] else timesteps
+        heard = timesteps - about[HEAD] - about[TAIL]
+        always_on = 0 if 0 <= step < about[START] else heard
         events[BIAS_SOP] = always_on * about[BIAS_FAN_OUT]
         events[IDLE] = about[SIZE] * steps - events[UPDATE]
         events[MESSAGE] = events[SPIKE_IN] + always_on * (about[BIAS_FAN_OUT] > 0)

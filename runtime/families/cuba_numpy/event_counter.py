@@ -71,10 +71,14 @@ class EventCounter:
 
     kernels: of the layers, in their order.
     steps: chip timesteps that a window stands for, those in which a layer only waits included.
+    heard: of each layer the timesteps in which its bias axon spikes and the host listens to it.
     """
 
-    def __init__(self, program: Program, kernels: Sequence[LayerWindow], steps: int) -> None:
+    def __init__(
+        self, program: Program, kernels: Sequence[LayerWindow], steps: int, heard: Sequence[int]
+    ) -> None:
         self.steps = steps
+        self._heard = heard
         self.timesteps, self.batch, _ = kernels[0].spikes.shape
         self._program, self._kernels = program, kernels
         self._active = [_ActiveCount(kernel) for kernel in kernels]
@@ -101,7 +105,7 @@ class EventCounter:
         }
         counts = np.zeros((*updates.shape, len(EVENTS)), np.int64)
         for index, layer in enumerate(layers):
-            events = self._events(layer, spikes, running[:, index])
+            events = self._events(layer, spikes, self._heard[index] * running[:, index])
             events["neuron_update"] = updates[:, index] * running[:, index]
             events["neuron_idle"] = layer.size * self.steps - events["neuron_update"]
             events["saturation"] = overflows[:, index]
@@ -111,14 +115,13 @@ class EventCounter:
         return counts
 
     def _events(
-        self, layer: Layer, spikes: Mapping[str, NDArray[Any]], running: NDArray[np.bool_]
+        self, layer: Layer, spikes: Mapping[str, NDArray[Any]], heard: Counts
     ) -> dict[str, Counts]:
-        """What follows from the spikes (S, N) of each neuron alone."""
+        """What follows from the spikes (S, N) of each neuron, and the timesteps (S,) heard."""
         presynaptic = [(synapses, spikes[synapses.source]) for synapses in layer.synapses]
         spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in presynaptic)
         spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)
-        always_on = self.timesteps * running
-        sent = spike_out if layer.spiking else always_on * layer.size
+        sent = spike_out if layer.spiking else heard * layer.size
         to_host = sent * (layer.name in self._program.to_host)
         return {
             "spike_in": spike_in,
@@ -126,9 +129,9 @@ class EventCounter:
             "sop": sum(
                 (rows @ s.fan_out.astype(np.float64)).astype(np.int64) for s, rows in presynaptic
             ),
-            "bias_sop": always_on * layer.bias_fan_out,
+            "bias_sop": heard * layer.bias_fan_out,
             "spike_out": spike_out,
-            "message": spike_in + always_on * (layer.bias_fan_out > 0) + to_host,
+            "message": spike_in + heard * (layer.bias_fan_out > 0) + to_host,
         }
 
     def _rows(self, values: Sequence[Any]) -> Counts:

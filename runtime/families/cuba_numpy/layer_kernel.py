@@ -103,6 +103,7 @@ def proven(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int
     return _OverflowCheck(layer, fixed, limits, timesteps).proven
 
 
+_ALL = slice(None)
 # copies from which on the numbers, and not the calls, take the time
 _MANY = 4
 
@@ -111,6 +112,7 @@ class LayerKernel:
     """One layer, ready to run windows of T timesteps for a batch of B, in the same memory.
 
     fixed: the integers of the chip; None computes in float64.
+    biased: rows of a window in which the bias axon spikes.
     states: (T + 1, 2, B, N) current and membrane, before the window and after each timestep.
     spikes: (T, B, N) of the last window.
     waiting: whether the layer had not started in the last window.
@@ -126,8 +128,10 @@ class LayerKernel:
         shape: tuple[int, int],
         kept: bool,
         scratch: Scratch,
+        biased: slice = _ALL,
     ) -> None:
         self._program, self.layer, self._fixed = program, layer, fixed
+        self._biased = biased
         self._kept, self._scratch = kept, scratch
         timesteps, batch = shape
         self.spikes = np.zeros((timesteps, batch, layer.size), np.bool_)
@@ -199,7 +203,7 @@ class LayerKernel:
         timesteps, batch, neurons = self.spikes.shape
         self.states = aligned((timesteps + 1, 2, batch, neurons), dtype)
         sums = aligned(self.spikes.shape, dtype)
-        self._input = _SynapticInput(layer, fixed, self._limits, sums, self._scratch)
+        self._input = _SynapticInput(layer, fixed, self._limits, sums, self._biased, self._scratch)
         subtract = self._program.convention.reset == "subtract"
         self._update = NeuronUpdate(layer, fixed, self.states, sums, self.spikes, kept, subtract)
         self._check = self._checked(dtype)
@@ -234,6 +238,7 @@ class _SynapticInput:
     """What arrives at a layer in each timestep of a window: all synapses and the bias.
 
     sums: (T, B, N) [state units].
+    biased: rows in which the bias axon spikes.
     """
 
     def __init__(
@@ -242,13 +247,14 @@ class _SynapticInput:
         fixed: CubaFixedPoint | None,
         limits: Bounds | None,
         sums: Floats,
+        biased: slice,
         scratch: Scratch,
     ) -> None:
         self._sums = sums
         self._more = aligned(sums.shape, sums.dtype)
         self._unit = unit = 1 << fixed.mantissa_shift if fixed else 1
         partial = limits.partial if limits else None
-        biases = [layer.bias, *[0 * layer.bias] * (len(layer.synapses) - 1)]
+        biases = [_biases(layer, biased, len(sums)), *[0 * layer.bias] * (len(layer.synapses) - 1)]
         self._first, *self._others = (
             summing(synapses.weight, bias, partial, unit, self._more if k else sums, scratch)
             for k, (synapses, bias) in enumerate(zip(layer.synapses, biases, strict=True))
@@ -264,3 +270,12 @@ class _SynapticInput:
     def weights(self) -> NDArray[np.int64]:
         """(T, B, N) the same in weight mantissas."""
         return np.asarray(self._sums / self._unit, np.int64)
+
+
+def _biases(layer: Layer, biased: slice, timesteps: int) -> NDArray[Any]:
+    """Weights of the bias axon: (N,), or (T, 1, N) where it spikes in some timesteps alone."""
+    if range(timesteps)[biased] == range(timesteps):
+        return layer.bias
+    biases = np.zeros((timesteps, 1, layer.size), layer.bias.dtype)
+    biases[biased] = layer.bias
+    return biases

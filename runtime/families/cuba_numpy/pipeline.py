@@ -87,7 +87,8 @@ class NumpyPipeline:
         self._kernels = [] if self._wave else self._prepared()
         self._windows: Sequence[LayerWindow] = self._wave.windows if self._wave else self._kernels
         steps = schedule.steps if schedule.mode == "window" else 1
-        self._counter = EventCounter(program, self._windows, steps)
+        heard = [len(range(self._rows)[self._biased(a)]) for a in program.layers]
+        self._counter = EventCounter(program, self._windows, steps, heard)
         self._output_spikes: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
         # a layer's kernel, and the sources of its synapses with the rows that they are late
@@ -104,18 +105,15 @@ class NumpyPipeline:
     @staticmethod
     def obstacle(program: Program) -> str | None:
         """Why it cannot compute the program."""
-        for layer in program.layers:
-            if layer.graded:
-                return (
-                    f"layer {layer.name!r}: its sigma-delta neurons send graded spikes, which only "
-                    "the interpreter supports."
-                )
-            if any(synapses.shift for synapses in layer.synapses):
-                return (
-                    f"layer {layer.name!r}: its weights have a negative exponent, by which "
-                    f"{program.chip.name} rounds sums, which only the interpreter supports."
-                )
-        return None
+        if program.clock == "free" and not program.feed_forward:
+            for layer in program.layers:
+                if layer.bias.any() or not layer.spiking:
+                    return (
+                        f"layer {layer.name!r}: its bias axon, or the host, has a window of its "
+                        "own while layers run free; in a network with loops, which is computed "
+                        "row by row, only the interpreter and Numba support that."
+                    )
+        return unsupported_synapses(program)
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
@@ -188,13 +186,20 @@ class NumpyPipeline:
         suitable = suits(self._program, fixed, schedule.timesteps, self._batch)
         return Wave(self._program, fixed, schedule.timesteps) if suitable else None
 
+    def _biased(self, layer: Layer) -> slice:
+        """Rows of a kernel's window in which the bias axon of a layer spikes."""
+        whole = self.schedule.mode == "window"
+        return self._program.window(layer, self._rows) if whole else slice(None)
+
     def _prepared(self) -> list[LayerKernel]:
         """A kernel for each layer; they share the memory that is needed only for a moment."""
         program, shape = self._program, (self._rows, self._batch)
         largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
         scratch = Scratch(largest * np.dtype(np.float64).itemsize)
         return [
-            LayerKernel(program, layer, self._fixed, shape, self.schedule.kept, scratch)
+            LayerKernel(
+                program, layer, self._fixed, shape, self.schedule.kept, scratch, self._biased(layer)
+            )
             for layer in program.layers
         ]
 
@@ -250,3 +255,19 @@ class NumpyPipeline:
 
 def _sources(layer: Layer) -> list[str]:
     return [synapses.source for synapses in layer.synapses]
+
+
+def unsupported_synapses(program: Program) -> str | None:
+    """Why no kernel can compute the synapses of the program; None where kernels can."""
+    for layer in program.layers:
+        if layer.graded:
+            return (
+                f"layer {layer.name!r}: its sigma-delta neurons send graded spikes, which only "
+                "the interpreter supports."
+            )
+        if any(synapses.shift for synapses in layer.synapses):
+            return (
+                f"layer {layer.name!r}: its weights have a negative exponent, by which "
+                f"{program.chip.name} rounds sums, which only the interpreter supports."
+            )
+    return None

@@ -43,7 +43,7 @@ def summing(
     """The exact way for a layer, or the choice among them.
 
     weight: (M, N).
-    bias: (N,) weights of the axon that always spikes.
+    bias: (N,) weights of the axon that always spikes; (T, 1, N) where it does not always.
     partial: largest magnitude of any partial sum; None where weights are no whole numbers.
     unit: state units per weight unit.
     out: (T, B, N) where the sums are wanted.
@@ -172,6 +172,11 @@ def _product(out: Floats, weight: Weights) -> Weights:
     return out if out.dtype == weight.dtype else aligned(out.shape, weight.dtype)
 
 
-def _filled(like: Weights, row: Weights) -> Weights | None:
-    """The row on every row: arrays of one shape are added in half the time; None adds nothing."""
-    return np.broadcast_to(row, like.shape).astype(like.dtype) if row.any() else None
+def _filled(like: Weights, bias: Weights) -> Weights | None:
+    """The bias on every row: arrays of one shape are added in half the time; None adds nothing."""
+    if not bias.any():
+        return None
+    if bias.ndim > 1:  # of each timestep its own, for all of the batch
+        copies = like.size // bias.size
+        bias = np.broadcast_to(bias, (len(bias), copies, bias.shape[-1])).reshape(like.shape)
+    return np.broadcast_to(bias, like.shape).astype(like.dtype)

@@ -81,7 +81,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         network_input: str,
         convention: Convention,
         delay: int,
-        stagger: bool | None,
+        stagger: bool,
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with starts and delays, and remarks on what is not as in the file."""
         if self.together and delay:

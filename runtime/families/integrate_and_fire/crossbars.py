@@ -13,7 +13,7 @@ tinyODIN (the same authors) is ODIN without learning, with weights that have sig
 
 from dataclasses import replace
 
-from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import ALL_AT_ONCE, Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
@@ -78,7 +78,10 @@ TRUENORTH = Chip(
     delay_max=15,
     energy_tables=("truenorth",),  # all-in: energy of the whole chip per synaptic event
     limits=_TRUENORTH_LIMITS,
+    clocks=ALL_AT_ONCE,
     sources={
+        "clocks": "a global tick, nominally 1 ms, starts every core's pass over its neurons "
+        "(Merolla et al. 2014, Science 345:668; Akopyan et al. 2015, IEEE TCAD 34(10):1537)",
         "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{_ASSUMED}; a review says 8 ({_REVIEW})",
         "signs": f"{_CASSIDY}, secondary: a signed weight for each type",
@@ -166,6 +169,8 @@ ODIN = Chip(
     energy_tables=("odin",),  # one number for everything, at one voltage
     limits=_ODIN_LIMITS,
     sources={
+        "clocks": "no timestep of its own: the host sends time references, to all neurons or to "
+        f"one, and decides when spikes are relayed ({_VERILOG}, doc/README.md, 2.2.1)",
         "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{_VERILOG}: magnitude",
         "signs": f"{_VERILOG}: one sign for each neuron that sends",

@@ -12,7 +12,7 @@ the threshold is passed, one cycle before the spike leaves and two before it is 
 delay of 2 between neurons, none from the input, and a reset in place of the next leak.
 """
 
-from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import ALL_AT_ONCE, Chip
 from spikedeploy.runtime.chips.limits import ENDS, SPACE, WEIGHTS, Convolutions, LayerCore, Limits
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
@@ -75,7 +75,10 @@ SPECK2F = Chip(
     delay_max=1,
     energy_tables=(),  # published for whole tasks only
     limits=_SPECK2F_LIMITS,
+    clocks=("gated",),
     sources={
+        "clocks": "asynchronous: a layer does nothing unless an event arrives; no timesteps: "
+        "they are those of sinabs, layer by layer (sinabs, docs/speck/overview.md)",
         "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{_SINABS}: DYNAPCNN_WEIGHT_PRECISION_BITS",
         "signs": f"{_SINABS}: two's complement",
@@ -142,7 +145,10 @@ SPIKER = Chip(
     delay_max=2,
     energy_tables=(),  # published for whole tasks only
     limits=_SPIKER_LIMITS,
+    clocks=ALL_AT_ONCE,
     sources={
+        "clocks": "one start signal runs a cycle of every layer (VHDL of commit e61e5b06, in RTL "
+        "simulation)",
         "membrane_output": "no way for a membrane was found in any source that was read",
         "weight_bits": f"{VHDL}: {_DATAPATH}; 5 to 8 are used",
         "signs": f"{VHDL}: two's complement",

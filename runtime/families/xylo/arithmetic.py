@@ -183,7 +183,7 @@ class XyloArithmetic(XyloRegisters, ArithmeticDefaults):
         network_input: str,
         convention: Convention,
         delay: int,
-        stagger: bool | None,
+        stagger: bool,
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with dashes for decays, and remarks on what is not as in the file."""
         return xylo_layers(layers, network_input, self, convention, stagger)

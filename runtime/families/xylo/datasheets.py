@@ -11,7 +11,7 @@ The arithmetic of Xylo-Audio 2 is taken for the other two; there was no trace of
 
 from dataclasses import replace
 
-from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import ALL_AT_ONCE, Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
@@ -74,7 +74,10 @@ XYLO_A2 = Chip(
     energy_tables=(),  # published for whole tasks only (docs/xylo.md)
     limits=_A2_LIMITS,
     membrane_output="probe",
+    clocks=ALL_AT_ONCE,
     sources={
+        "clocks": "a global timestep dt in which all neurons update (rockpool.ai, overview of the "
+        "Xylo family); xylosim 0.1.3 does so",
         "membrane_output": "rockpool's XyloMonitor: output_mode 'Vmem'; its XyloSamna records "
         "the membranes of outputs in each timestep (source read)",
         "weight_bits": f"{_ROCKPOOL}: 8 bits with the sign",

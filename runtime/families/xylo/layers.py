@@ -31,17 +31,18 @@ def xylo_layers(
     network_input: str,
     registers: XyloRegisters,
     convention: Convention,
-    stagger: bool | None,
+    stagger: bool,
 ) -> tuple[list[Layer], list[str]]:
     """The float layers with dashes for decays, and what of them is not as the file has it.
 
     layers: with the lags of the graph for delays.
-    stagger: as in compile_program; None staggers where it changes nothing but when to look.
+    stagger: start each layer when the first spikes can reach it, where that changes nothing but
+        when to look; elsewhere all start at once, and a remark says so.
     """
     remarks = [*_spike_remarks(registers, convention)]
     for layer in layers:
         remarks += _remarks(layer, registers, convention)
-    starts, why = _starts(layers, network_input, convention, stagger)
+    starts, why = _starts(layers, network_input, stagger)
     sources = (network_input, *(layer.name for layer in layers))
     found = [_layer(layer, registers, sources, convention, starts[layer.name]) for layer in layers]
     return found, remarks + why
@@ -131,21 +132,18 @@ def _octaves(decay_factor: Floats, convention: Convention) -> Floats:
 
 
 def _starts(
-    layers: Sequence[Layer], network_input: str, convention: Convention, stagger: bool | None
+    layers: Sequence[Layer], network_input: str, stagger: bool
 ) -> tuple[dict[str, int], list[str]]:
     """When layers start, and what to say of it."""
     at_once = {layer.name: 0 for layer in layers}
-    if stagger is False or (stagger is None and convention.delay):
+    if not stagger:
         return at_once, []
     starts = _depths(layers)
     found = _obstacle(layers, network_input, starts)
     if found is None:
         return starts, []
-    rule, obstacle = found
-    if stagger:
-        raise RuleError(f"rule {rule}: {obstacle}. Compile with stagger=False.")
     late = max(starts.values())
-    return at_once, [f"{obstacle}; all layers start at once, and outputs come {late} rows late"]
+    return at_once, [f"{found}; all layers start at once, and outputs come {late} rows late"]
 
 
 def _depths(layers: Sequence[Layer]) -> dict[str, int]:
@@ -158,22 +156,17 @@ def _depths(layers: Sequence[Layer]) -> dict[str, int]:
     return starts
 
 
-def _obstacle(
-    layers: Sequence[Layer], network_input: str, starts: dict[str, int]
-) -> tuple[str, str] | None:
-    """Why layers that start one after another would not be what Xylo does: the rule, in words."""
+def _obstacle(layers: Sequence[Layer], network_input: str, starts: dict[str, int]) -> str | None:
+    """Why layers that start one after another would not be what Xylo does."""
     for layer in layers:
         name = layer.name
         if starts[name] and (layer.bias.any() or layer.voltage_bias.any()):
-            return "bias", f"layer {name!r} has a bias, which Xylo adds from the first timestep on"
+            return f"layer {name!r} has a bias, which Xylo adds from the first timestep on"
         for synapses in layer.synapses:
             lag = synapses.delay
             due = starts[name] - starts.get(synapses.source, 0) + lag
             if due != (lag if synapses.source == network_input else 1):
-                return (
-                    "delay",
-                    f"{synapses.source!r} -> {name!r} would need a delay of {due} on Xylo",
-                )
+                return f"{synapses.source!r} -> {name!r} would need a delay of {due} on Xylo"
     return None
 
 

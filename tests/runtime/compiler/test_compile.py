@@ -165,7 +165,7 @@ def test_staggered_biases_make_a_delaying_chip_mean_the_same(build):
 def test_biases_that_all_start_at_once_mean_something_else():
     artifact = slow(popsan(), bias=5.0)
     staggered, at_once = (
-        compile_program(artifact, chip("loihi1"), stagger=s) for s in (True, False)
+        compile_program(artifact, chip("loihi1"), clock=clock) for clock in ("gated", "pipelined")
     )
     spikes = raster(staggered)
     one, other = (Machine(program, 3, trace=True) for program in (staggered, at_once))
@@ -176,7 +176,7 @@ def test_biases_that_all_start_at_once_mean_something_else():
 
 
 def test_layers_start_when_the_input_can_have_reached_them():
-    program = compile_program(popsan(), chip("loihi1"))
+    program = compile_program(popsan(), chip("loihi1"), clock="gated")
     assert [layer.start for layer in program.layers] == [1, 2, 3]
     assert program.steps(5) == 8
     assert program.lags == ((0,), (0,), (0,))
@@ -184,7 +184,7 @@ def test_layers_start_when_the_input_can_have_reached_them():
 
 
 def test_a_skip_waits_for_the_layers_that_it_skips():
-    program = compile_program(skipping(), chip("loihi1"))
+    program = compile_program(skipping(), chip("loihi1"), clock="gated")
     assert sorted(program.delays[1]) == [1, 2]
     assert program.lags == ((0,), (0, 0))
 
@@ -249,7 +249,7 @@ def test_what_a_chip_cannot_do_is_refused_by_name(build, message):
 
 
 def test_a_long_loop_runs_when_every_connection_takes_a_timestep():
-    program = compile_program(long_loop(), chip("loihi1"), stagger=False)
+    program = compile_program(long_loop(), chip("loihi1"), clock="pipelined")
     assert Machine(program, 3).infer(raster(program)).any()
 
 

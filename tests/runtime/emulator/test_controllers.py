@@ -217,7 +217,7 @@ def test_a_kept_state_is_one_long_inference():
     raster = (np.random.default_rng(0).random((3, 32, 6)) < 0.4).astype(np.uint8)
     for make in (
         lambda: FloatMachine(policy),
-        lambda: MachinePool(compile_program(policy, LOIHI1)),
+        lambda: MachinePool(compile_program(policy, LOIHI1, clock="gated")),
     ):
         whole, parts = make(), make()
         halves = [parts.infer(raster[:, :16]), parts.infer(raster[:, 16:])]

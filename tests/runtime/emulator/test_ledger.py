@@ -93,7 +93,7 @@ def test_saturations_are_counted():
 
 
 def test_rows_are_inferences_and_totals_are_their_sum():
-    network = compile_program(popsan(), chip("loihi1"))
+    network = compile_program(popsan(), chip("loihi1"), clock="gated")
     runs = rasters(network, 2, 5, 0.3, seed=0, inferences=3)
     ledgers = {}
     for rows in ("each", "total", "none"):
@@ -112,7 +112,7 @@ def test_rows_are_inferences_and_totals_are_their_sum():
 
 
 def test_means_and_parts_of_a_ledger_agree():
-    network = compile_program(popsan(), chip("loihi1"))
+    network = compile_program(popsan(), chip("loihi1"), clock="gated")
     machine = Machine(network)
     for raster in rasters(network, 1, 5, 0.3, seed=0, inferences=4):
         machine.infer(raster)

@@ -49,7 +49,7 @@ def test_a_chip_that_streams_shows_each_window_from_its_start_on(program, run):
 def test_states_that_are_kept_make_two_inferences_one_long_one(name):
     artifact = popsan()
     kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
-    program = compile_program(kept, chip(name))
+    program = compile_program(kept, chip(name), clock="gated")
     raster = rasters(program, 2, 10, 0.3, seed=0)[0]
     whole, halves = Machine(program, 2), Machine(program, 2)
     expected = whole.infer(raster)

@@ -111,7 +111,7 @@ def windows(machine, raster, size):
 def test_states_live_on_from_one_timestep_to_the_next(kind, name):
     if kind == "only" and "none" in name:
         pytest.skip("nothing is left for the chip")
-    program = compile_program(network(kind), chip(name))
+    program = compile_program(network(kind), chip(name), clock="gated")
     whole = Machine(program, 3).infer(events())
     for machine in backends(program).values():
         np.testing.assert_allclose(windows(machine, events(), 1), whole, rtol=0, atol=1e-12)
@@ -240,7 +240,7 @@ def test_what_the_host_needs_leaves_the_chip_as_messages():
 
 @pytest.mark.parametrize("name", ["ideal", "loihi1", "int"])
 def test_readouts_never_spike_and_do_not_flatter_the_sparsity(name):
-    machine = Machine(compile_program(network("second"), chip(name)), 3)
+    machine = Machine(compile_program(network("second"), chip(name), clock="gated"), 3)
     machine.infer(events())
     ledger = machine.ledger
     spikes = ledger.by_layer("spike_out")

@@ -30,7 +30,7 @@ GRADED_CHIPS = ("ideal", "loihi2")
 
 
 def on(artifact, name, batch=1, **options):
-    return Machine(compile_program(artifact, chip(name)), batch, **options)
+    return Machine(compile_program(artifact, chip(name), clock="gated"), batch, **options)
 
 
 def test_a_neuron_on_ideal_by_hand():

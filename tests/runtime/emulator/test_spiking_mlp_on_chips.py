@@ -105,7 +105,7 @@ def test_a_neuron_without_a_current_forgets_its_input_at_once():
 @pytest.mark.parametrize("state", ["reset", "kept"])
 def test_the_machine_equals_the_interpreter_over_three_inferences(name, state):
     artifact = kart() if state == "reset" else kept(kart())
-    program = compile_program(artifact, chip(name))
+    program = compile_program(artifact, chip(name), clock="gated")
     machine, interpreter = Machine(program, 2, trace=True), Interpreter(program, 2)
     for seed in range(3):
         raster = (np.random.default_rng(seed).random((2, 16, 28)) < 0.4).astype(np.uint8)

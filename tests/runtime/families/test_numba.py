@@ -169,7 +169,7 @@ def test_an_output_is_not_changed_by_the_next_inference():
 
 @compiled
 def test_weights_and_sums_of_any_width_are_exact():
-    narrow = compile_program(popsan(hidden=(40, 12)), chip("loihi1"))
+    narrow = compile_program(popsan(hidden=(40, 12)), chip("loihi1"), clock="gated")
     raster = rasters(narrow, 2, 5, 0.5, seed=3)[0]
     none = Register(62, "none")
     datasheet = chip("loihi1", accumulator=none, current=none, membrane=none)

@@ -203,8 +203,6 @@ def test_a_bias_behind_the_first_layer_starts_all_layers_at_once():
     program = compiled(biased)
     assert [layer.start for layer in program.layers] == [0, 0, 0]
     assert any(r.startswith("layer 'l2' has a bias") for r in program.remarks)
-    with pytest.raises(RuleError, match=r"^rule bias: layer 'l2' has a bias"):
-        compiled(biased, stagger=True)
 
 
 def test_a_convention_with_delay_is_what_xylo_does():
@@ -216,7 +214,7 @@ def test_a_convention_with_delay_is_what_xylo_does():
 
 def test_layers_start_at_once_where_that_is_wanted():
     rng = np.random.default_rng(0)
-    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3), stagger=False)
+    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3), clock="pipelined")
     assert [layer.start for layer in program.layers] == [0, 0, 0]
     assert not any("at once" in remark for remark in program.remarks)
 
@@ -512,7 +510,7 @@ def test_a_neuron_has_two_currents_and_a_membrane_of_16_bits():
 
 def test_biases_of_xylo_are_added_to_the_membrane_alone():
     artifact = two_layers([[1], [1]], [[1, 1]], bias=[0.1, -0.3])
-    floats = float_program(artifact, A2, wiring(artifact.graph, CONVENTION)).layers[0]
+    floats = float_program(artifact, A2, wiring(artifact.graph, CONVENTION), "free").layers[0]
     assert floats.bias.tolist() == [0, 0]
     assert floats.voltage_bias.tolist() == [0.2, -0.6]
 

@@ -97,7 +97,7 @@ def numbers(layers, field):
 def check_equal(program, raster, shift=0):
     """Every current, membrane and spike; how many spikes there were."""
     expected = trace(program, raster[None])
-    steps = program.steps(len(raster))
+    steps = program.steps(program.rows(len(raster)))
     wait = next(s.delay for a in program.layers for s in a.synapses if s.source == program.input)
     played = np.zeros((steps + wait, program.width), np.int64)
     played[wait : wait + len(raster)] = raster

@@ -153,7 +153,7 @@ def test_a_generated_network_on_the_ideal_chip_equals_the_float_graph(network, s
 def test_a_generated_network_on_a_chip_equals_the_interpreter(network, seed, name):
     try:
         asked = Artifact(network, None, Convention(1e-3))
-        program = compile_program(asked, chip(name), stagger=False, limits=False)
+        program = compile_program(asked, chip(name), clock="pipelined", limits=False)
     except RuleError as error:
         # weights may vanish beside a threshold, which is no matter of wiring
         assert "begin late" in str(error) or "layer" in str(error)  # noqa: PT017

@@ -98,7 +98,7 @@ def test_generated_readouts_equal_the_float_graph_on_chip_and_host(
 @given(ended(), st.integers(0, 1000), st.sampled_from(["loihi1", "loihi1-nengo"]))
 def test_generated_readouts_on_loihi_equal_the_interpreter(network, seed, name):
     artifact = Artifact(network, None, Convention(1e-3))
-    program = compiled(artifact, chip(name), stagger=False, limits=False)
+    program = compiled(artifact, chip(name), clock="pipelined", limits=False)
     if program is None:
         return
     raster = np.random.default_rng(seed).random((2, TIMESTEPS, program.width)) < 0.4

@@ -105,7 +105,7 @@ def test_a_convolution_has_no_operations_with_its_padding():
 @pytest.mark.parametrize("name", ["ideal", "loihi1"])
 def test_the_ledger_of_the_same_run_agrees(name):
     file = popsan()
-    program = compile_program(file, chip(name))
+    program = compile_program(file, chip(name), clock="gated")
     machine = Machine(program, 4, trace=True)
     spikes = raster(width=30)
     machine.infer(spikes)

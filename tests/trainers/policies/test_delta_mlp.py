@@ -14,10 +14,11 @@ from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import DeltaMlpConfig
 from spikedeploy.trainers.policies import DeltaMlpPolicy, build, from_config
-from tests.delta_policies import delta_mlp, followed, walk
+from tests.delta_policies import arriving, delta_mlp, followed, walk
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-delta-mlp")
 SHAPES = [{}, {"code": "unary"}, {"hidden": 0}, {"skip": False}, {"head": "discrete", "act": 4}]
+SHAPES += [{"clock": "gated"}]
 
 
 def failed(checks):
@@ -31,9 +32,9 @@ def written(policy, tmp_path):
 def windows(policy, observation, burn_in):
     """Means, messages and what `advance` does, of the window that starts the episode."""
     mean, events, graded = followed(policy, observation)
-    moved = torch.from_numpy(events) * policy.step
+    moved, seen = arriving(policy, events)
     before = torch.zeros(1, burn_in, policy.observations, dtype=torch.float64)
-    seen = torch.cat([before, moved.cumsum(0)[None]], 1)
+    seen = torch.cat([before, seen[None]], 1)
     found, messages = policy.unrolled(
         seen, torch.cat([before, moved[None]], 1), policy.weights(), burn_in, torch.tensor([True])
     )
@@ -50,7 +51,7 @@ def test_a_window_from_the_beginning_equals_single_steps(shape):
 
 
 def test_the_output_is_that_of_a_network_on_rounded_numbers():
-    policy = delta_mlp(left=1.0).double()
+    policy = delta_mlp(left=1.0, clock="gated").double()
     mean, events, graded = followed(policy, walk(100))
     level = np.cumsum(events, 0) * policy.step.numpy()
     hidden = np.maximum(level @ policy.into().numpy().T + policy.bias.numpy(), 0)
@@ -62,7 +63,7 @@ def test_the_output_is_that_of_a_network_on_rounded_numbers():
 
 
 def test_gradients_pass_the_rounding_as_if_it_were_none():
-    policy = delta_mlp(left=1.0).double()
+    policy = delta_mlp(left=1.0, clock="gated").double()
     seen = torch.randn(4, 9, 5, dtype=torch.float64, requires_grad=True)
     begins = torch.zeros(4, dtype=torch.bool)
     mean, messages = policy.unrolled(seen, seen, policy.weights(), 2, begins)

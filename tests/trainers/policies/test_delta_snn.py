@@ -15,7 +15,7 @@ from spikedeploy.trainers.policies.delta_graph import (
     live_neurons,
 )
 from spikedeploy.trainers.resolve import validated
-from tests.delta_policies import delta_policy, followed, thinned, walk
+from tests.delta_policies import arriving, delta_policy, followed, thinned, walk
 
 SHAPES = [
     {},
@@ -24,6 +24,9 @@ SHAPES = [
     {"skip": False},
     {"head": "discrete"},
     {"most": 1, "events_above": 128},
+    {"integrated": True},
+    {"clock": "gated"},
+    {"clock": "gated", "integrated": True},
 ]
 
 
@@ -32,10 +35,7 @@ def test_a_window_from_the_beginning_equals_single_steps(shape):
     policy = delta_policy(**shape).double()
     observation, burn_in = walk(), 4
     mean, events, spikes = followed(policy, observation)
-    moved = torch.from_numpy(events) * policy.step
-    seen = torch.zeros_like(moved)
-    for t, now in enumerate(moved):
-        seen[t] = policy.current_decay * seen[t - 1] + now
+    moved, seen = arriving(policy, events)
     # the burn-in of a window that starts the episode holds nothing
     before = torch.zeros(1, burn_in, 5, dtype=torch.float64)
     found, raster = policy.unrolled(
@@ -53,8 +53,7 @@ def test_a_window_from_the_beginning_equals_single_steps(shape):
 def test_a_window_from_the_middle_forgets_how_it_began():
     policy = delta_policy(hidden=8).double()
     _, events, spikes = followed(policy, walk(200))
-    moved = torch.from_numpy(events) * policy.step
-    seen = moved.cumsum(0)  # without the leak, as nearly
+    moved, seen = arriving(policy, events)
     window, runs_on = slice(100, 160), torch.tensor([False])
     _, raster = policy.unrolled(
         seen[None, window], moved[None, window], policy.weights(), 20, runs_on
@@ -115,8 +114,30 @@ def test_a_configuration_makes_the_policy():
         validated(RunConfig, wrong, "here")
 
 
+def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
+    """One event in control step 0; the numbers are worked out by hand."""
+    policy = DeltaSnnPolicy(1, 1, 1, step=1.0, current_decay=1.0).double()
+    policy.set_decays(torch.tensor([0.5]).double(), torch.tensor([0.5]).double())
+    with torch.no_grad():
+        policy.into.weight.fill_(2.0)
+        policy.out.weight.fill_(4.0)
+        policy.past.weight.fill_(8.0)
+        policy.bias.fill_(0.0)
+    mean, events, spikes = followed(policy, np.array([[1.0], [1.0], [1.0], [1.0]]))
+    assert events[:, 0].tolist() == [1, 0, 0, 0]
+    # I = 2 from control step 1 on, V = 2 > 1 in each
+    assert spikes[:, 0].tolist() == [0, 1, 1, 1]
+    # y[1] = 8 past ; y[2] = 4 + 4 of the first hidden spike ; y[3] = 4 + 4
+    np.testing.assert_allclose(mean[:, 0], [0, 8, 8, 8])
+    gated = build({**policy.spec(), "clock": "gated"}).double()
+    gated.load_state_dict(policy.state_dict())
+    mean, _, spikes = followed(gated, np.array([[1.0], [1.0]]))
+    assert spikes[:, 0].tolist() == [1, 1]
+    np.testing.assert_allclose(mean[:, 0], [12, 10])
+
+
 def test_a_linear_policy_reads_the_observation_through_its_events():
-    policy = thinned(delta_policy(hidden=0), 1.0).double()
+    policy = thinned(delta_policy(hidden=0, clock="gated"), 1.0).double()
     observation = walk(40)
     mean, events, _ = followed(policy, observation)
     level = np.cumsum(events, axis=0) * policy.step.numpy()
