@@ -84,10 +84,12 @@ def clock_on(convention: Convention, chip: Chip) -> Clock:
 def _clocked(artifact: Artifact, clock: Clock) -> Artifact:
     """The artifact with the delays of the clock, in which those of free layers are none."""
     convention = artifact.convention
-    own = "pipelined" if clock == "pipelined" and not convention.delay else "gated"
-    if own == convention.clock:
+    piped = clock == "pipelined" and not convention.delay
+    if piped == (convention.clock == "pipelined"):
         return artifact
-    return replace(artifact, convention=replace(convention, clock=own))
+    return replace(
+        artifact, convention=replace(convention, clock="pipelined" if piped else "gated")
+    )
 
 
 def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Clock) -> Program:

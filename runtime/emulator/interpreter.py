@@ -37,10 +37,9 @@ class LayerTrace:
 
     def part(self, window: slice) -> "LayerTrace":
         """The same of some of the timesteps."""
-        parts = {
-            name: None if all_ is None else all_[:, window] for name, all_ in vars(self).items()
-        }
-        return LayerTrace(**parts)
+        lost = None if self.lost is None else self.lost[:, window]
+        numbers = self.current[:, window], self.membrane[:, window], self.spikes[:, window]
+        return LayerTrace(*numbers, self.active[:, window], self.overflows[:, window], lost)
 
 
 def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:

@@ -97,7 +97,7 @@ def add_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> None:
     if "beta" in offsets:
         policy.set_decays(policy.beta + offsets["beta"], policy.gamma + offsets["gamma"])
         policy.bias += offsets["bias"]
-        policy.threshold += offsets["threshold"]
+        policy.threshold.add_(offsets["threshold"])
 
 
 @torch.no_grad()
