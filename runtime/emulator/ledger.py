@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ConfigError
 
@@ -40,6 +41,7 @@ class Ledger:
     steps: chip timesteps in all of them, those that only fill the pipeline included.
     several: whether a neuron can spike several times in a timestep.
     readouts: names of the layers that never spike, which sparsity leaves out.
+    one_state: names of the layers whose neurons hold one state: a membrane, and no current.
     """
 
     layers: tuple[str, ...]
@@ -50,6 +52,7 @@ class Ledger:
     steps: int
     several: bool = False
     readouts: tuple[str, ...] = ()
+    one_state: tuple[str, ...] = ()
 
     def total(self, event: str) -> int:
         """All events of a kind, over steps and layers."""
@@ -139,6 +142,15 @@ def count(
     return counts
 
 
+def states(layer: Layer, program: Program) -> int:
+    """States that a neuron of a layer holds: those of the chip, without a current that is 0 again.
+
+    A current that keeps nothing from one timestep to the next needs no memory of its own.
+    """
+    kinds = len(program.chip.arithmetic.state_bits)
+    return 1 if not np.any(layer.current_decay) else kinds
+
+
 def _each(values: NDArray[Any]) -> Counts:
     """Sums (B,) over timesteps and neurons."""
     return np.asarray(values.sum(axis=(1, 2), dtype=np.int64))
@@ -212,6 +224,7 @@ class LedgerBuilder:
             steps=self._steps,
             several=self._program.chip.spikes_max > 1,
             readouts=tuple(a.name for a in self._program.layers if not a.spiking),
+            one_state=tuple(a.name for a in self._program.layers if states(a, self._program) == 1),
         )
 
     def __getstate__(self) -> dict[str, Any]:

@@ -14,7 +14,8 @@ INT8 = TABLES["horowitz45-int8"]
 
 
 def test_the_tables_are_those_that_price_both_kinds():
-    assert BREAK_EVEN_TABLES == ("horowitz45", "horowitz45-int8")
+    int8 = "horowitz45-int8"
+    assert ("horowitz45", int8, f"{int8}-acc16", f"{int8}-acc32") == BREAK_EVEN_TABLES
     with pytest.raises(ConfigError, match="no price for both"):
         break_even_rate(TABLES["davies2018"], 5)
 
