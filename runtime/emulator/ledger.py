@@ -142,7 +142,7 @@ def count(
     return counts
 
 
-def states(layer: Layer, program: Program) -> int:
+def state_count(layer: Layer, program: Program) -> int:
     """States that a neuron of a layer holds: those of the chip, without a current that is 0 again.
 
     A current that keeps nothing from one timestep to the next needs no memory of its own.
@@ -224,7 +224,9 @@ class LedgerBuilder:
             steps=self._steps,
             several=self._program.chip.spikes_max > 1,
             readouts=tuple(a.name for a in self._program.layers if not a.spiking),
-            one_state=tuple(a.name for a in self._program.layers if states(a, self._program) == 1),
+            one_state=tuple(
+                a.name for a in self._program.layers if state_count(a, self._program) == 1
+            ),
         )
 
     def __getstate__(self) -> dict[str, Any]:

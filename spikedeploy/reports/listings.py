@@ -128,8 +128,9 @@ def energy_sources() -> list[tuple[str, str]]:
 def energy_choice() -> str:
     """Which table to quote."""
     return (
-        f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both. A "
-        "chip's own tables are for that chip alone; say which."
+        f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both, with "
+        "sums in registers; of pruned ones quote those with sums in memory (acc16, acc32) beside "
+        "it. A chip's own tables are for that chip alone; say which."
     )
 
 

@@ -41,9 +41,9 @@ spikes of {RATE:.0%} of its neurons in each timestep. Energy is by horowitz45-in
 neuron updates together; encoders, constants and the dense network's state resets are left out.
 "Falls" are episodes that ended in a terminal state. Returns are on seeds from 10,000 on, the same
 for all, that no training and no choice of a checkpoint saw; intervals of 95 % are bootstrapped over
-training seeds, then over episodes. There is one teacher seed, whose chance no interval covers. "% of
-teacher" is the share of its return; where that is negative, of the way from random actions to the
-teacher. `ideal` is float64 without a chip."""
+training seeds, then over episodes. There is one teacher seed, whose chance no interval covers.
+"% of teacher" is the share of its return; where that is negative, of the way from random actions to
+the teacher. `ideal` is float64 without a chip."""
 
 _PICTURE = "gymnasium.png"
 _VERDICTS = """\

@@ -20,7 +20,7 @@ from spikedeploy.policies.run import costs as run_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check as check_on
-from spikedeploy.runtime.emulator.ledger import states
+from spikedeploy.runtime.emulator.ledger import state_count
 from spikedeploy.runtime.metrics.energy import TABLES, EnergyEstimate, mac_energy
 from spikedeploy.runtime.metrics.energy_terms import ON_CHIP, TERMS
 from spikedeploy.runtime.metrics.neurobench import dense_operations
@@ -189,7 +189,7 @@ def test_states_that_are_kept_are_not_reset(snn, tmp_path):
 def test_neurons_without_a_current_have_one_state_to_reset():
     player = NirController(str(zoo.resolve("hexapod/sparse")), "loihi1")
     hidden, readout = player.program.layers
-    assert (states(hidden, player.program), states(readout, player.program)) == (2, 1)
+    assert [state_count(each, player.program) for each in (hidden, readout)] == [2, 1]
     player.act(np.zeros(player.codec.encoder.observed))
     assert player.ledger.one_state == (readout.name,)
     begins_anew = replace(player.program.convention, state="reset")
