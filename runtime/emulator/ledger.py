@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.errors import ConfigError
@@ -42,6 +43,7 @@ class Ledger:
     several: whether a neuron can spike several times in a timestep.
     clock: how the layers advanced, as in Program.
     readouts: names of the layers that never spike, which sparsity leaves out.
+    one_state: names of the layers whose neurons hold one state: a membrane, and no current.
     """
 
     layers: tuple[str, ...]
@@ -53,6 +55,7 @@ class Ledger:
     several: bool = False
     clock: Clock = "gated"
     readouts: tuple[str, ...] = ()
+    one_state: tuple[str, ...] = ()
 
     def total(self, event: str) -> int:
         """All events of a kind, over steps and layers."""
@@ -144,6 +147,15 @@ def count(
     return counts
 
 
+def state_count(layer: Layer, program: Program) -> int:
+    """States that a neuron of a layer holds: those of the chip, without a current that is 0 again.
+
+    A current that keeps nothing from one timestep to the next needs no memory of its own.
+    """
+    kinds = len(program.chip.arithmetic.state_bits)
+    return 1 if not np.any(layer.current_decay) else kinds
+
+
 def _each(values: NDArray[Any]) -> Counts:
     """Sums (B,) over timesteps and neurons."""
     return np.asarray(values.sum(axis=(1, 2), dtype=np.int64))
@@ -218,6 +230,9 @@ class LedgerBuilder:
             several=self._program.chip.spikes_max > 1,
             clock=self._program.clock,
             readouts=tuple(a.name for a in self._program.layers if not a.spiking),
+            one_state=tuple(
+                a.name for a in self._program.layers if state_count(a, self._program) == 1
+            ),
         )
 
     def __getstate__(self) -> dict[str, Any]:

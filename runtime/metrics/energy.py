@@ -58,7 +58,14 @@ def describe_table(table: EnergyTable) -> str:
 
 def describe_certainty(table: EnergyTable) -> str:
     """How far the energies of the table may be from the truth, in a few words."""
+    if table.least:
+        return f"{table.uncertainty.describe()}, of {' and '.join(_in_order(table.least))} alone"
     return "between two figures" if table.upper_joules else table.uncertainty.describe()
+
+
+def _in_order(events: Iterable[str]) -> list[str]:
+    """Without the biases' operations, which are priced like the others."""
+    return sorted(set(events) - {"bias_sop"})
 
 
 def energy(ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None) -> float:
@@ -75,27 +82,61 @@ def energy_estimate(
     """Energy of an inference [J], with its interval; arguments as for `energy`."""
     joules = energy(ledger, table, traffic)
     upper = _cost(ledger, {**table.joules, **table.upper_joules}, traffic)
-    return EnergyEstimate(joules, joules * table.uncertainty.low, _most(upper, table))
+    low = joules * table.uncertainty.low if bounds(_counts(ledger, traffic), table) else 0.0
+    return EnergyEstimate(joules, low, _most(upper, table))
+
+
+def bounds(counts: Mapping[str, float], table: EnergyTable) -> bool:
+    """Whether the lower end of the table's uncertainty holds for these counts of events.
+
+    Where only some prices are the smallest of their process, nothing else may be added up.
+    """
+    priced = {event for event, count in counts.items() if count and event in table.joules}
+    return not table.least or priced <= table.least
 
 
 def static_energy(seconds: float, power: StaticPower) -> float:
-    """Energy [J] of a chip's static power over a time [s]."""
-    return seconds * power.watts
+    """Energy [J] of a network's share of a static power over a time [s]."""
+    return seconds * power.watts * power.share
+
+
+def event_counts(ledger: Ledger) -> dict[str, float]:
+    """Mean counts of an inference by event; updates of neurons with one state are named apart too.
+
+    `one_state_update` counts some of `neuron_update`.
+    """
+    counts = {event: ledger.per_inference(event) for event in EVENTS}
+    updates = ledger.by_layer("neuron_update")
+    alone = sum(updates[name] for name in ledger.one_state)
+    return {**counts, "one_state_update": alone / max(ledger.inferences, 1)}
+
+
+def _counts(ledger: Ledger, traffic: Traffic | None) -> dict[str, float]:
+    counts = event_counts(ledger)
+    if traffic is not None:
+        inferences = max(ledger.inferences, 1)
+        counts |= {f.name: getattr(traffic, f.name) / inferences for f in fields(traffic)}
+    return counts
 
 
 def _cost(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None) -> float:
     # E = sum over events of count * price
-    prices = {"graded_sop": multiplying(prices), **prices}
-    counts = {event: ledger.per_inference(event) for event in EVENTS}
-    if traffic is not None:
-        inferences = max(ledger.inferences, 1)
-        counts |= {f.name: getattr(traffic, f.name) / inferences for f in fields(traffic)}
-    return sum(count * prices.get(event, 0.0) for event, count in counts.items())
+    marginal = marginal_prices(prices)
+    counts = _counts(ledger, traffic)
+    return sum(count * marginal.get(event, 0.0) for event, count in counts.items())
+
+
+def marginal_prices(prices: Mapping[str, float]) -> dict[str, float]:
+    """Prices [J] that add up: of events that others count too, what they cost more or less."""
+    found = {**prices, "graded_sop": multiplying(prices)}
+    whole = prices.get("neuron_update", 0.0)
+    return found | {"one_state_update": prices.get("one_state_update", whole) - whole}
 
 
 def multiplying(prices: Mapping[str, float]) -> float:
     """What a synaptic operation costs more where it multiplies [J]: then it is a MAC, if priced."""
-    return prices["mac"] - prices.get("sop", 0.0) if "mac" in prices else 0.0
+    whole = prices.get("graded_sop", prices.get("mac"))
+    return 0.0 if whole is None else whole - prices.get("sop", 0.0)
 
 
 def mac_energy(macs: float, table: EnergyTable) -> float:
@@ -114,7 +155,8 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
 def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
     """The same [J], with its interval."""
     joules = mac_energy(macs, table)
-    return EnergyEstimate(joules, joules * table.uncertainty.low, _most(joules, table))
+    low = joules * table.uncertainty.low if bounds({"mac": macs}, table) else 0.0
+    return EnergyEstimate(joules, low, _most(joules, table))
 
 
 def _most(joules: float, table: EnergyTable) -> float:

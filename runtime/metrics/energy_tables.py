@@ -45,14 +45,18 @@ class EnergyTable:
     name: as in TABLES.
     source: publication.
     provenance: how the numbers were obtained, and how certain they are.
-    joules: [J] per event: of EVENTS, "mac" for networks without spikes, and "hop_x" and "hop_y" of
-        a Traffic.
+    joules: [J] per event: of EVENTS, "mac" for networks without spikes, "hop_x" and "hop_y" of a
+        Traffic, "one_state_update" for a neuron without a current, where it costs less than
+        "neuron_update", and "state_write" for setting one state of a neuron to 0. A "graded_sop"
+        without a price of its own costs a "mac".
     seconds: [s] per event, one after another.
     step: [s] per chip timestep, for the synchronisation of cores or the period of a clock.
     uncertainty: of energies.
     time_uncertainty: of times.
     upper_joules: [J] per event where two sources disagree; `joules` holds the lower figure.
     included: terms (energy_terms) that are part of another price, and so have none of their own.
+    least: events whose price is the smallest that the source's process allows. An estimate is a
+        lower bound where all that it adds up is among them; empty where `uncertainty` says it all.
     """
 
     name: str
@@ -65,6 +69,7 @@ class EnergyTable:
     time_uncertainty: Uncertainty = _UNKNOWN
     upper_joules: Mapping[str, float] = field(default_factory=dict)
     included: tuple[str, ...] = ()
+    least: frozenset[str] = frozenset()
 
     @property
     def timed(self) -> bool:
@@ -79,13 +84,17 @@ class StaticPower:
     name: of the measurement.
     source: publication.
     provenance: how certain the number is.
-    watts: [W] of a whole chip.
+    watts: [W] of the whole that was measured: a chip, or a board of several.
+    share: part of it that one network is charged; assumed.
+    whole: what was measured, and why that share.
     """
 
     name: str
     source: str
     provenance: str
     watts: float
+    share: float = 1.0
+    whole: str = "one chip, all of it"
 
 
 _PICO = 1e-12
@@ -117,8 +126,12 @@ _DAVIES2018 = EnergyTable(
     },
     step=113 * _NANO,
     uncertainty=Uncertainty(
-        1.0, math.inf, "the minimum of a synaptic operation, before there was silicon"
+        1.0,
+        math.inf,
+        "the minimum of a synaptic operation, before there was silicon; neurons have no minimum "
+        "here: by sanafe's fit to silicon they cost less",
     ),
+    least=frozenset({"sop", "bias_sop"}),
     time_uncertainty=Uncertainty(
         0.0, math.inf, f"{_SERIAL}, at the longest time of an operation and the shortest barrier"
     ),
@@ -226,35 +239,89 @@ _SPINNAKER2 = EnergyTable(
     uncertainty=Uncertainty(1.0, 1.0, "both for a synaptic event, and neither has a source"),
 )
 
-# float32: 3.7 pJ a multiplication, 0.9 pJ an addition; 10 pJ a read of 8 bytes, of which 4 are used
+# Horowitz 2014, ISSCC, 45 nm and 0.9 V [J]: arithmetic, and 10 pJ an access of 64 bits of an 8 KB
+# SRAM, of which a word of fewer bits pays its share
+_ADD32, _MULTIPLY8, _MULTIPLY32 = 0.1 * _PICO, 0.2 * _PICO, 3.1 * _PICO
+_FLOAT_ADD, _FLOAT_MULTIPLY = 0.9 * _PICO, 3.7 * _PICO
+
+
+def sram(bits: int) -> float:
+    """Energy [J] of reading or writing a word in an SRAM of 8 KB (Horowitz 2014: 10 pJ a 64)."""
+    return 10 * _PICO * bits / 64
+
+
+_SMALLEST = "arithmetic and the smallest memory; control and larger memories add to it"
+_DERIVED = "neuron updates are derived, and narrower states cost less"
+
 _HOROWITZ45 = EnergyTable(
     name="horowitz45",
     source="Horowitz 2014, ISSCC: 45 nm, 0.9 V",
     provenance="arithmetic in float32 and one weight fetched from an 8 KB SRAM per operation, the "
-    "best case; neuron updates derived: two multiplications, three additions, four accesses",
+    "best case; sums in registers; neuron updates derived: two multiplications, three additions, "
+    "four accesses",
     joules={
-        "mac": (3.7 + 0.9 + 10 / 2) * _PICO,
-        "sop": (0.9 + 10 / 2) * _PICO,
-        "bias_sop": (0.9 + 10 / 2) * _PICO,
-        "neuron_update": (2 * 3.7 + 3 * 0.9 + 4 * 10 / 2) * _PICO,
+        "mac": _FLOAT_MULTIPLY + _FLOAT_ADD + sram(32),
+        "sop": _FLOAT_ADD + sram(32),
+        "bias_sop": _FLOAT_ADD + sram(32),
+        "neuron_update": 2 * _FLOAT_MULTIPLY + 3 * _FLOAT_ADD + 4 * sram(32),
+        "state_write": sram(32),
     },
-    uncertainty=Uncertainty(
-        1.0, math.inf, "arithmetic and the smallest memory; control and larger memories add to it"
-    ),
+    uncertainty=Uncertainty(1.0, math.inf, f"{_SMALLEST}; {_DERIVED}"),
+    least=frozenset({"mac", "sop", "bias_sop"}),
 )
 
 _HOROWITZ45_INT8 = replace(
     _HOROWITZ45,
     name="horowitz45-int8",
-    provenance="8-bit weights, 32-bit sums, one weight fetched from an 8 KB SRAM per operation, "
-    "the best case; neuron updates derived as for horowitz45, with 32-bit integers",
+    provenance="8-bit weights, 32-bit sums in registers, one weight fetched from an 8 KB SRAM per "
+    "operation, the best case; neuron updates derived as for horowitz45, with 32-bit integers",
     joules={
-        "mac": (0.2 + 0.1 + 10 / 8) * _PICO,
-        "sop": (0.1 + 10 / 8) * _PICO,
-        "bias_sop": (0.1 + 10 / 8) * _PICO,
-        "neuron_update": (2 * 3.1 + 3 * 0.1 + 4 * 10 / 2) * _PICO,
+        "mac": _MULTIPLY8 + _ADD32 + sram(8),
+        "sop": _ADD32 + sram(8),
+        "bias_sop": _ADD32 + sram(8),
+        "neuron_update": 2 * _MULTIPLY32 + 3 * _ADD32 + 4 * sram(32),
+        "state_write": sram(32),
     },
 )
+
+
+def _scattered(bits: int) -> EnergyTable:
+    """The table horowitz45-int8 of pruned networks, with what each operation finds by an index.
+
+    A spike's list names neurons, whose sums are in memory: the weight, its index, and the sum read
+    and written. A float unit's list names inputs, and its sum stays in a register: the weight, its
+    index, and the input read. The sum is the current of a neuron, or the membrane of one without a
+    current, so an update has one addition less than in horowitz45-int8.
+
+    bits: of the sums, and of all states of neurons.
+    """
+    index = sram(8)  # of one among 256 neurons, or inputs
+    return replace(
+        _HOROWITZ45_INT8,
+        name=f"horowitz45-int8-acc{bits}",
+        provenance=f"as horowitz45-int8, for pruned networks: an 8-bit index of each weight; a "
+        f"synaptic operation reads and writes a sum of {bits} bits, a multiply-accumulate reads "
+        f"its input of 8 bits and keeps its sum in a register; states of {bits} bits; all in an "
+        "8 KB SRAM",
+        joules={
+            "mac": _MULTIPLY8 + _ADD32 + sram(8) + index + sram(8),
+            "sop": _ADD32 + sram(8) + index + 2 * sram(bits),
+            "bias_sop": _ADD32 + sram(8) + index + 2 * sram(bits),
+            "graded_sop": _MULTIPLY8 + _ADD32 + sram(8) + index + 2 * sram(bits),
+            "neuron_update": 2 * _MULTIPLY32 + 2 * _ADD32 + 4 * sram(bits),
+            "one_state_update": _MULTIPLY32 + 2 * sram(bits),
+            "state_write": sram(bits),
+        },
+        uncertainty=Uncertainty(
+            0.0,
+            math.inf,
+            "control and larger memories add to it, registers instead of an SRAM take off",
+        ),
+        least=frozenset(),
+    )
+
+
+_HOROWITZ45_INT8_ACC16, _HOROWITZ45_INT8_ACC32 = _scattered(16), _scattered(32)
 
 TABLES: dict[str, EnergyTable] = {
     table.name: table
@@ -269,15 +336,52 @@ TABLES: dict[str, EnergyTable] = {
         _SPINNAKER2,
         _HOROWITZ45,
         _HOROWITZ45_INT8,
+        _HOROWITZ45_INT8_ACC16,
+        _HOROWITZ45_INT8_ACC32,
     )
 }
 
-# chip -> its static power
-STATIC: dict[str, StaticPower] = {
-    "loihi1": StaticPower(
-        name="frady2020",
-        source="Frady et al. 2020: Pohoiki Springs",
-        provenance="measured, the voltage not stated (secondary)",
-        watts=0.104,
+# chip -> its published static powers; a chip that is not here has none
+STATIC: dict[str, tuple[StaticPower, ...]] = {
+    "loihi1": (
+        StaticPower(
+            name="frady2020",
+            source="Frady et al. 2020: Pohoiki Springs",
+            provenance="measured, the voltage not stated (secondary)",
+            watts=0.104,
+        ),
+        StaticPower(
+            name="popsan2020",
+            source="Tang et al. 2020, arXiv 2010.09635, Table 2: idle power of a Nahuku 8",
+            provenance="measured; whether by all networks or by one is not said",
+            watts=1.084,
+            share=1 / 8,
+            whole="a board of eight chips, an eighth of it",
+        ),
+    ),
+    "xylo-a2": (
+        StaticPower(
+            name="xylo2023",
+            source="idle power of a Xylo Audio in SynSense's first report of it",
+            provenance="measured; of 542 uW in all (secondary)",
+            watts=219e-6,
+        ),
+    ),
+    "xylo-a3": (
+        StaticPower(
+            name="xylo-notebook",
+            source="Rockpool's notebook of the Xylo Audio 3 development kit: idle power of its "
+            "logic",
+            provenance="measured; input and output 35.7 uW and the audio front end 12.3 uW apart",
+            watts=542.9e-6,
+        ),
+    ),
+    "speck2f": (
+        StaticPower(
+            name="yao2024",
+            source="Yao et al. 2024, Nature Communications: power of a Speck at rest",
+            provenance="measured",
+            watts=0.42e-3,
+        ),
     ),
 }

@@ -22,19 +22,19 @@ neither is counted.
 
 from collections.abc import Mapping
 
-from spikedeploy.runtime.metrics.energy import multiplying
+from spikedeploy.runtime.metrics.energy import marginal_prices
 from spikedeploy.runtime.metrics.energy_tables import TABLES, EnergyTable
 
 _PICO = 1e-12
 ADDITION = 0.1 * _PICO  # 32-bit integers; a comparison is a subtraction
 MULTIPLICATION = 3.1 * _PICO
 ACCESS = 10 / 4 * _PICO  # 16 of 64 bits
-_STATE_ACCESS = 10 / 2 * _PICO  # 32 of 64 bits, as in the neuron updates of horowitz45-int8
+INSTRUCTION = 70 * _PICO  # of a simple processor, its cache and registers included
 
 _EVENTS = {
     "operations": ("sop", "graded_sop"),
     "bias": ("bias_sop",),
-    "updates": ("neuron_update",),
+    "updates": ("neuron_update", "one_state_update"),
     "idle": ("neuron_idle",),
     "messages": ("message",),
     "spikes": ("spike_out",),
@@ -49,7 +49,7 @@ _FETCHED_MAC = _INT8["mac"]
 
 def chip_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
     """Energy [J] of each term of the chip, from the counts of its events; 0 without a price."""
-    prices = {"graded_sop": multiplying(table.joules), **table.joules}
+    prices = marginal_prices(table.joules)
     return {
         term: sum(counts.get(event, 0.0) * prices.get(event, 0.0) for event in events)
         for term, events in _EVENTS.items()
@@ -111,8 +111,8 @@ def host_readout(additions: float, products: float, constants: float) -> float:
 def resets(states: float, table: EnergyTable) -> float | None:
     """Energy [J] of setting so many states to 0: a write each; None where nothing prices it.
 
-    Derived where a table prices arithmetic; what it takes on a chip is not published.
+    Derived where a table prices memory; what it takes on a chip is not published.
     """
     if not states:
         return 0.0
-    return states * _STATE_ACCESS if "mac" in table.joules else None
+    return states * table.joules["state_write"] if "state_write" in table.joules else None

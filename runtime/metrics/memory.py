@@ -35,6 +35,8 @@ class MemoryTraffic:
     state_reads: every state variable of every neuron in every timestep.
     state_writes: every state variable of every neuron that was updated.
     read_bits, write_bits: the same [bits].
+    accumulator_accesses: reads and writes of the sums that synaptic operations add to, one of each,
+        where those are in memory and not in registers; the bits do not include them.
     """
 
     weight_reads: int
@@ -42,6 +44,7 @@ class MemoryTraffic:
     state_writes: int
     read_bits: int
     write_bits: int
+    accumulator_accesses: int
 
 
 def widths(chip: Chip) -> Widths:
@@ -61,6 +64,7 @@ def memory_counts(ledger: Ledger, program: Program) -> Counts:
         "state_writes": event["neuron_update"] * len(bits.states),
         "read_bits": weights * bits.weight + reads * sum(bits.states),
         "write_bits": event["neuron_update"] * sum(bits.states),
+        "accumulator_accesses": 2 * weights,
     }
     return np.stack([columns[field.name] for field in fields(MemoryTraffic)], axis=2)
 

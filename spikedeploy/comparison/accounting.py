@@ -38,9 +38,9 @@ def static(chip: str | None, env: str, period: float | None = None) -> dict[str,
     period  of a control step [s] where it is known, else as the environment's class says
     """
     called = chip_called(chip) if chip else None
-    power = STATIC.get(called.name) if called else None
-    period = period or (control_period(env) if power else None)
-    return {power.name: static_energy(period, power)} if power and period else {}
+    powers = STATIC.get(called.name, ()) if called else ()
+    period = period or (control_period(env) if powers else None)
+    return {power.name: static_energy(period, power) for power in powers} if period else {}
 
 
 def control_period(env: str) -> float | None:

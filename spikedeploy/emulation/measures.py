@@ -63,7 +63,7 @@ def measured(
     spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
     membranes = {name: rows.membrane for name, rows in seen.items()}
     latencies = _latencies(program, spikes, ledger)
-    power = STATIC.get(program.chip.name)
+    power = next(iter(STATIC.get(program.chip.name, ())), None)  # that of a chip, named first
     return Measures(
         neurobench(artifact.graph, program, spikes, membranes),
         _events(ledger),

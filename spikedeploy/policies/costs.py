@@ -34,11 +34,12 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.metrics.energy import (
     TABLES,
     EnergyEstimate,
     energy_estimate,
+    event_counts,
     latency_estimate,
 )
 from spikedeploy.runtime.metrics.energy_terms import (
@@ -48,7 +49,7 @@ from spikedeploy.runtime.metrics.energy_terms import (
 from spikedeploy.runtime.metrics.neurobench import is_identity
 
 # of networks without spikes
-FLOAT_TABLES = ("horowitz45", "horowitz45-int8")
+FLOAT_TABLES = tuple(name for name, table in TABLES.items() if "mac" in table.joules)
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ _MEANS = (
 
 def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
     """Costs of a spiking network from its ledger; `chip` None is the float twin."""
-    counts = {event: ledger.per_inference(event) for event in EVENTS}
+    counts = event_counts(ledger)
     return Costs(
         sparsity=ledger.sparsity,
         spikes=counts["spike_out"],

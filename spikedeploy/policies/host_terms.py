@@ -10,6 +10,7 @@ from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.ledger import state_count
 from spikedeploy.runtime.metrics.energy_tables import EnergyTable
 from spikedeploy.runtime.metrics.energy_terms import (
     delta_encoder,
@@ -44,5 +45,4 @@ def resetting(program: Program, table: EnergyTable) -> float | None:
     """Energy [J] of setting all states of the chip to 0 before an inference, if it is done."""
     if program.convention.state == "kept" or ("resets" in table.included):
         return 0.0
-    states = len(program.chip.arithmetic.state_bits)
-    return resets(states * sum(layer.size for layer in program.layers), table)
+    return resets(sum(layer.size * state_count(layer, program) for layer in program.layers), table)

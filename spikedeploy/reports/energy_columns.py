@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, price
+from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, price, scaled
+from spikedeploy.runtime.chips.chip import CHIPS
+from spikedeploy.runtime.metrics.energy_tables import STATIC
 
 COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
 
@@ -54,10 +56,14 @@ def _of_table(field: str) -> Cell:
 
 
 def _total(row: Row) -> str:
-    """All known terms: at least so much, where some are unknown."""
+    """All known terms: a lower bound where each price is, and what is missing marked elsewhere."""
     value = _of_table("energy_total_j")(row)
-    unknown = row.get("energy_unknown", {}).get(COMMON_TABLE)
-    return f"≥ {value}" if unknown and value != ABSENT else value
+    if value == ABSENT:
+        return ABSENT
+    low, _ = row.get("energy_interval_j", {}).get(COMMON_TABLE, (0, None))
+    if low and low == row["energy_per_inference_j"].get(COMMON_TABLE):
+        return f"≥ {value}"
+    return f"{value} + ?" if row.get("energy_unknown", {}).get(COMMON_TABLE) else value
 
 
 def _unpriced(row: Row) -> str:
@@ -66,8 +72,13 @@ def _unpriced(row: Row) -> str:
 
 
 def _static(row: Row) -> str:
+    """Each measurement by name; whether a chip has none that is published."""
     found = row.get("static_energy_j", {})
-    return ", ".join(map(_joules, found.values())) or ABSENT
+    if found:
+        return ", ".join(f"{scaled(joules)}J ({name})" for name, joules in found.items())
+    name = (row.get("chip") or "float").partition(":")[0]
+    sold = name in CHIPS and name not in ("ideal", "int")
+    return "not published" if sold and name not in STATIC else ABSENT
 
 
 def _level(row: Row) -> str:
@@ -103,7 +114,8 @@ _WHERE = (
     Column("resets", "states set to 0 between inferences", _term("resets")),
     Column(
         "all known",
-        "sum of the known terms; ≥ where some have no price",
+        "sum of the known terms; ≥ where every price is the least of its process, + ? where some "
+        "terms have no price",
         _total,
     ),
     Column(
@@ -113,7 +125,11 @@ _WHERE = (
         _level,
     ),
     Column("no price", "terms that happen and that the table has no price for", _unpriced),
-    Column("static", "the chip's static power over a control step, never added", _static),
+    Column(
+        "static",
+        "a published static power of the chip over a control step, by its measurement; never added",
+        _static,
+    ),
 )
 
 

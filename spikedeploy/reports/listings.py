@@ -83,8 +83,11 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
                 "source": power.source,
                 "provenance": power.provenance,
                 "watts": power.watts,
+                "share": power.share,
+                "whole": power.whole,
             }
-            for name, power in STATIC.items()
+            for name, powers in STATIC.items()
+            for power in powers
         ],
     }
 
@@ -115,8 +118,9 @@ def energy_sources() -> list[tuple[str, str]]:
     """Table or static power, and its source."""
     tables = [(table.name, f"{table.source}: {table.provenance}") for table in TABLES.values()]
     powers = [
-        (p.name, f"static, {p.watts * 1e3:g} mW a {name}. {p.source}: {p.provenance}")
-        for name, p in STATIC.items()
+        (p.name, f"static, {name}: {p.watts * 1e3:g} mW, {p.whole}. {p.source}: {p.provenance}")
+        for name, powers in STATIC.items()
+        for p in powers
     ]
     return [*tables, *powers]
 
@@ -124,8 +128,9 @@ def energy_sources() -> list[tuple[str, str]]:
 def energy_choice() -> str:
     """Which table to quote."""
     return (
-        f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both. A "
-        "chip's own tables are for that chip alone; say which."
+        f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both, with "
+        "sums in registers; of pruned ones quote those with sums in memory (acc16, acc32) beside "
+        "it. A chip's own tables are for that chip alone; say which."
     )
 
 

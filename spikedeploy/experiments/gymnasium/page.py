@@ -38,12 +38,12 @@ Operations are synaptic operations (SOPs) of spiking policies and multiply-accum
 ones, of a teacher all, of a pruned network those with an input that is not 0. "% of PopSAN" is the
 share of the SOPs of the dense PopSAN, measured on the chip where it was trained, else computed for
 spikes of {RATE:.0%} of its neurons in each timestep. Energy is by horowitz45-int8, operations and
-neuron updates together; encoders and constants are left out. "Falls" are episodes that ended in a
-terminal state. Returns are on seeds from 10,000 on, the same for all, that no training and no
-choice of a checkpoint saw; intervals of 95 % are bootstrapped over training seeds, then over
-episodes. There is one teacher seed, whose chance no interval covers. "% of teacher" is the share of
-its return; where that is negative, of the way from random actions to the teacher. `ideal` is
-float64 without a chip."""
+neuron updates together; encoders, constants and the dense network's state resets are left out.
+"Falls" are episodes that ended in a terminal state. Returns are on seeds from 10,000 on, the same
+for all, that no training and no choice of a checkpoint saw; intervals of 95 % are bootstrapped over
+training seeds, then over episodes. There is one teacher seed, whose chance no interval covers.
+"% of teacher" is the share of its return; where that is negative, of the way from random actions to
+the teacher. `ideal` is float64 without a chip."""
 
 _PICTURE = "gymnasium.png"
 _VERDICTS = """\

@@ -102,8 +102,8 @@ of each training; medians over the trainings [least, most]. `float` is the float
 network, `{chip}` the same file in the emulated chip's integers. Controls: `small` is a float
 network of the spiking one's size, `linear` has no hidden layer; both learn by the same rules within
 the same budget. `gap` is a script that follows the gap in the LIDAR, `random` draws its actions.
-MACs are those whose input is not 0; energies price every MAC of the dense networks, and ≥ says that
-[terms are left out](../docs/energy.md)."""
+MACs are those whose input is not 0; energies price every MAC of the dense networks, and ≥ is a
+[lower bound](../docs/energy.md#how-to-read-them) for hardware that executes them all."""
 _CHIP = """\
 The same starts, the same file; points of the finish rate, and the share of equal actions on the
 observations that the twin recorded."""

@@ -109,7 +109,9 @@ def _driven(row: Mapping[str, Any]) -> Record:
     energies = row["energy_per_inference_j"]
     prices = {f"energy_{table}_j": joules for table, joules in energies.items()}
     bounds = row.get("energy_interval_j", {})
-    lower = [table for table, joules in energies.items() if bounds.get(table) == [joules, None]]
+    # evaluations of before took the price of a neuron update for the least too, which none is
+    spikes = row.get("sops_per_inference") is not None
+    lower = [n for n, joules in energies.items() if not spikes and bounds.get(n) == [joules, None]]
     return {
         **{field: row.get(field) for field in _FIELDS},
         "energies_at_least": " ".join(lower),

@@ -210,7 +210,7 @@ def _range(rows: Sequence[Record], field: str, form: str) -> str:
 
 
 def _joules(rows: Sequence[Record], price: str) -> str:
-    """The median energy by a table; with `≥` where the table has no price of some of its terms."""
+    """The median energy by a table; with `≥` where it is a lower bound."""
     values, table = _values(rows, price), price.removeprefix("energy_").removesuffix("_j")
     least = "≥ " if any(table in row["energies_at_least"].split() for row in rows) else ""
     return f"{least}{scaled(float(np.median(values)))}J" if values else ABSENT

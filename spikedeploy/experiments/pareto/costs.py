@@ -30,7 +30,8 @@ TOTALS = {
     "all": TERMS,
 }
 INT8 = "horowitz45-int8"
-TABLE_NAMES = (INT8, "davies2018", "sanafe")
+ACC16, ACC32 = (f"{INT8}-acc{bits}" for bits in (16, 32))  # sums in memory, found by an index
+TABLE_NAMES = (INT8, "davies2018", "sanafe", ACC16, ACC32)
 
 # event of the ledger -> column of a row
 _COLUMNS = {
@@ -38,6 +39,7 @@ _COLUMNS = {
     "graded_sop": "graded_operations",
     "bias_sop": "bias_operations",
     "neuron_update": "neuron_updates",
+    "one_state_update": "readout_updates",  # integrating readouts hold a membrane and no current
     "neuron_idle": "neuron_idle",
     "message": "messages",
     "spike_out": "spikes_out",

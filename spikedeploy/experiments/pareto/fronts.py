@@ -67,9 +67,9 @@ class Point:
         """Mean energy [J] of a total (costs.TOTALS)."""
         return float(np.mean([total(row, table, of, lean) for row in self.rows]))
 
-    def terms(self, lean: bool = False) -> dict[str, float]:
-        """Mean energy [J] of each term by horowitz45-int8."""
-        each = [terms(row, INT8, lean) for row in self.rows]
+    def terms(self, lean: bool = False, table: str = INT8) -> dict[str, float]:
+        """Mean energy [J] of each term."""
+        each = [terms(row, table, lean) for row in self.rows]
         return {name: float(np.mean([one[name] for one in each])) for name in TERMS}
 
     @property
@@ -152,13 +152,19 @@ class Pairing:
     rival: Point | None
     of: str
     lean: bool
+    table: str = INT8
+
+    @property
+    def energies(self) -> tuple[float, float | None]:
+        """Of the point and of its rival [J]."""
+        mine = self.point.energy(self.of, self.table, self.lean)
+        return mine, self.rival.energy(self.of, self.table) if self.rival else None
 
     @property
     def ratio(self) -> float | None:
         """Energy of the point over its rival's."""
-        if self.rival is None:
-            return None
-        return self.point.energy(self.of, lean=self.lean) / self.rival.energy(self.of)
+        mine, theirs = self.energies
+        return None if theirs is None else mine / theirs
 
 
 def pairing(found: Sequence[Point], point: Point, of: str, lean: bool = False) -> Pairing:
@@ -167,7 +173,9 @@ def pairing(found: Sequence[Point], point: Point, of: str, lean: bool = False) -
     return Pairing(point, min(equal, key=lambda p: p.energy(of), default=None), of, lean)
 
 
-def pairing_at(found: Sequence[Point], share: float, of: str, lean: bool = False) -> Pairing | None:
+def pairing_at(
+    found: Sequence[Point], share: float, of: str, lean: bool = False, table: str = INT8
+) -> Pairing | None:
     """The cheapest spiking and the cheapest float point with a share of the teacher's score.
 
     None where no spiking point has it.
@@ -177,12 +185,13 @@ def pairing_at(found: Sequence[Point], share: float, of: str, lean: bool = False
     if not spiking:
         return None
     rivals = [p for p in good if p.student in FLOAT]
-    mine = min(spiking, key=lambda p: p.energy(of, lean=lean))
-    return Pairing(mine, min(rivals, key=lambda p: p.energy(of), default=None), of, lean)
+    mine = min(spiking, key=lambda p: p.energy(of, table, lean))
+    rival = min(rivals, key=lambda p: p.energy(of, table), default=None)
+    return Pairing(mine, rival, of, lean, table)
 
 
 def span_at(
-    found: Sequence[Point], share: float, of: str, lean: bool = False
+    found: Sequence[Point], share: float, of: str, lean: bool = False, table: str = INT8
 ) -> tuple[float | None, float | None]:
     """The least and the largest ratio of `pairing_at`, as the intervals of the scores allow.
 
@@ -193,7 +202,7 @@ def span_at(
     above = [p for p in found if p.of_teacher.ci95[0] >= share]
 
     def cheapest(points: Sequence[Point], kinds: Sequence[str], lean: bool) -> float | None:
-        return min((p.energy(of, lean=lean) for p in points if p.student in kinds), default=None)
+        return min((p.energy(of, table, lean) for p in points if p.student in kinds), default=None)
 
     def ratio(spiking: Sequence[Point], rivals: Sequence[Point]) -> float | None:
         mine, theirs = cheapest(spiking, SPIKING, lean), cheapest(rivals, FLOAT, False)

@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 
 from spikedeploy.experiments.pareto import records, tables
-from spikedeploy.experiments.pareto.costs import INT8, LEAN_UPDATE
+from spikedeploy.experiments.pareto.costs import ACC16, ACC32, INT8, LEAN_UPDATE
 from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import all_rows
 from spikedeploy.experiments.pareto.fronts import Record, baseline, points
@@ -23,6 +23,12 @@ from spikedeploy.trainers.versions import installed, own
 
 _PICO = 1e12
 _PACKAGES = ("torch", "numpy", "mujoco")
+
+
+def _price(table: str, event: str) -> float:
+    """In pJ."""
+    return TABLES[table].joules[event] * _PICO
+
 
 _INTRODUCTION = f"""\
 Sparse policies and their float rivals: all imitate the same teacher on the same walks and are
@@ -41,10 +47,10 @@ Operations are synaptic operations of spiking policies, and multiply-accumulates
 is not 0 of float ones. An operation of a graded spike multiplies too, and costs as much as a
 multiply-accumulate. All weights have 8 bits: spiking policies run in the integers of the
 emulated chip, float ones with weights rounded symmetrically, one scale a matrix, and activations in
-float, whose multiplications are priced as of 8 bits. Readouts are priced as whole neurons, though
-they have one state: that favours float networks. Scores are returns
-of walks, and finishes of karts, on seeds from 10,000 on that no training and no choice of a
-checkpoint saw; teacher and students have the same. Intervals of 95 % are bootstrapped over training
+float, whose multiplications are priced as of 8 bits. By {INT8} readouts are priced as whole
+neurons, though they have one state: that favours float networks. Scores are returns of walks, and
+finishes of karts, on seeds from 10,000 on that no training and no choice of a checkpoint saw;
+teacher and students have the same. Intervals of 95 % are bootstrapped over training
 seeds, then over episodes of student and teacher together; with one training seed they cover
 episodes alone. "Finished" has Wilson's interval over all episodes. Other numbers are means over
 training seeds. The second table of each task has return, IQM and risk of all trainings together,
@@ -53,9 +59,16 @@ each of 10,000 resamples draws trainings, then episodes, the same for all of the
 without the lowest and the highest quarter, risk the mean of the worst 5 %. Teacher and reference
 are one training each. "Finished" of 100 % has no width there.
 
-Energies are of a control step, in pJ, by {INT8}: {TABLES[INT8].joules["sop"] * _PICO:.2f} pJ a
-synaptic operation, {TABLES[INT8].joules["mac"] * _PICO:.2f} a multiply-accumulate,
-{TABLES[INT8].joules["neuron_update"] * _PICO:.1f} a neuron update. "The rest" are encoder,
+Energies are of a control step, in pJ, by {INT8}: {_price(INT8, "sop"):.2f} pJ a synaptic
+operation, {_price(INT8, "mac"):.2f} a multiply-accumulate, {_price(INT8, "neuron_update"):.1f} a
+neuron update. It takes sums for registers. "Sums of 16 bits in memory" are prices by
+{ACC16}, "of 32 bits" by {ACC32}: a synaptic operation finds its sum by an index, reads and writes
+it ({_price(ACC16, "sop"):.1f} and {_price(ACC32, "sop"):.1f} pJ), and a multiply-accumulate finds
+its input by an index and reads it ({_price(ACC16, "mac"):.2f}). States are as wide as sums: an
+update costs {_price(ACC16, "neuron_update"):.1f} and {_price(ACC32, "neuron_update"):.1f} pJ, that
+of a readout, which has one state, {_price(ACC16, "one_state_update"):.1f} and
+{_price(ACC32, "one_state_update"):.1f}. With its inputs in registers a float network would cost
+1.25 pJ less a multiply-accumulate ([energy.md](energy.md) has that too). "The rest" are encoder,
 messages and the constants of readouts. The encoder takes, for each observation that some synapse
 reads, a subtraction and a comparison (0.1 pJ each, 32-bit integers) and a read of its level, and
 for each event an addition and a write of the level; the observation is read by float networks too.

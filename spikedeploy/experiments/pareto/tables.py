@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from spikedeploy.comparison.statistics import Estimate
-from spikedeploy.experiments.pareto.costs import TERMS, TOTALS
+from spikedeploy.experiments.pareto.costs import ACC16, ACC32, INT8, TERMS, TOTALS
 from spikedeploy.experiments.pareto.design import LABELS, LAST
 from spikedeploy.experiments.pareto.fronts import (
     Pairing,
@@ -28,6 +28,8 @@ _WORDS = {
     "updates": "With neuron updates",
     "all": "With updates, encoder and constants",
 }
+# tables in which sums are in memory, and are found by an index
+_SUMS = {ACC16: "sums of 16 bits in memory", ACC32: "sums of 32 bits in memory"}
 _TERM_WORDS = {
     "operations": "the operations",
     "updates": "the neuron updates",
@@ -70,11 +72,13 @@ def energy_table(found: Sequence[Point]) -> str:
     """Energies of every level, total by total."""
     heads = ["policy", "aim", "% of teacher", "operations alone", "+ neuron updates", "+ the rest"]
     lean = ["+ lean updates", "lean, + the rest"]
-    lines = [[*heads, *lean, "davies2018", "sanafe"]]
+    sums = [f"{head}, {words}" for words in _SUMS.values() for head in ("operations", "all")]
+    lines = [[*heads, *lean, *sums, "davies2018", "sanafe"]]
     for p in found:
         cells = [p.label, f"{p.level:g}", mean_of_teacher(p)]
         cells += [pico(p.energy(of)) for of in TOTALS]
         cells += [pico(p.energy(of, lean=True)) for of in ("updates", "all")]
+        cells += [pico(p.energy(of, table)) for table in _SUMS for of in ("operations", "all")]
         if p.spiking:
             cells += [pico(p.energy("all", table)) for table in ("davies2018", "sanafe")]
         else:
@@ -113,10 +117,9 @@ def rival_table(found: Sequence[Point]) -> str:
 def _against(pair: Pairing) -> str:
     if pair.rival is None or pair.ratio is None:
         return "no float student is as good"
-    mine = pair.point.energy(pair.of, lean=pair.lean)
-    theirs = pair.rival.energy(pair.of)
+    mine, theirs = pair.energies
     label = f"{pair.rival.label} {pair.rival.level:g}"
-    return f"{pico(mine)} : {pico(theirs)} = {pair.ratio:.2f} ({label})"
+    return f"{pico(mine)} : {pico(theirs or 0.0)} = {pair.ratio:.2f} ({label})"
 
 
 def sentences(found: Sequence[Point]) -> list[str]:
@@ -126,21 +129,26 @@ def sentences(found: Sequence[Point]) -> list[str]:
         lines.append(_sentence(found, of, words, lean=False))
     words = "The same with 16-bit states and power-of-two decays (derived)"
     lines.append(_sentence(found, "all", words, lean=True))
-    return lines
+    in_memory = [
+        _sentence(found, of, f"{_WORDS[of]}, {sums}", lean=False, table=table)
+        for table, sums in _SUMS.items()
+        for of in ("operations", "all")
+    ]
+    return [*lines, *in_memory]
 
 
-def _sentence(found: Sequence[Point], of: str, words: str, lean: bool) -> str:
-    pairs = {share: pairing_at(found, share, of, lean) for share in (NEARLY, NEAR)}
+def _sentence(found: Sequence[Point], of: str, words: str, lean: bool, table: str = INT8) -> str:
+    pairs = {share: pairing_at(found, share, of, lean, table) for share in (NEARLY, NEAR)}
     known = [pair for pair in pairs.values() if pair is not None and pair.ratio is not None]
     if not known:
         return f"- {words}: {_lack(found)}, so there is nothing to compare."
-    spans = {share: span_at(found, share, of, lean) for share in pairs}
+    spans = {share: span_at(found, share, of, lean, table) for share in pairs}
     parts = [
         f"for {share:.0%} of the teacher's score {_beside(pair, spans[share])}"
         for share, pair in pairs.items()
     ]
     marks = {_mark(pair, spans[share]) for share, pair in pairs.items() if pair in known}
-    mark = marks.pop() if len(marks) == 1 else "✗" if "✗" in marks else "≈"
+    mark = marks.pop() if len(marks) == 1 else "≈"
     text = f"- {mark} {words}: {'; '.join(parts)}."
     return text if of == "operations" else f"{text} {_decides(known[0])}."
 
@@ -157,10 +165,11 @@ def _beside(pair: Pairing | None, span: Span) -> str:
     """What a spiking point costs beside its rival, as the means and as the intervals have it."""
     if pair is None:
         return "no spiking policy is good enough"
-    mine = f"{_named(pair.point)} costs {pico(pair.point.energy(pair.of, lean=pair.lean))} pJ"
-    if pair.rival is None:
+    own, other = pair.energies
+    mine = f"{_named(pair.point)} costs {pico(own)} pJ"
+    if pair.rival is None or other is None:
         return f"{mine}, no float student is good enough"
-    theirs = f"{_named(pair.rival)} {pico(pair.rival.energy(pair.of))} pJ"
+    theirs = f"{_named(pair.rival)} {pico(other)} pJ"
     ends = ["?" if ratio is None else f"{ratio:.2f}" for ratio in span]
     between = "" if set(ends) == {f"{pair.ratio:.2f}"} else f" ({ends[0]} to {ends[1]})"
     return f"{mine}, {theirs}: {pair.ratio:.2f} times{between}"
@@ -168,7 +177,7 @@ def _beside(pair: Pairing | None, span: Span) -> str:
 
 def _decides(pair: Pairing) -> str:
     """Which term is most of a spiking point's energy."""
-    terms = pair.point.terms(pair.lean).items()
+    terms = pair.point.terms(pair.lean, pair.table).items()
     mine = {name: joules for name, joules in terms if name in TOTALS[pair.of]}
     most = max(mine, key=lambda name: mine[name])
     part = mine[most] / sum(mine.values())
@@ -188,8 +197,9 @@ def _lever(pair: Pairing, most: str) -> str:
     """What would have to be cheaper for a losing point to draw level."""
     if pair.ratio is None or pair.rival is None or pair.ratio <= 1:
         return ""
-    terms = pair.point.terms(pair.lean)
-    over = pair.point.energy(pair.of, lean=pair.lean) - pair.rival.energy(pair.of)
+    terms = pair.point.terms(pair.lean, pair.table)
+    mine, theirs = pair.energies
+    over = mine - (theirs or 0.0)
     left = terms[most] - over
     if left <= 0:
         return "; without that it would still cost more"

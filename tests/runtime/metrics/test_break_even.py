@@ -14,7 +14,8 @@ INT8 = TABLES["horowitz45-int8"]
 
 
 def test_the_tables_are_those_that_price_both_kinds():
-    assert BREAK_EVEN_TABLES == ("horowitz45", "horowitz45-int8")
+    int8 = "horowitz45-int8"
+    assert ("horowitz45", int8, f"{int8}-acc16", f"{int8}-acc32") == BREAK_EVEN_TABLES
     with pytest.raises(ConfigError, match="no price for both"):
         break_even_rate(TABLES["davies2018"], 5)
 
@@ -51,3 +52,19 @@ def test_at_the_operations_a_row_costs_what_the_other_costs():
     # a silent policy has the table's price, graded operations their own
     assert break_even_sops({"operations": 0.0}, 0, 1.35e-12, INT8) == pytest.approx(1)
     assert break_even_sops({"operations": 155e-12}, 100, 1.55e-12, INT8) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("sums", "active", "least"),
+    # F (MAC d_a - SOP d_s) > update, d_s = 5 %, as docs/energy.md says
+    [("", 0.5, 38), ("", 0.1, 303), ("-acc16", 0.5, 10), ("-acc16", 0.1, 656),
+     ("-acc32", 0.5, 19)],
+)  # fmt: skip
+def test_a_layer_of_that_fan_in_is_the_first_that_costs_less_when_it_spikes(sums, active, least):
+    table = TABLES[f"horowitz45-int8{sums}"]
+    assert break_even_rate(table, 1, least, active) >= 0.05 - 1e-9
+    assert break_even_rate(table, 1, least - 1, active) < 0.05
+
+
+def test_spikes_as_frequent_as_a_third_of_the_inputs_never_pay_with_sums_of_32_bits():
+    assert break_even_rate(TABLES["horowitz45-int8-acc32"], 1, 10**9, 0.1) < 0.05

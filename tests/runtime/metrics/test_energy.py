@@ -120,13 +120,64 @@ def test_every_table_says_where_it_comes_from_and_prices_known_events(name):
     assert table.name == name
     assert table.source
     assert table.provenance
-    assert set(table.joules) | set(table.seconds) <= {*EVENTS, "mac", "hop_x", "hop_y"}
+    others = {"mac", "hop_x", "hop_y", "one_state_update", "state_write"}
+    assert set(table.joules) | set(table.seconds) <= {*EVENTS, *others}
+    assert table.least <= table.joules.keys()
     assert table.upper_joules.keys() <= table.joules.keys()
     assert all(table.upper_joules[event] > table.joules[event] for event in table.upper_joules)
     for uncertainty in (table.uncertainty, table.time_uncertainty):
         assert uncertainty.why
         assert uncertainty.low <= 1 <= uncertainty.high
     assert all(price > 0 for price in [*table.joules.values(), *table.seconds.values()])
+
+
+def test_sums_in_memory_have_the_prices_of_their_accesses_and_of_an_index():
+    # 10 pJ an access of 64 bits: 8 bits 1.25, 16 bits 2.5, 32 bits 5
+    for bits, access in ((16, 2.5), (32, 5.0)):
+        found = {n: 1e12 * j for n, j in TABLES[f"horowitz45-int8-acc{bits}"].joules.items()}
+        # a weight, its index, the sum read and written, an addition: 7.6 and 12.6 pJ
+        assert found["sop"] == pytest.approx(1.25 + 1.25 + 2 * access + 0.1)
+        assert found["bias_sop"] == found["sop"]
+        assert found["graded_sop"] == pytest.approx(found["sop"] + 0.2)
+        # a weight, its index, the input; the sum stays in a register: 4.05 pJ
+        assert found["mac"] == pytest.approx(1.25 + 1.25 + 1.25 + 0.2 + 0.1)
+        # u = a u, v = b v + u + bias; u has its input already: 16.4 and 26.4 pJ
+        assert found["neuron_update"] == pytest.approx(2 * 3.1 + 2 * 0.1 + 4 * access)
+        # v = b v: 8.1 and 13.1 pJ
+        assert found["one_state_update"] == pytest.approx(3.1 + 2 * access)
+        assert found["state_write"] == pytest.approx(access)
+
+
+def test_the_tables_without_accumulators_keep_their_prices():
+    # two multiplications, three additions, four accesses of 32 bits; no price of readouts
+    for name, update in (("horowitz45", 2 * 3.7 + 3 * 0.9 + 4 * 5), ("horowitz45-int8", 26.5)):
+        prices = TABLES[name].joules
+        assert prices["neuron_update"] == pytest.approx(update * 1e-12)
+        assert prices["state_write"] == pytest.approx(5e-12)
+        assert "one_state_update" not in prices
+
+
+def test_a_neuron_with_one_state_is_priced_as_such_where_a_table_does():
+    rows = np.zeros((1, 2, len(EVENTS)), np.int64)
+    rows[0, :, EVENTS.index("neuron_update")] = 10, 4
+    found = Ledger(("lif", "readout"), (10, 4), rows, 1, 1, 1, one_state=("readout",))
+    assert energy(found, TABLES["horowitz45-int8-acc16"]) == pytest.approx(
+        (10 * 16.4 + 4 * 8.1) * 1e-12
+    )
+    assert energy(found, TABLES["horowitz45-int8"]) == pytest.approx(14 * 26.5e-12)
+
+
+def test_a_bound_holds_where_every_price_is_the_least_of_its_process():
+    for name in ("davies2018", "horowitz45", "horowitz45-int8"):
+        alone = energy_estimate(ledger(sop=1000, bias_sop=2), TABLES[name])
+        assert alone.low == alone.value > 0
+        updated = energy_estimate(ledger(sop=1000, neuron_update=1), TABLES[name])
+        assert (updated.low, updated.high) == (0, math.inf)
+    assert mac_energy_estimate(10, TABLES["horowitz45-int8"]).low == pytest.approx(15.5e-12)
+    assert mac_energy_estimate(10, TABLES["horowitz45-int8-acc16"]).low == 0
+    # silicon, as sanafe fits it, takes less for a neuron than davies2018 has
+    davies, fitted = TABLES["davies2018"].joules, TABLES["sanafe"].joules
+    assert all(fitted[each] < davies[each] for each in ("neuron_update", "neuron_idle"))
 
 
 def test_an_energy_states_its_interval():
@@ -165,8 +216,11 @@ def test_a_chip_with_a_clock_takes_a_tick_per_timestep():
 
 
 def test_static_power_is_a_line_of_its_own():
-    # 104 mW for a millisecond
-    assert static_energy(1e-3, STATIC["loihi1"]) == pytest.approx(104e-6)
+    # 104 mW for a millisecond; an eighth of a board's 1.084 W
+    chip, board = STATIC["loihi1"]
+    assert static_energy(1e-3, chip) == pytest.approx(104e-6)
+    assert static_energy(1e-3, board) == pytest.approx(1.084e-3 / 8)
+    assert all(power.source and power.whole for powers in STATIC.values() for power in powers)
 
 
 @pytest.mark.parametrize(

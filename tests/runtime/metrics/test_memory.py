@@ -47,14 +47,34 @@ def test_a_synaptic_operation_reads_a_weight_and_an_update_writes_both_states():
             state_writes=10,
             read_bits=5 * 8 + 18 * 24,
             write_bits=10 * 24,
+            accumulator_accesses=2 * 5,
         )
     }
+
+
+def test_accumulators_are_read_and_written_once_for_each_operation_of_a_random_network():
+    rng = np.random.default_rng(3)
+    used = chip("loihi1")
+    weight = rng.integers(-9, 10, (7, 5)).astype(np.int16) * (rng.random((7, 5)) < 0.4)
+    synapses = (Synapses("input", weight, delay=0),)
+    leaky = {"decays": (2000, 300), "threshold": 20 << 6, "start": 0}
+    neurons = layer(used.arithmetic, "n", weight.T, synapses, **leaky)
+    network = Program(used, Convention(1e-3), "input", 7, (neurons,), "n", None)
+    rows = (rng.random((40, 7)) < 0.3).astype(np.uint8)
+    accesses = 0
+    for row in rows:  # a list of targets for each spike; a sum is read, added to and written
+        for axon in np.flatnonzero(row):
+            for target in range(5):
+                accesses += 2 if weight[axon, target] else 0
+    ledger = run(network, rows)
+    assert accesses == memory_traffic(ledger, network)["n"].accumulator_accesses > 0
+    assert accesses == 2 * ledger.total("sop")
 
 
 def test_there_is_a_row_for_each_timestep_of_a_stream():
     network = program()
     counts = memory_counts(run(network, [[1, 0], [0, 1], [0, 0]]), network)
-    assert counts.shape == (3, 1, 5)
+    assert counts.shape == (3, 1, 6)
     assert counts[:, 0, 0].tolist() == [2, 3, 0]
     assert counts[:, 0, 2].tolist() == [0, 4, 6]
 

@@ -56,7 +56,9 @@ def test_the_energy_tables_are_listed_with_their_sources(command):
     assert by_name["sanafe"]["uncertainty"]["is"] == "no bound known"
     assert "11.7 %" in by_name["sanafe"]["provenance"]
     assert by_name["truenorth"]["included"] == ["updates", "idle", "messages", "spikes", "resets"]
-    assert [power["watts"] for power in found["static"]] == [0.104]
+    powers = {power["name"]: power for power in found["static"]}
+    assert powers["frady2020"]["watts"] == 0.104
+    assert (powers["popsan2020"]["watts"], powers["popsan2020"]["share"]) == (1.084, 1 / 8)
     out = command("energy")[1]
     assert "truenorth" in out
     assert "450 to 1500" in out

@@ -54,11 +54,13 @@ def test_terms_add_up_in_every_row_and_table(rows):
 
 
 def test_static_energy_is_that_of_a_control_step_of_the_chip(rows):
-    # 104 mW for 20 ms
-    assert by_chip(rows, "loihi1")["static_energy_j"] == {"frady2020": pytest.approx(2.08e-3)}
+    # 104 mW of a chip, and an eighth of the 1.084 W of a board, for 20 ms
+    powers = {"frady2020": pytest.approx(2.08e-3), "popsan2020": pytest.approx(2.71e-3)}
+    assert by_chip(rows, "loihi1")["static_energy_j"] == powers
+    assert static("truenorth", "hexapod") == {}
     assert by_chip(rows, None)["static_energy_j"] == {}
     assert by_chip(rows, "float")["static_energy_j"] == {}
-    assert static("loihi1:membrane_output=none", "stroll").keys() <= {"frady2020"}
+    assert static("loihi1:membrane_output=none", "stroll").keys() <= powers.keys()
 
 
 def test_every_environment_has_a_control_period():
@@ -90,8 +92,13 @@ def test_the_table_marks_what_is_unknown(rows):
     assert float(columns["operations"](ann)) == pytest.approx(1e9 * operations, rel=0.01)
     assert float(columns["skipping zeros"](ann)) < float(columns["operations"](ann))
     assert columns["skipping zeros"](spiking) == ABSENT
-    assert columns["all known"](spiking).startswith("≥ ")
-    assert columns["static"](spiking) == "2,080,000"  # nJ
+    assert columns["all known"](ann).startswith("≥ ")
+    assert columns["all known"](spiking).endswith(" + ?")  # updates are no lower bound
+    assert columns["static"](spiking) == "2.08 mJ (frady2020), 2.71 mJ (popsan2020)"
+    assert (
+        columns["static"]({**spiking, "chip": "loihi2", "static_energy_j": {}}) == "not published"
+    )
+    assert columns["static"](ann) == ABSENT
     assert columns["level at"](spiking).startswith("none")  # a toy ANN is cheaper than its neurons
 
 

@@ -11,6 +11,7 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import Costs, priced_by, spiking_costs
 from spikedeploy.policies.gap import costs as gap_costs
+from spikedeploy.policies.host_terms import resetting
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.nir import costs as nir_costs
 from spikedeploy.policies.onnx import OnnxController
@@ -19,6 +20,7 @@ from spikedeploy.policies.run import costs as run_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check as check_on
+from spikedeploy.runtime.emulator.ledger import state_count
 from spikedeploy.runtime.metrics.energy import TABLES, EnergyEstimate, mac_energy
 from spikedeploy.runtime.metrics.energy_terms import ON_CHIP, TERMS
 from spikedeploy.runtime.metrics.neurobench import dense_operations
@@ -165,7 +167,7 @@ def test_the_terms_of_a_policy_on_chip_add_up_to_its_energy(name, snn):
     assert {*terms, *unknown, *TABLES[name].included} == {*TERMS} - {"activations"}
     # Gaussians have no price; states begin at 0 in every inference, which tables of chips lack
     assert "encoder" in unknown
-    assert ("resets" in unknown) == (name not in ("truenorth", "horowitz45", "horowitz45-int8"))
+    assert ("resets" in unknown) == (name != "truenorth" and not name.startswith("horowitz45"))
     # the 20 output neurons have one weight each, two constants
     assert terms["readout"] == pytest.approx((found.effective_acs - found.sops + 2) * 1.35e-12)
 
@@ -179,9 +181,21 @@ def test_states_that_are_kept_are_not_reset(snn, tmp_path):
         player = NirController(str(path), "loihi1")
         player.replay(OBSERVATIONS)
         terms = nir_costs(player, played(OBSERVATIONS)).energy_terms_j
-        resets.append(terms["horowitz45-int8"]["resets"])
-    # a current and a membrane of 16 + 12 + 20 neurons, 5 pJ a write
-    assert resets == pytest.approx([2 * 48 * 5e-12, 0])
+        resets += [terms[f"horowitz45-int8{more}"]["resets"] for more in ("", "-acc16", "-acc32")]
+    # a current and a membrane of 16 + 12 + 20 neurons, 5 pJ a write of 32 bits, 2.5 of 16
+    assert resets == pytest.approx([2 * 48 * 5e-12, 2 * 48 * 2.5e-12, 2 * 48 * 5e-12, 0, 0, 0])
+
+
+def test_neurons_without_a_current_have_one_state_to_reset():
+    player = NirController(str(zoo.resolve("hexapod/sparse")), "loihi1")
+    hidden, readout = player.program.layers
+    assert [state_count(each, player.program) for each in (hidden, readout)] == [2, 1]
+    player.act(np.zeros(player.codec.encoder.observed))
+    assert player.ledger.one_state == (readout.name,)
+    begins_anew = replace(player.program.convention, state="reset")
+    each_time = replace(player.program, convention=begins_anew)
+    found = resetting(each_time, TABLES["horowitz45-int8"])
+    assert found == pytest.approx((2 * hidden.size + readout.size) * 5e-12)
 
 
 ON_SEVERAL_CORES = (
