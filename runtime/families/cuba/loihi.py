@@ -238,5 +238,6 @@ LOIHI2 = replace(
         "delay": _BOARD,
         "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {_GUESS}",
     },
-    evidence="spikes of one neuron on a board, 1000 timesteps, `spikedeploy verify`",
+    evidence="equal to one neuron on a board in its spikes of 1000 timesteps (NIR paper, 01_lif), "
+    "`spikedeploy verify`; the rest is Loihi 1's",
 )
