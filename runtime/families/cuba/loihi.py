@@ -196,9 +196,9 @@ _BOARD = (
     "one LIF neuron on a board, NIR paper 01_lif: the rule gives its spikes in 1000 timesteps and "
     "all membranes but those at 4 spikes, where the probe reads 128"
 )
-_GUESS = "taken from Loihi 1; no public source for Loihi 2"
-
-_AGGREGATORS = "secondary: sites that collect datasheets; not verified in Intel's own"
+_GUESS = "assumed: taken from Loihi 1; no public source for Loihi 2 was found"
+# Intel's technology brief of 2021 and Orchard et al. 2021 (IEEE SiPS) could be read in parts only
+_NOT_READ = "no primary source was read"
 
 _LIMITS2 = replace(
     _LIMITS,
@@ -209,11 +209,13 @@ _LIMITS2 = replace(
     thresholds=None,
     sources={
         **{field: f"{source}; {_GUESS}" for field, source in _LIMITS.sources.items()},
-        "cores": f"120 or 128, sources differ ({_AGGREGATORS})",
-        "neurons_per_core": f"at most, with the smallest neurons ({_AGGREGATORS})",
-        "memory": f"about 192 KB a core, neurons included ({_AGGREGATORS}); the words of Loihi 1",
-        "axons_in": "a user's report in a public issue (secondary)",
-        "axons_out": "a user's report in a public issue (secondary)",
+        "cores": f"assumed: the lesser of 120 and 128, which secondary pages give; {_NOT_READ}",
+        "neurons_per_core": "1 million neurons a chip (Intel's announcement of 2021, in the press) "
+        "over 128 cores (derived); at most, with the smallest neurons",
+        "memory": "assumed: about 192 KB a core, neurons included, as secondary pages have it; "
+        f"{_NOT_READ}; the words are Loihi 1's",
+        "axons_in": f"{_GUESS}; a user's report in a public issue agrees (secondary)",
+        "axons_out": f"{_GUESS}; a user's report in a public issue agrees (secondary)",
         "input_cores": f"as PopSAN's on Loihi 1; {_GUESS}",
     },
 )
@@ -229,8 +231,8 @@ LOIHI2 = replace(
     membrane_output="graded",
     sources={
         **{field: f"{LAVA}, as on Loihi 1; {_GUESS}" for field in LOIHI1.sources},
-        "membrane_output": "graded spikes of 32 bits (Orchard et al. 2021, IEEE SiPS); that a "
-        "membrane of 24 bits goes into one is derived",
+        "membrane_output": "graded spikes of up to 32 bits (secondary pages; lava-nc 0.10.0 has a "
+        "field of 5 bits for their width); that a membrane of 24 bits goes into one is derived",
         "mantissa_shift": _BOARD,
         "decay_bits": _BOARD,
         "membrane_decay_offset": _BOARD,
