@@ -1,9 +1,9 @@
-"""Loihi 1 (Intel, 14 nm, 2018) in the readings of three emulators, and Loihi 2.
+"""Loihi 1 (Intel, 14 nm, 2018) by three published models that disagree, and Loihi 2.
 
-`loihi1` is lava's. All agree on decays rounded toward zero, a strict threshold and reset to zero,
-and differ in what the fields step_rounding, exponents, accumulator, current, push, the decays and
-the delay say; those were not settled by anything published. Equal to their traces, that is, not
-"equal to the chip".
+`loihi1` is lava's model; the others are brian2_loihi's and nengo-loihi's. All agree on decays
+rounded toward zero, a strict threshold and reset to zero, and differ in what the fields
+step_rounding, exponents, accumulator, current, push, the decays and the delay say; those were not
+settled by anything published. Equal to their traces, that is, not "equal to the chip".
 
 Loihi 2 (Intel 4, 2021) computes with its default neuron as Loihi 1 does. Its neurons are microcode;
 this is what the default CuBa-LIF does as far as one public trace of a board shows: a single neuron,
@@ -91,7 +91,7 @@ _LIMITS = Limits(
 
 LOIHI1 = Chip(
     name="loihi1",
-    summary="Loihi 1: 8-bit weights, 12-bit decays, 24-bit states, in lava's reading",
+    summary="Loihi 1: 8-bit weights, 12-bit decays, 24-bit states, as lava models it",
     arithmetic=_LAVA,
     resets=("zero",),
     delay=1,
@@ -130,7 +130,7 @@ LOIHI1 = Chip(
 LOIHI1_BRIAN2 = replace(
     LOIHI1,
     name="loihi1-brian2",
-    summary="Loihi 1 in brian2_loihi's reading: nothing overflows, spikes arrive at once",
+    summary="Loihi 1 as brian2_loihi models it: nothing overflows, spikes arrive at once",
     arithmetic=replace(
         _LAVA,
         step_rounding="zero",
@@ -167,7 +167,7 @@ LOIHI1_BRIAN2 = replace(
 LOIHI1_NENGO = replace(
     LOIHI1,
     name="loihi1-nengo",
-    summary="Loihi 1 in nengo-loihi's reading: two's complement, spikes arrive at once",
+    summary="Loihi 1 as nengo-loihi models it: two's complement, spikes arrive at once",
     arithmetic=replace(
         _LAVA,
         step_rounding="zero",
