@@ -53,7 +53,7 @@ def of_teacher(point: Point) -> str:
 
 
 def share(score: Estimate | None) -> str:
-    """With the interval; a dash where there is no baseline, or it scores nothing."""
+    """With the interval; a dash where there is no reference, or it scores nothing."""
     if score is None or math.isnan(score.mean):
         return ABSENT
     low, high = score.ci95
@@ -98,8 +98,8 @@ def last_levels(found: Sequence[Point]) -> list[Point]:
     return list({(p.student, p.rewarded): p for p in found}.values())
 
 
-def rival_table(found: Sequence[Point]) -> str:
-    """Every spiking point near the teacher beside its cheapest float rival."""
+def baseline_table(found: Sequence[Point]) -> str:
+    """Every spiking point near the teacher beside its cheapest float baseline."""
     lines = [["policy", "aim", "% of teacher", *(w.lower() for w in _WORDS.values()), "lean, all"]]
     for point in found:
         if point.spiking and point.of_teacher.mean >= NEAR:
@@ -111,11 +111,11 @@ def rival_table(found: Sequence[Point]) -> str:
 
 
 def _against(pair: Pairing) -> str:
-    if pair.rival is None or pair.ratio is None:
+    if pair.baseline is None or pair.ratio is None:
         return "no float student is as good"
     mine = pair.point.energy(pair.of, lean=pair.lean)
-    theirs = pair.rival.energy(pair.of)
-    label = f"{pair.rival.label} {pair.rival.level:g}"
+    theirs = pair.baseline.energy(pair.of)
+    label = f"{pair.baseline.label} {pair.baseline.level:g}"
     return f"{pico(mine)} : {pico(theirs)} = {pair.ratio:.2f} ({label})"
 
 
@@ -154,13 +154,13 @@ def _mark(pair: Pairing, span: Span) -> str:
 
 
 def _beside(pair: Pairing | None, span: Span) -> str:
-    """What a spiking point costs beside its rival, as the means and as the intervals have it."""
+    """What a spiking point costs beside its baseline, as the means and as the intervals have it."""
     if pair is None:
         return "no spiking policy is good enough"
     mine = f"{_named(pair.point)} costs {pico(pair.point.energy(pair.of, lean=pair.lean))} pJ"
-    if pair.rival is None:
+    if pair.baseline is None:
         return f"{mine}, no float student is good enough"
-    theirs = f"{_named(pair.rival)} {pico(pair.rival.energy(pair.of))} pJ"
+    theirs = f"{_named(pair.baseline)} {pico(pair.baseline.energy(pair.of))} pJ"
     ends = ["?" if ratio is None else f"{ratio:.2f}" for ratio in span]
     between = "" if set(ends) == {f"{pair.ratio:.2f}"} else f" ({ends[0]} to {ends[1]})"
     return f"{mine}, {theirs}: {pair.ratio:.2f} times{between}"
@@ -186,10 +186,10 @@ def _lack(found: Sequence[Point]) -> str:
 
 def _lever(pair: Pairing, most: str) -> str:
     """What would have to be cheaper for a losing point to draw level."""
-    if pair.ratio is None or pair.rival is None or pair.ratio <= 1:
+    if pair.ratio is None or pair.baseline is None or pair.ratio <= 1:
         return ""
     terms = pair.point.terms(pair.lean)
-    over = pair.point.energy(pair.of, lean=pair.lean) - pair.rival.energy(pair.of)
+    over = pair.point.energy(pair.of, lean=pair.lean) - pair.baseline.energy(pair.of)
     left = terms[most] - over
     if left <= 0:
         return "; without that it would still cost more"
