@@ -24,7 +24,7 @@ import numpy as np
 
 from spikedeploy.experiments.csv_rows import Record, write_rows
 from spikedeploy.experiments.gymnasium import records as task_records
-from spikedeploy.experiments.gymnasium.design import RIVAL
+from spikedeploy.experiments.gymnasium.design import BASELINE
 from spikedeploy.experiments.gymnasium.points import TaskPoint, judged
 from spikedeploy.experiments.gymnasium.points import points as task_points
 from spikedeploy.experiments.pareto import records
@@ -72,22 +72,22 @@ _INPUT_BITS = 8  # of a float network's inputs, as in the tables with sums in me
 class Pair:
     """A spiking policy and a float one; counts are means of a control step over the trainings.
 
-    score, rival_score   in parts of the teacher's
-    seeds, rival_seeds   how many trainings
+    score, baseline_score   in parts of the teacher's
+    seeds, baseline_seeds   how many trainings
     sops, updates        of all neurons, in a clock that updates each once
     one_state            those of the updates that are of neurons without a current
     events               that the encoder sends
-    observations, constants, rival_observations, rival_constants
+    observations, constants, baseline_observations, baseline_constants
                          read by each, and added to what each puts out
     """
 
     task: str
     spiking: str
-    rival: str
+    baseline: str
     score: float
-    rival_score: float
+    baseline_score: float
     seeds: int
-    rival_seeds: int
+    baseline_seeds: int
     sops: float
     updates: float
     one_state: float
@@ -95,8 +95,8 @@ class Pair:
     observations: float
     constants: float
     macs: float
-    rival_observations: float
-    rival_constants: float
+    baseline_observations: float
+    baseline_constants: float
 
 
 def pairs(results: Path) -> Iterator[Pair]:
@@ -106,22 +106,22 @@ def pairs(results: Path) -> Iterator[Pair]:
         # counts in which each neuron is updated once; those of a free clock are derived
         found = points([row for row in rows if row.get("clock") != "free"])
         beside = pairing_at(found, NEARLY, "operations")
-        if beside and beside.rival:
-            mine, rival = beside.point, beside.rival
-            names = (f"{p.label} at {p.level:g}" for p in (mine, rival))
-            yield _pair(env, *names, mine, rival)
+        if beside and beside.baseline:
+            mine, baseline = beside.point, beside.baseline
+            names = (f"{p.label} at {p.level:g}" for p in (mine, baseline))
+            yield _pair(env, *names, mine, baseline)
     rows = task_records.read(results / "gymnasium.csv")
     for env in GYMNASIUM:
         tried = task_points([row for row in rows if row["env"] == env])
         spiking = judged(tried, "loihi1")
-        rivals = [p for p in tried if p.role == RIVAL and p.mean("operations") is not None]
-        if spiking and rivals:
-            best = min(rivals, key=lambda p: p.mean("operations") or 0.0)
+        baselines = [p for p in tried if p.role == BASELINE and p.mean("operations") is not None]
+        if spiking and baselines:
+            best = min(baselines, key=lambda p: p.mean("operations") or 0.0)
             yield _pair(env, f"{spiking.role}", "float MLP, pruned", spiking, best)
 
 
 def _pair(
-    task: str, name: str, rival: str, mine: Point | TaskPoint, other: Point | TaskPoint
+    task: str, name: str, baseline: str, mine: Point | TaskPoint, other: Point | TaskPoint
 ) -> Pair:
     def count(point: Point | TaskPoint, field: str) -> float:
         return point.mean(field) or 0.0
@@ -129,11 +129,11 @@ def _pair(
     return Pair(
         task=task,
         spiking=name,
-        rival=rival,
+        baseline=baseline,
         score=mine.of_teacher.mean,
-        rival_score=other.of_teacher.mean,
+        baseline_score=other.of_teacher.mean,
         seeds=len(mine.rows),
-        rival_seeds=len(other.rows),
+        baseline_seeds=len(other.rows),
         sops=count(mine, "operations") + count(mine, "bias_operations"),
         updates=count(mine, "neuron_updates"),
         one_state=count(mine, "readout_updates"),
@@ -141,8 +141,8 @@ def _pair(
         observations=count(mine, "observations"),
         constants=count(mine, "constants"),
         macs=count(other, "operations"),
-        rival_observations=count(other, "observations"),
-        rival_constants=count(other, "constants"),
+        baseline_observations=count(other, "observations"),
+        baseline_constants=count(other, "constants"),
     )
 
 
@@ -151,9 +151,9 @@ def encoding(pair: Pair, where: str) -> tuple[float, float]:
     if where == "host":
         return 0.0, 0.0
     if where == "chip":
-        return delta_encoder(pair.observations, pair.events), reading(pair.rival_observations)
+        return delta_encoder(pair.observations, pair.events), reading(pair.baseline_observations)
     mine = _OBSERVATION * pair.observations + _EVENT * pair.events
-    return INSTRUCTION * mine, INSTRUCTION * _NUMBER * pair.rival_observations
+    return INSTRUCTION * mine, INSTRUCTION * _NUMBER * pair.baseline_observations
 
 
 @dataclass(frozen=True)
@@ -190,14 +190,14 @@ class Energies:
         return (self.pair.sops + updates) * self.sop + encoder + added(self.pair.constants)
 
     @property
-    def rival(self) -> float:
+    def baseline(self) -> float:
         """Of the float network."""
         _, read = encoding(self.pair, self.where)
-        return self.pair.macs * self._prices["mac"] + read + added(self.pair.rival_constants)
+        return self.pair.macs * self._prices["mac"] + read + added(self.pair.baseline_constants)
 
     def ratio(self, update_over_sop: float) -> float:
         """Spiking over float."""
-        return self.spiking(update_over_sop) / self.rival
+        return self.spiking(update_over_sop) / self.baseline
 
     @property
     def flips_at(self) -> float:
@@ -205,7 +205,7 @@ class Energies:
 
         Below 0 where the spiking policy costs more without any updates.
         """
-        left = self.rival - self.spiking(0.0)
+        left = self.baseline - self.spiking(0.0)
         return left / (CLOCKS[self.clock] * self.pair.updates * self.sop)
 
 
@@ -225,7 +225,7 @@ def rows(found: Sequence[Pair]) -> Iterator[Record]:
                             "update_price_of": of,
                             "update_over_sop": x,
                             "spiking_j": energies.spiking(x),
-                            "float_j": energies.rival,
+                            "float_j": energies.baseline,
                             "ratio": energies.ratio(x),
                             "flips_at_update_over_sop": energies.flips_at,
                         }
@@ -300,7 +300,7 @@ def _pair_table(found: Sequence[Pair]) -> str:
     for p in found:
         mine = [p.spiking, f"{p.score:.1%}", f"{p.seeds}", f"{p.sops:,.1f}", f"{p.updates:,.1f}"]
         mine += [f"{p.one_state:,.1f}", f"{p.events:,.1f}"]
-        lines.append([p.task, *mine, p.rival, f"{p.rival_score:.1%}", f"{p.rival_seeds}",
+        lines.append([p.task, *mine, p.baseline, f"{p.baseline_score:.1%}", f"{p.baseline_seeds}",
                       f"{p.macs:,.1f}"])  # fmt: skip
     return markdown_text(lines)
 

@@ -3,7 +3,7 @@ r"""Spiking policies as C beside dense ones through emlearn: memory, instruction
     python benchmarks/firmware_peers.py --emlearn VENV/bin/python [--only hexapod] [--write]
 
 For each task the shipped spiking policies are exported as `spikedeploy export --to c --chip loihi1`
-does it, and the shipped dense ones, float teachers and rivals, are written as C by emlearn. Both
+does it, and the shipped dense ones, float teachers and baselines, are written as C by emlearn. Both
 are built by the same compiler with the same options and run on the same observations. Needs what
 benchmarks/firmware.py needs, all of it, and a Python in which emlearn is installed:
 

@@ -8,7 +8,7 @@ metadata         metadata of a `.nir` file, and the provenance of a policy
 convention       dt, reset, integrator, delay: what NIR leaves open
 graph/           the NIR graph: neurons, order, shapes, validation
 codec/           observations to spikes, network output to actions
-artifact/        the `.nir` file: reading, writing, other tools' readings of it
+artifact/        the `.nir` file: reading, writing, how other tools read it
 float_model/     the graph in floating point: the reference
 chips/           datasheets
 design_rules/    what a chip can hold, and where the network stands against it

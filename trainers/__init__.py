@@ -14,7 +14,7 @@ runner.py        what all algorithms share: loop, validation, metrics, checkpoin
 recipe.py        what a recipe is
 recipes.py       table of recipes
 any_env_recipes.py  those of any environment, which the command line names
-sparse_recipes.py  those of sparse policies, their rivals, and PPO after imitation
+sparse_recipes.py  those of sparse policies, their baselines, and PPO after imitation
 config.py        models of the configuration
 resolve.py       recipe, TOML file and overrides combined into a configuration
 run_folder.py    files of a run: configuration, versions, checkpoints

@@ -1,4 +1,4 @@
-"""Recipes of sparse policies, of the small float networks that are their rivals, and of PPO after.
+"""Recipes of sparse policies, of the small float networks beside them, and of PPO after.
 
 The teachers are the shipped ones; another is given with --set teacher=PATH.
 """

@@ -22,6 +22,7 @@ CHIPS: dict[str, str] = {
     "xylo-a3": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A3",
     "xylo-imu": "spikedeploy.runtime.families.xylo.datasheets:XYLO_IMU",
     "spinnaker2": "spikedeploy.runtime.families.cuba.floating_point:SPINNAKER2",
+    "spinnaker2-lif": "spikedeploy.runtime.families.cuba.floating_point:SPINNAKER2_LIF",
     "speck2f": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPECK2F",
     "truenorth": "spikedeploy.runtime.families.integrate_and_fire.crossbars:TRUENORTH",
     "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbars:ODIN",

@@ -18,7 +18,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.traces.fields import Fields, Integers, shown_names
 
-# who wrote a trace, by what its name, source and kind say -> the chip in that reading
+# who wrote a trace, by what its name, source and kind say -> the chip as that tool models it
 _MAKERS = (
     (r"sana-?fe", "sanafe"),
     # before lava's simulations, to which prose compares boards
@@ -62,7 +62,7 @@ class TraceFile:
     """A run that was recorded.
 
     source: who recorded it.
-    program: what ran, on the chip in the reading of the source.
+    program: what ran, on the chip as the source models it.
     raster: (1, T, M) spikes that went in; counts where the chip takes several in a timestep.
     recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
     blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.

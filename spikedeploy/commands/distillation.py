@@ -78,5 +78,5 @@ def distill(
         resume=resume,
         runs=runs,
         remark=earned,
-        rivals=teacher_options,
+        baselines=teacher_options,
     )

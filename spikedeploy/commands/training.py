@@ -114,14 +114,14 @@ def run_training(
     runs: Path,
     films: int = 0,
     remark: Callable[[Path], str] = lambda run: "",
-    rivals: Callable[[Path], list[str]] = lambda run: [],
+    baselines: Callable[[Path], list[str]] = lambda run: [],
     **settings: Any,  # noqa: ANN401
 ) -> None:
     """Train; print where the run is, and what to do next; stopped by a signal, exit with its code.
 
     films     of a whole training
     remark    line on a training that ended
-    rivals    options of `compare`, for a training that ended
+    baselines options of `compare`, for a training that ended
     settings  more arguments of trainers.train.train
     """
     if resume is not None and seed is not None:
@@ -147,7 +147,7 @@ def run_training(
         raise typer.Exit(interrupt.exit_code)
     if not json:
         env = trained_in(str(run))
-        again = f"{called()} {shlex.join(['compare', str(env), str(run), *rivals(run)])}"
+        again = f"{called()} {shlex.join(['compare', str(env), str(run), *baselines(run)])}"
         typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
 
 

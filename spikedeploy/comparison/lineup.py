@@ -113,7 +113,7 @@ def line_up(
 
 
 def alone(candidate: Candidate, chip: str | None) -> list[Entry]:
-    """A policy without rivals: one that spikes as its float twin and on the chip."""
+    """A policy without baselines: one that spikes as its float twin and on the chip."""
     if candidate.kind != "snn":
         return [Entry(candidate)]
     twin = Entry(candidate, FLOAT)

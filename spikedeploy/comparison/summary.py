@@ -53,8 +53,8 @@ def summary(rows: Sequence[Row]) -> str:
         sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
     if any("MACs a control step" in sentence for sentence in sentences):
         sentences.append("Neuron updates and the encoder are in neither count.")
-    rivals = _baselines if foreign else _race if racing else _controls
-    sentences.append(rivals(rows))
+    sentence_of = _baselines if foreign else _race if racing else _controls
+    sentences.append(sentence_of(rows))
     sentences.append(_covered(rows))
     return " ".join(dict.fromkeys(filter(None, sentences)))  # some say the same of several rows
 
@@ -85,7 +85,7 @@ def _share(row: Row) -> str:
     return "all" if row["success_rate"] == 1 else f"{row['success_rate']:.0%}"
 
 
-def smallest_rival(row: Row, rows: Sequence[Row]) -> Row | None:
+def smallest_baseline(row: Row, rows: Sequence[Row]) -> Row | None:
     """The trained float policy of fewest operations that is not shown to be worse than the row."""
     words = _RACE if any(map(drives, rows)) else _WALK
     networks = _trained(_equal(row, rows, words))
@@ -129,14 +129,14 @@ def _trained(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["training_seeds"]]
 
 
-def _named(rival: Row, row: Row, words: _Words) -> str:
-    count = macs(rival)
+def _named(baseline: Row, row: Row, words: _Words) -> str:
+    count = macs(baseline)
     cost = f"{count:,.0f} MACs" if math.isfinite(count) else "MACs that were not counted"
     own = f"{row['sops_per_inference']:,.0f} synaptic operations"
     if more := round(row.get("effective_macs") or 0):
         own += f" and {more:,} MACs"
     return (
-        f"The smallest float policy not shown to {words.less} is {rival['policy']}: {cost} a "
+        f"The smallest float policy not shown to {words.less} is {baseline['policy']}: {cost} a "
         f"control step, to {own} of {row['policy']}."
     )
 

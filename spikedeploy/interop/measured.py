@@ -97,7 +97,7 @@ def _asked(peer: OtherTool, python: Path, due: Sequence[tuple[Path, Row]]) -> It
 
 
 def _spikes(found: Case, peer: OtherTool, folder: Path) -> Row:
-    """The peer's spikes beside the file's own, and beside our reading of it for the peer."""
+    """The peer's spikes beside the file's own, and beside ours as the peer reads it."""
     rows = raster(found.file)
     ours, like = meant(found.file, rows), as_read(found, peer, rows)
     order = list(ours if isinstance(like, str) else like)

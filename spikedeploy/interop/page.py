@@ -29,6 +29,7 @@ def page(rows: Sequence[Row], command: str) -> str:
         command=command,
         timesteps=TIMESTEPS,
         packages=_packages(rows),
+        summary=_summary(rows),
         tools="\n".join(tools),
         checked=_checked(rows),
         releases=_releases(rows),
@@ -43,6 +44,33 @@ def _packages(rows: Sequence[Row]) -> str:
             found |= row["versions"]
     said = ", ".join(f"{name} {found[name].partition('+')[0]}" for name in sorted(found))
     return f"Releases: {said}." if said else "No tool is installed."
+
+
+def _summary(rows: Sequence[Row]) -> str:
+    """How many files each tool opens, and in which of them every spike is the same."""
+    body = []
+    for peer in PEERS:
+        files = list(_of(peer.name, rows).values())
+        if not peer.importer or any(
+            row["opens"] is None for each in files for row in each.values()
+        ):
+            continue
+        plain, written = ([each[variant] for each in files] for variant in (PLAIN, FOR))
+        body.append(
+            [
+                peer.title,
+                f"{sum(bool(row['opens']) for row in plain)} of {len(plain)}",
+                _equal(plain),
+                _equal(written),
+            ]
+        )
+    return markdown_text([["tool", "opens as it is", "equal as it is", "equal by `--for`"], *body])
+
+
+def _equal(rows: Sequence[Row]) -> str:
+    """How many files have every spike equal, and which."""
+    names = [f"`{row['file']}`" for row in rows if row["opens"] and not row["meant"]["differ"]]
+    return f"{len(names)} of {len(rows)}{': ' * bool(names)}{', '.join(names)}"
 
 
 def _of(peer: str, rows: Sequence[Row]) -> dict[str, dict[str, Row]]:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from spikedeploy.comparison.summary import counted, macs, smallest_rival
+from spikedeploy.comparison.summary import counted, macs, smallest_baseline
 from spikedeploy.reports.cells import ABSENT, Row, price
 from spikedeploy.reports.columns import difference, interval, label
 from spikedeploy.reports.short_table import quoted_table, short_label
@@ -49,15 +49,17 @@ def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
     beside the float ANN.
     """
     row, ann = main_row(rows), ann_row(rows)
-    found = [smallest_rival(row, rows), ann] if row["kind"] == "snn" and "returns" in row else [ann]
-    rivals = {each["policy"]: each for each in found if each and each is not row}
+    found = (
+        [smallest_baseline(row, rows), ann] if row["kind"] == "snn" and "returns" in row else [ann]
+    )
+    baselines = {each["policy"]: each for each in found if each and each is not row}
     short = short_label(rows, env)
     names = {label(each): short(each) for each in rows}
     name = names[label(row)]
     numbers = (
         _kept(row, name, names.get(row["reference"], row["reference"])),
-        _counted(row, rivals.values(), name),
-        _priced(row, rivals.values()),
+        _counted(row, baselines.values(), name),
+        _priced(row, baselines.values()),
     )
     return [each for each in numbers if each]
 
@@ -87,27 +89,27 @@ def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
     return HeadlineNumber(f"return kept on {row['chip']}, of its float twin's", kept, tuple(said))
 
 
-def _counted(row: Row, rivals: Iterable[Row], name: str) -> HeadlineNumber | None:
+def _counted(row: Row, baselines: Iterable[Row], name: str) -> HeadlineNumber | None:
     count = _operations(row)
     if count <= 0:
         return None
     unit = "SOPs" if row.get("sops_per_inference") is not None else "MACs"
     said = [
         f"{each['policy']}: {_macs(each)}, {_times(macs(each) / count)} as many"
-        for each in rivals
+        for each in baselines
         if math.isfinite(macs(each))
     ]
     title = f"operations of a control step, {name}"
     return HeadlineNumber(title, f"{count:,.0f} {unit}", tuple(said))
 
 
-def _priced(row: Row, rivals: Iterable[Row]) -> HeadlineNumber | None:
+def _priced(row: Row, baselines: Iterable[Row]) -> HeadlineNumber | None:
     table = quoted_table([row])
     joules = row["energy_per_inference_j"].get(table)
     if not joules:
         return None
     energy = price("energy_per_inference_j", table, "J", "energy_interval_j")
-    known = [(each, each["energy_per_inference_j"].get(table)) for each in rivals]
+    known = [(each, each["energy_per_inference_j"].get(table)) for each in baselines]
     said = [
         f"{each['policy']}: {energy(each)}, {_times(other / joules)} as much"
         for each, other in known

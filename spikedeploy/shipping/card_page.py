@@ -18,7 +18,7 @@ from spikedeploy.trainers.versions import versions
 KINDS = {
     "ann": "float network (ONNX)",
     "snn": "spiking network (NIR)",
-    "control": "control: a small float policy, a rival of the spiking ones (ONNX)",
+    "control": "control: a small float policy, a baseline for the spiking ones (ONNX)",
 }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from spikedeploy import zoo
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.rounds import compare_policies
-from spikedeploy.comparison.summary import smallest_rival
+from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, check_output_folder, marked
@@ -108,9 +108,9 @@ def _part(document: Mapping[str, Any], instrument: str) -> str:
 
 
 def _told(rows: Sequence[Row]) -> Iterator[Row]:
-    """The float ANN, the spiking policies on the chip, and the smallest float rival."""
+    """The float ANN, the spiking policies on the chip, and the smallest float baseline."""
     main = main_row(rows)
-    found = (ann_row(rows), smallest_rival(main, rows))
+    found = (ann_row(rows), smallest_baseline(main, rows))
     for row in rows:
         if row in found or (row["kind"] == "snn" and row["chip"] == main["chip"]):
             yield row

@@ -20,8 +20,11 @@ from spikedeploy.experiments.kart.design import GREEDY
 from spikedeploy.experiments.lineup import records, tables
 from spikedeploy.experiments.pareto.tables import NEAR, NEARLY
 from spikedeploy.runtime.metrics.energy import energy_table
+from spikedeploy.trainers.distill.config import DistillConfig
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.phases import phases
 from tests.paths import ROOT
 
 RESULTS = ROOT / "results"
@@ -247,6 +250,28 @@ def drift(head, bits):
     return column("drift.md", head, bits=str(bits))[0]
 
 
+def imitates(env, *students):
+    """Gradient updates of imitation of pruned students of a recipe, pruning and polish included."""
+    return [phases(resolve(SparseConfig, f"{env}-{s}"))[-1].end for s in students]
+
+
+def fresh_walks(env, student):
+    """Walks that a pruned student adds to its pool after a round."""
+    return resolve(SparseConfig, f"{env}-{student}").walks
+
+
+def same_spikes(tool, variant):
+    """How many shipped files a tool computes every spike of, by results/interop.json."""
+    rows = json.loads((RESULTS / "interop.json").read_text("utf-8"))
+    return sum(
+        (each["peer"], each["variant"]) == (tool, variant)
+        and not each["file"].startswith("examples/")
+        and each["opens"]
+        and not each["meant"]["differ"]
+        for each in rows
+    )
+
+
 def spread(numbers):
     """The least and the most."""
     return min(numbers), max(numbers)
@@ -343,6 +368,27 @@ def walker_picojoules():
 
 
 RULES = [
+    # docs/architecture.md
+    ("of the {} shipped files Norse computes every spike of {} as they are", lambda: (
+        len(list((ROOT / "spikedeploy/zoo").glob("*/*.nir"))), same_spikes("norse", "as it is"))),
+    ("Norse, snnTorch and SpikingJelly of {}, the dense ones. The {} sparse files", lambda: (
+        *{same_spikes(tool, "--for") for tool in ("norse", "snntorch", "spikingjelly")},
+        len(list((ROOT / "spikedeploy/zoo").glob("*/sparse.nir"))))),
+    # docs/training.md
+    ("On hexapod the LIF network imitates for {} updates, the MLP for {} and the linear policy "
+     "for {}", lambda: imitates("hexapod", "sparse", "small-mlp", "small-linear")),
+    ("on hexapod-command for {}, {} and {}. On both the float ones", lambda:
+        imitates("hexapod-command", "sparse", "small-mlp", "small-linear")),
+    ("On both the float ones get {} fresh walks after a round, and the LIF network {}", lambda: (
+        *{fresh_walks(env, s) for env in WALKS for s in ("small-mlp", "small-linear")},
+        *{fresh_walks(env, "sparse") for env in WALKS})),
+    ("On the karts all three take {} updates and {} walks", lambda: (
+        *{n for env in KARTS for n in imitates(env, "sparse", "small-mlp", "small-linear")},
+        *{fresh_walks(env, s) for env in KARTS for s in ("sparse", "small-mlp", "small-linear")})),
+    ("imitate for {} updates on hexapod and {} on hexapod-command, as the dense popsan does",
+     lambda: [n for env in WALKS for n in {
+        resolve(DistillConfig, f"{env}-{s}").updates
+        for s in ("mlp-8", "linear", "fourier", "distill")}]),
     # README
     ("linear policy ({} MACs) and mlp-8, eight hidden units ({}), earn what sac does", lambda:
         macs("hexapod", "linear", "mlp-8")),
@@ -521,6 +567,8 @@ RULES = [
 
 # sentences without numbers that compare, and whether results/ says so
 COMPARISONS = [
+    ("and snnTorch, SpikingJelly and Rockpool of none", lambda:
+        not any(same_spikes(t, "as it is") for t in ("snntorch", "spikingjelly", "rockpool"))),
     ("operations walk as well as", lambda:
         high(row("hexapod", "sparse"), "return") >= low(row("hexapod", "popsan"), "return")),
     ("the sparse walkers cost more in all three", lambda: min(

@@ -25,9 +25,9 @@ TIMES = {"sanafe": (51.2 + 21.6) / 35.5, "davies2018": 81 / 23.6, "horowitz45-in
 FREE = {"gated": 1, "pipelined": 1, "free": 3}
 
 PAIR = Pair(
-    task="task", spiking="a", rival="b", score=1.0, rival_score=1.0, seeds=1, rival_seeds=1,
+    task="task", spiking="a", baseline="b", score=1.0, baseline_score=1.0, seeds=1, baseline_seeds=1,
     sops=100.0, updates=10.0, one_state=4.0, events=5.0, observations=20.0, constants=3.0,
-    macs=200.0, rival_observations=20.0, rival_constants=8.0,
+    macs=200.0, baseline_observations=20.0, baseline_constants=8.0,
 )  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def test_the_csv_is_a_plain_recomputation_of_the_counts():
             updates = (n["updates"] - n["one_state"]) * whole + n["one_state"] * alone_
         else:
             updates = n["updates"] * TIMES[row["update_price_of"]] * SOP[sums]
-        read, other = n["observations"], n["rival_observations"]
+        read, other = n["observations"], n["baseline_observations"]
         encoder, reading = {
             "host": (0, 0),
             # read, subtract, compare, read the level; an event adds to the level and writes it
@@ -54,13 +54,13 @@ def test_the_csv_is_a_plain_recomputation_of_the_counts():
             "software": (70 * (5 * read + 3 * n["events"]), 70 * 3 * other),
         }[where]
         spiking = n["sops"] * SOP[sums] + FREE[clock] * updates + encoder + n["constants"] * 1.35
-        rival = n["macs"] * MAC[sums] + reading + n["rival_constants"] * 1.35
+        baseline = n["macs"] * MAC[sums] + reading + n["baseline_constants"] * 1.35
         assert 1e12 * n["spiking_j"] == pytest.approx(spiking, rel=1e-8)
-        assert 1e12 * n["float_j"] == pytest.approx(rival, rel=1e-8)
-        assert n["ratio"] == pytest.approx(spiking / rival, rel=1e-8)
+        assert 1e12 * n["float_j"] == pytest.approx(baseline, rel=1e-8)
+        assert n["ratio"] == pytest.approx(spiking / baseline, rel=1e-8)
         # at the price of an update that the row names, both cost the same
         flip = n["flips_at_update_over_sop"] * SOP[sums] * n["updates"] * FREE[clock]
-        assert spiking - FREE[clock] * updates + flip == pytest.approx(rival, rel=1e-6)
+        assert spiking - FREE[clock] * updates + flip == pytest.approx(baseline, rel=1e-6)
         seen += 1
     assert seen == 7 * 3 * 3 * 3 * 4
 

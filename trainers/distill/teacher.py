@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 FloatArray = NDArray[np.float64]
-_CERTAIN = 20.0  # logit of a choice whose rivals have 0: its softmax is 1 within 1e-8
+_CERTAIN = 20.0  # logit of a choice whose alternatives have 0: its softmax is 1 within 1e-8
 
 
 @dataclass(frozen=True)

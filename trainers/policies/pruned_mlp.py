@@ -1,4 +1,4 @@
-"""Small float policy with a skip connection whose weights are pruned: the rival of spiking ones."""
+"""Small float policy with a skip connection and pruned weights: the baseline of spiking ones."""
 
 from collections.abc import Sequence
 from itertools import pairwise

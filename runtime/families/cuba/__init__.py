@@ -9,6 +9,6 @@ floating_point   float64 and float32 arithmetic: the chips `ideal` and `spinnake
 quantise         a layer in floats becomes the integers that registers hold
 readouts         the scale of a layer without a threshold, and what its registers hold
 bounds           how large the numbers of a layer can get, and scales at which none overflows
-loihi            the datasheets of Loihi 1, in three readings, and of Loihi 2
+loihi            the datasheets of Loihi 1, by three published models, and of Loihi 2
 loihi_traces     recorded runs of Loihi, as lava, brian2_loihi, nengo-loihi and boards write them
 """

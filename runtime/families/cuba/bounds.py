@@ -1,8 +1,8 @@
 """Bounds on the numbers of a layer, whatever the spikes, and scales at which none overflows.
 
 Bounds prove that fast arithmetic is exact. Headroom is the largest scale at which no register of
-the chip can overflow; widths count even where a reading of the chip does not model what happens
-beyond them.
+the chip can overflow; widths count even where a model of the chip does not say what happens beyond
+them.
 """
 
 from dataclasses import dataclass, replace

@@ -3,8 +3,10 @@
 `ideal` is no chip at all: the compiled path in float64, to tell compiling from rounding.
 
 SpiNNaker2 (22 nm, 152 cores): neurons are programs, so their arithmetic is a float's. Approximate:
-states are float32 and weights 8 bits as its NIR importer makes them; in which order the firmware
-multiplies and adds, and rounds, is not published.
+states are float32; in which order the firmware multiplies and adds, and rounds, is not published.
+py-spinnaker2 has two kinds of models, and each is a datasheet: those that its import of NIR takes,
+with weights of 8 bits and no delays (`spinnaker2`), and those that are given lists of synapses,
+with weights of 4 bits and a sign and delays (`spinnaker2-lif`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -217,8 +219,11 @@ IDEAL = Chip(
 
 
 _S2_NIR = "py-spinnaker2, s2_nir (source read)"
-_PY = "py-spinnaker2's reading of NIR (source read)"
+_PY = "py-spinnaker2's import of NIR, s2_nir (source read)"
+_API = "py-spinnaker2, page 'SNN API' of its documentation"
+_BOARDS = "public scripts that run lif_curr_exp on SpiNNaker2 boards (read)"
 _SURVEY = "secondary: surveys of the chip"
+_FIRMWARE = "assumed: the firmware was not read"
 
 _LIMITS = Limits(
     primitives=(
@@ -238,8 +243,8 @@ _LIMITS = Limits(
     recurrence=True,
     alone=False,
     sources={
-        "primitives": f"{_PY}: models lif, lif_curr_exp and lif_conv2d; IF is a lif "
-        "without a leak, LI, CubaLI and I the same without a threshold (derived)",
+        "primitives": f"{_PY}: models lif_no_delay, lif_curr_exp_no_delay and lif_conv2d; IF is a "
+        "lif without a leak, LI, CubaLI and I the same without a threshold (derived)",
         "cores": _SURVEY,
         "memory": f"{_SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
         "cores is the least that it can be (derived)",
@@ -250,7 +255,7 @@ _LIMITS = Limits(
 
 SPINNAKER2 = Chip(
     name="spinnaker2",
-    summary="SpiNNaker2: 8-bit weights, float32 states; approximate",
+    summary="SpiNNaker2, models *_no_delay: 8-bit weights, float32 states; approximate",
     arithmetic=CubaFloat32(weight_bits=8),
     resets=("subtract", "zero"),
     delay=1,
@@ -264,9 +269,50 @@ SPINNAKER2 = Chip(
         "membrane_output": f"{_PY}: neurons are programs, and its recordings hold their voltages",
         "weight_bits": f"{_S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
         "resets": f"{_S2_NIR}: subtraction is its default",
-        "delay": f"{_S2_NIR}: conn_delay, 1 unless given; models without delay exist",
-        "delay_max": f"{_S2_NIR}: longer ones were not found there",
+        "delay": f"{_S2_NIR}: conn_delay is 1 unless given; that a spike of a model without delays "
+        f"is heard in the next timestep is {_FIRMWARE}",
+        "delay_max": f"{_S2_NIR}: the models lif_no_delay, lif_curr_exp_no_delay and lif_conv2d, "
+        "which its import takes, hold no delay of a synapse, as their names say",
     },
     evidence="approximate: the firmware's order of operations is not published; compared with "
     "nothing",
+)
+
+_LIF_LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "Delay", "IF", "LIF", "CubaLIF", *READOUTS),
+    cores=152,
+    neurons_per_core=250,
+    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=16),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{_API}: models lif and lif_curr_exp, whose synapses have a delay; "
+        "convolutions have a model of their own, without (spinnaker2); IF, LI, CubaLI and I as on "
+        "spinnaker2 (derived)",
+        "cores": _SURVEY,
+        "neurons_per_core": "max_atoms_per_core of a class that NESTML writes for py-spinnaker2, "
+        "made from its LIFApplication (read)",
+        "memory": f"{_SURVEY}: 128 KB of SRAM; 16 bits a synapse: 4 of weight, 3 of delay, its "
+        "sign and the index of one of 250 neurons (derived)",
+        "recurrence": f"{_API}: a projection joins any two populations",
+        "alone": f"{_SURVEY}: chips are joined on boards",
+    },
+)
+
+SPINNAKER2_LIF = replace(
+    SPINNAKER2,
+    name="spinnaker2-lif",
+    summary="SpiNNaker2, models lif and lif_curr_exp: weights -15 to 15, delays; approximate",
+    arithmetic=CubaFloat32(weight_bits=5),
+    delay_max=7,
+    limits=_LIF_LIMITS,
+    sources={
+        "membrane_output": f"{_API}: recordings hold the voltages of a population",
+        "weight_bits": f"{_API}: lif takes whole weights of -15 to 15 (secondary); {_BOARDS} scale "
+        "theirs to +-15; rounding to nearest is assumed",
+        "resets": f"{_API}: reset_by_subtraction, reset_to_v_reset",
+        "delay": f"{_API}: a delay of 1 is one timestep; what 0 means is {_FIRMWARE}, so 1 is the "
+        "least here",
+        "delay_max": f"{_API}: delays of 0 to 7 (secondary)",
+    },
 )

@@ -1,9 +1,9 @@
-"""Loihi 1 (Intel, 14 nm, 2018) in the readings of three emulators, and Loihi 2.
+"""Loihi 1 (Intel, 14 nm, 2018) by three published models that disagree, and Loihi 2.
 
-`loihi1` is lava's. All agree on decays rounded toward zero, a strict threshold and reset to zero,
-and differ in what the fields step_rounding, exponents, accumulator, current, push, the decays and
-the delay say; those were not settled by anything published. Equal to their traces, that is, not
-"equal to the chip".
+`loihi1` is lava's model; the others are brian2_loihi's and nengo-loihi's. All agree on decays
+rounded toward zero, a strict threshold and reset to zero, and differ in what the fields
+step_rounding, exponents, accumulator, current, push, the decays and the delay say; those were not
+settled by anything published. Equal to their traces, that is, not "equal to the chip".
 
 Loihi 2 (Intel 4, 2021) computes with its default neuron as Loihi 1 does. Its neurons are microcode;
 this is what the default CuBa-LIF does as far as one public trace of a board shows: a single neuron,
@@ -91,7 +91,7 @@ _LIMITS = Limits(
 
 LOIHI1 = Chip(
     name="loihi1",
-    summary="Loihi 1: 8-bit weights, 12-bit decays, 24-bit states, in lava's reading",
+    summary="Loihi 1: 8-bit weights, 12-bit decays, 24-bit states, as lava models it",
     arithmetic=_LAVA,
     resets=("zero",),
     delay=1,
@@ -133,7 +133,7 @@ LOIHI1 = Chip(
 LOIHI1_BRIAN2 = replace(
     LOIHI1,
     name="loihi1-brian2",
-    summary="Loihi 1 in brian2_loihi's reading: nothing overflows, spikes arrive at once",
+    summary="Loihi 1 as brian2_loihi models it: nothing overflows, spikes arrive at once",
     arithmetic=replace(
         _LAVA,
         step_rounding="zero",
@@ -171,7 +171,7 @@ LOIHI1_BRIAN2 = replace(
 LOIHI1_NENGO = replace(
     LOIHI1,
     name="loihi1-nengo",
-    summary="Loihi 1 in nengo-loihi's reading: two's complement, spikes arrive at once",
+    summary="Loihi 1 as nengo-loihi models it: two's complement, spikes arrive at once",
     arithmetic=replace(
         _LAVA,
         step_rounding="zero",
@@ -201,9 +201,9 @@ _BOARD = (
     "one LIF neuron on a board, NIR paper 01_lif: the rule gives its spikes in 1000 timesteps and "
     "all membranes but those at 4 spikes, where the probe reads 128"
 )
-_GUESS = "taken from Loihi 1; no public source for Loihi 2"
-
-_AGGREGATORS = "secondary: sites that collect datasheets; not verified in Intel's own"
+_GUESS = "assumed: taken from Loihi 1; no public source for Loihi 2 was found"
+# Intel's technology brief of 2021 and Orchard et al. 2021 (IEEE SiPS) could be read in parts only
+_NOT_READ = "no primary source was read"
 
 _LIMITS2 = replace(
     _LIMITS,
@@ -214,11 +214,13 @@ _LIMITS2 = replace(
     thresholds=None,
     sources={
         **{field: f"{source}; {_GUESS}" for field, source in _LIMITS.sources.items()},
-        "cores": f"120 or 128, sources differ ({_AGGREGATORS})",
-        "neurons_per_core": f"at most, with the smallest neurons ({_AGGREGATORS})",
-        "memory": f"about 192 KB a core, neurons included ({_AGGREGATORS}); the words of Loihi 1",
-        "axons_in": "a user's report in a public issue (secondary)",
-        "axons_out": "a user's report in a public issue (secondary)",
+        "cores": f"assumed: the lesser of 120 and 128, which secondary pages give; {_NOT_READ}",
+        "neurons_per_core": "1 million neurons a chip (Intel's announcement of 2021, in the press) "
+        "over 128 cores (derived); at most, with the smallest neurons",
+        "memory": "assumed: about 192 KB a core, neurons included, as secondary pages have it; "
+        f"{_NOT_READ}; the words are Loihi 1's",
+        "axons_in": f"{_GUESS}; a user's report in a public issue agrees (secondary)",
+        "axons_out": f"{_GUESS}; a user's report in a public issue agrees (secondary)",
         "input_cores": f"as PopSAN's on Loihi 1; {_GUESS}",
     },
 )
@@ -236,8 +238,8 @@ LOIHI2 = replace(
         **{field: f"{LAVA}, as on Loihi 1; {_GUESS}" for field in LOIHI1.sources},
         "clocks": "as Loihi 1 (assumed); lava-nc 0.10.0, LoihiProtocol: all processes take part in "
         "each timestep. A spike acts one timestep later: board, NIR paper, 01_lif",
-        "membrane_output": "graded spikes of 32 bits (Orchard et al. 2021, IEEE SiPS); that a "
-        "membrane of 24 bits goes into one is derived",
+        "membrane_output": "graded spikes of up to 32 bits (secondary pages; lava-nc 0.10.0 has a "
+        "field of 5 bits for their width); that a membrane of 24 bits goes into one is derived",
         "mantissa_shift": _BOARD,
         "decay_bits": _BOARD,
         "membrane_decay_offset": _BOARD,
@@ -245,5 +247,6 @@ LOIHI2 = replace(
         "delay": _BOARD,
         "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {_GUESS}",
     },
-    evidence="spikes of one neuron on a board, 1000 timesteps, `spikedeploy verify`",
+    evidence="equal to one neuron on a board in its spikes of 1000 timesteps (NIR paper, 01_lif), "
+    "`spikedeploy verify`; the rest is Loihi 1's",
 )

@@ -29,7 +29,7 @@ EFFECTIVE = {*_WEIGHTS_EFFECTIVE, *_THRESHOLDS_EFFECTIVE}
 # mantissas are shifted by so much to become states; thresholds always are
 _SHIFT = 6
 
-# how lava's reading rounds; it takes a decay of one more than the chip's register holds
+# how lava's model rounds; it takes a decay of one more than the chip's register holds
 _LAVAS = "sum"
 _BEYOND = (
     "{}: dv is 4096, which lava takes and the chip's register of 12 bits does not hold; replayed "
@@ -140,7 +140,7 @@ def _mantissa_shift(spec: Fields, arithmetic: CubaFixedPoint, exponent: int) -> 
     """Where nothing is rounded, a negative exponent moves the weights by fewer bits."""
     shift = _SHIFT + min(exponent, 0) * (arithmetic.exponents == "exact")
     if shift < 0:
-        raise spec.wrong("weight_exp", f"is {exponent}", f"This reading goes down to {-_SHIFT}.")
+        raise spec.wrong("weight_exp", f"is {exponent}", f"This model goes down to {-_SHIFT}.")
     return shift
 
 
@@ -215,7 +215,7 @@ _RECORDED = {
 }
 # and what boards' probes are called, with one of these before or after
 _PROBES = ("hw", "chip", "board", "probe")
-# given twice in the file, or by the reading
+# given twice in the file, or by the model
 _REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
     "weights_exc", "weights_inh", "weights_mixed", "weight_effective", "weights_effective",

@@ -163,7 +163,7 @@ def _check_bias(layer: Layer, registers: CubaRegisters) -> None:
         raise RuleError(
             f"rule bias: layer {layer.name!r}: a voltage bias of "
             f"{magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
-            "or take another reading of the chip."
+            "or take another model of the chip."
         )
 
 

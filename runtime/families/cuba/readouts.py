@@ -118,7 +118,7 @@ def _arriving(layer: Layer) -> Floats:
 
 
 def _reach(layer: Layer) -> Floats:
-    """Largest current or membrane (N,) of a float layer that is reckoned with [float units]."""
+    """Estimate of the largest current or membrane (N,) of a float layer [float units]."""
     positive, negative, heaviest = _weighed(layer)
     current, membrane = layer.current_decay, layer.membrane_decay
     steady, largest = _steady(current, membrane), np.maximum(positive, negative)

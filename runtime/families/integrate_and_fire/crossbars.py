@@ -1,7 +1,8 @@
 """TrueNorth, ODIN and tinyODIN: crossbars of synapses between axons and neurons.
 
 TrueNorth (IBM, 28 nm, 2014) has binary crossbars, four types of axons and timesteps of 1 ms. The
-order within a timestep and the modes are published; of the widths no source was read, so they are
+order within a timestep and the modes are published; of the widths no primary source could be read
+(Cassidy et al. 2013, Merolla et al. 2014, Akopyan et al. 2015: abstracts only), so they are
 assumptions that can be set. Stochastic modes and resets of negative thresholds are not emulated.
 
 ODIN (Frenkel et al. 2019, 28 nm) has 256 neurons with 8-bit membranes, updated event after event.
@@ -26,7 +27,8 @@ _CORE = "the order of a tick as published: synapses, leak, threshold, reset"
 _SANAFE = "SANA-FE, models.cpp (source read)"
 _REVIEW = "IEEE Circuits and Systems Magazine 22(2), 2022, Table II, secondary"
 _ASSUMED = "assumed, not confirmed by any source that was read; an option"
-_MEROLLA = "Merolla et al. 2014 (secondary)"
+_MEROLLA = "Merolla et al. 2014, Science 345:668, abstract (read)"
+_NEMO = "NeMo, a simulator of TrueNorth, tn_neuron.h (source read; secondary)"
 
 _TRUENORTH_LIMITS = Limits(
     primitives=(*ENDS, *WEIGHTS, "Scale", "IF"),
@@ -40,14 +42,15 @@ _TRUENORTH_LIMITS = Limits(
     alone=False,
     sources={
         "primitives": f"{_CASSIDY}: its leak is a constant, so no LIF, and no synaptic current",
-        "fan_in": f"{_MEROLLA}: a neuron hears the axons of its core alone",
-        "cores": _MEROLLA,
-        "neurons_per_core": _MEROLLA,
-        "axons_in": _MEROLLA,
+        "fan_in": f"{_REVIEW}: a neuron hears the 256 axons of its core alone",
+        "cores": f"{_MEROLLA}: 4,096",
+        "neurons_per_core": f"{_MEROLLA}: one million neurons in 4,096 cores; {_REVIEW}: 256",
+        "axons_in": f"{_MEROLLA}: 256 million synapses are 256 x 256 a core (derived); {_REVIEW}",
         "weight_values": f"{_CASSIDY}: four types of axons, a weight of each neuron for each",
         "membrane_loss": f"{_CASSIDY}: its leak is a constant",
-        "recurrence": f"{_MEROLLA}: a spike can go to any axon",
-        "alone": f"{_MEROLLA}: chips tile",
+        "recurrence": f"{_MEROLLA}: a network on the chip joins the cores, so that a spike can go "
+        "to any axon (derived)",
+        "alone": f"{_MEROLLA}: chips are tiled in two dimensions",
     },
 )
 
@@ -104,7 +107,7 @@ TRUENORTH = Chip(
         **WITHOUT_QUEUE,
         "resets": f"{_SANAFE}: hard, linear (subtract), none; none is not emulated",
         "delay": "2.2.9 of SANA-FE (run): a spike is delivered in the next tick",
-        "delay_max": _ASSUMED,
+        "delay_max": f"{_NEMO}: 1 to 15",
     },
     evidence="equal to neurons of SANA-FE 2.2.9, but for the order of the leak; widths assumed",
 )

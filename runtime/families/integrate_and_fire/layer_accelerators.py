@@ -22,6 +22,7 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
 
 _SINABS = "sinabs, backend/dynapcnn/discretize.py (source read)"
 IAF = "sinabs, IAF layer (source read)"
+_OVERVIEW = "sinabs' documentation, speck/overview.md (read)"
 _TIMELESS = "the chip has no timesteps; as sinabs steps it"
 _KI = 1024
 _CORES = ((16, 64), (16, 64), (16, 64), (32, 32), (32, 32), (64, 16), (64, 16), (16, 16), (16, 16))
@@ -37,10 +38,11 @@ _SPECK2F_LIMITS = Limits(
     membrane_loss=(0.0, 0.0),
     sources={
         "primitives": f"{_SINABS}: convolution or linear map, IAF neurons, sum pool",
-        "inputs": f"{_SINABS}: 128 x 128 pixels of two polarities",
+        "inputs": f"{_OVERVIEW}: 128 x 128 pixels; two polarities",
         "layer_cores": f"{_SINABS}: kernel and neuron memory of each core",
-        "convolutions": f"{_SINABS}: limits of its layers",
-        "destinations": _SINABS,
+        "convolutions": f"{_OVERVIEW}: kernels to 16 x 16, strides 1, 2, 4, 8, 1024 channels, "
+        "outputs to 64 x 64",
+        "destinations": f"{_OVERVIEW}: fan-out 2",
         "weight_max": f"{_SINABS}: 8 bits with the sign",
         "threshold_max": f"{_SINABS}: 16 bits with the sign",
         "membrane_loss": f"{_SINABS}: no leak that depends on the membrane",
@@ -84,10 +86,12 @@ SPECK2F = Chip(
         "signs": f"{_SINABS}: two's complement",
         "axon_types": f"{_SINABS}: every synapse of a kernel has a weight",
         "bias_bits": f"{_SINABS}: biases are quantised as weights are",
-        "leak": f"{IAF}: what the chip calls leak is the bias, on an external clock",
+        "leak": f"{_OVERVIEW}: what the chip calls leak is a constant (sinabs' bias) that a layer "
+        "adds to its neurons on a slow clock",
         "leak_bits": "there is no leak",
         "leak_order": "there is no leak",
-        "membrane": f"{_SINABS}: DYNAPCNN_STATE_PRECISION_BITS; that it saturates is assumed",
+        "membrane": f"{_SINABS}: DYNAPCNN_STATE_PRECISION_BITS, and {_OVERVIEW}: 16 bits; that it "
+        "saturates is assumed",
         "floor": f"{_SINABS}: lower threshold, -2**15 unless given",
         "floors": f"{_SINABS}: the lower threshold is free",
         "adds": f"{IAF}; {_TIMELESS}",
@@ -103,7 +107,8 @@ SPECK2F = Chip(
         "delay": f"a spike is passed on at once; {_TIMELESS}",
         "delay_max": "by definition: recurrent connections take one timestep",
     },
-    evidence="sinabs' IAF rule restated in a test; not run against sinabs or a board",
+    evidence="sinabs' IAF rule restated in a test; not run against sinabs or a board; that "
+    "membranes saturate is assumed",
 )
 
 

@@ -1,4 +1,4 @@
-"""The datasheets of three Xylos, in the reading of xylosim.
+"""The datasheets of three Xylos, as xylosim models them.
 
 Xylo-Audio 2 (SynSense SYNS61201), core version 2: equal to xylosim's traces, which SynSense calls
 exact; never "equal to the chip".

@@ -15,7 +15,7 @@ from spikedeploy.experiments.gymnasium.training import TaskTraining
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 
-TEACHER, SPARSE, TUNED, DENSE, RIVAL = ROLES = ("teacher", "sparse", "tuned", "dense", "small-mlp")
+TEACHER, SPARSE, TUNED, DENSE, MLP = ROLES = ("teacher", "sparse", "tuned", "dense", "small-mlp")
 RANDOM = "random"  # actions, not a training
 FLOAT, IDEAL, BITS = "float", "ideal", "int8"  # places: of float networks, without a chip, rounded
 _FURTHER = ("xylo-a3", "int")  # chips beside the first one, on which the last policy is evaluated
@@ -105,8 +105,8 @@ class GymnasiumDesign:
             found += [sparse, self._training(task, TUNED, recipe, seed, task.reward, start)]
             if task.continuous and seed == 0:
                 found.append(self._training(task, DENSE, "distill-popsan", 0, task.dense, taught))
-            rival, walks = (budget, *task.rival), {**taught, "pool": sparse}
-            found.append(self._training(task, RIVAL, "distill-small-mlp", seed, rival, walks))
+            baseline, walks = (budget, *task.baseline), {**taught, "pool": sparse}
+            found.append(self._training(task, MLP, "distill-small-mlp", seed, baseline, walks))
         return found
 
     def _training(
@@ -131,7 +131,7 @@ class GymnasiumDesign:
             SPARSE: [self.chip],
             TUNED: [IDEAL, self.chip, *_FURTHER],
             DENSE: [IDEAL, self.chip],
-            RIVAL: [BITS],
+            MLP: [BITS],
         }[training.role]
 
     def arguments(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from spikedeploy.experiments.csv_rows import Record
 from spikedeploy.experiments.gymnasium import records, tables
-from spikedeploy.experiments.gymnasium.design import DENSE, RIVAL, SPARSE, TUNED, GymnasiumDesign
+from spikedeploy.experiments.gymnasium.design import DENSE, MLP, SPARSE, TUNED, GymnasiumDesign
 from spikedeploy.experiments.gymnasium.evaluation import all_rows, missing
 from spikedeploy.experiments.gymnasium.plot import tasks_figure
 from spikedeploy.experiments.gymnasium.points import points, rate_of_trained
@@ -30,8 +30,8 @@ teacher a task is trained by SAC (CartPole: PPO). Students imitate it: `{SPARSE}
 encoder, a layer of LIF neurons (16 on CartPole, 32 on Pendulum, else 128) and integrating readouts,
 pruned to a budget of operations; `{TUNED}` goes on from it with reward; `{DENSE}` is a PopSAN
 256-256 with T = {TIMESTEPS} and ten encoding neurons an observation, the size published for these
-tasks; `{RIVAL}` is a float MLP that learned from the same episodes and was pruned by the same
-ranking to as many operations, its weights rounded to 8 bits. `{DENSE}` and `{RIVAL}` imitate only:
+tasks; `{MLP}` is a float MLP that learned from the same episodes and was pruned by the same
+ranking to as many operations, its weights rounded to 8 bits. `{DENSE}` and `{MLP}` imitate only:
 neither went on with reward.
 
 Operations are synaptic operations (SOPs) of spiking policies and multiply-accumulates of float

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from spikedeploy.experiments.gymnasium.design import DENSE, RIVAL, SPARSE, TEACHER, TUNED
+from spikedeploy.experiments.gymnasium.design import DENSE, MLP, SPARSE, TEACHER, TUNED
 from spikedeploy.experiments.gymnasium.points import TaskPoint, reference
 from spikedeploy.experiments.gymnasium.tables import ENOUGH, FEW, LABELS
 from spikedeploy.experiments.gymnasium.tasks import TASKS
@@ -19,7 +19,7 @@ _LOOKS = {
     DENSE: ("#8A939E", "s"),
     SPARSE: ("#E69F00", "v"),
     TUNED: (VERMILION, "o"),
-    RIVAL: (BLUE, "D"),
+    MLP: (BLUE, "D"),
 }
 _GREY = "#8A939E"
 _LOWEST = -5.0  # [%]
@@ -69,4 +69,4 @@ def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> Non
 
 def _drawn(point: TaskPoint, chip: str) -> bool:
     """Whether a point is drawn: spiking policies on the chip, float ones where they are."""
-    return point.place == chip or point.role in (TEACHER, RIVAL)
+    return point.place == chip or point.role in (TEACHER, MLP)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from spikedeploy.experiments.csv_rows import Record
-from spikedeploy.experiments.gymnasium.design import DENSE, RANDOM, RIVAL, SPARSE, TEACHER, TUNED
+from spikedeploy.experiments.gymnasium.design import DENSE, MLP, RANDOM, SPARSE, TEACHER, TUNED
 from spikedeploy.experiments.gymnasium.points import Reference, TaskPoint, judged, points, reference
 from spikedeploy.experiments.gymnasium.records import ENERGY
 from spikedeploy.experiments.gymnasium.tasks import RATE, TASKS
@@ -17,7 +17,7 @@ LABELS = {
     DENSE: "dense PopSAN 256-256",
     SPARSE: "sparse, by imitation",
     TUNED: "sparse, with reward",
-    RIVAL: "float MLP, pruned",
+    MLP: "float MLP, pruned",
     RANDOM: "random actions",
 }
 ENOUGH, FEW = 0.95, 0.01  # of the teacher's return, and of the dense network's operations

@@ -28,7 +28,7 @@ class Task:
     observations, actions  their numbers
     recipe, settings       of the teacher
     student                settings of the sparse spiking policy
-    rival                  settings of the float MLP
+    baseline               settings of the float MLP
     budget                 operations of a control step of both
     dense                  settings of the dense PopSAN
     reward                 settings of the student's training with reward
@@ -41,7 +41,7 @@ class Task:
     recipe: str
     settings: Sequence[str]
     student: Sequence[str]
-    rival: Sequence[str]
+    baseline: Sequence[str]
     budget: float
     wanted: float | None = None
     dense: Sequence[str] = ()

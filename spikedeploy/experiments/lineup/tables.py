@@ -89,22 +89,22 @@ def _percent(found: Estimate, digits: int = 1) -> str:
 def verdicts(rows: Sequence[Record]) -> list[str]:
     """The smallest float policies that earn as much, and how lucky the shipped ones are."""
     controls = list(dict.fromkeys(row["policy"] for row in rows if row["kind"] == "control"))
-    beside = {rival: _returns(rows, rival) for rival in ("sac", _SPARSE)}
-    found = [_smallest(rows, controls, rival, own) for rival, own in beside.items() if own]
+    beside = {other: _returns(rows, other) for other in ("sac", _SPARSE)}
+    found = [_smallest(rows, controls, other, own) for other, own in beside.items() if own]
     return [*found, *_luck(rows, controls)] if controls else []
 
 
 def _smallest(
-    rows: Sequence[Record], controls: Sequence[str], rival: str, beside: list[list[float]]
+    rows: Sequence[Record], controls: Sequence[str], other: str, beside: list[list[float]]
 ) -> str:
     rng = np.random.default_rng
     shares = {policy: nested_ratio(_returns(rows, policy), beside, rng(0)) for policy in controls}
     equal = [policy for policy in controls if shares[policy].ci95[1] >= 1]
     if not equal:
-        return f"All of these float policies are shown to earn less than `{rival}`."
+        return f"All of these float policies are shown to earn less than `{other}`."
     least = min(equal, key=lambda policy: _macs(rows, policy))
     return (
-        f"The smallest of these float policies not shown to earn less than `{rival}` is {least}: "
+        f"The smallest of these float policies not shown to earn less than `{other}` is {least}: "
         f"{_macs(rows, least):,.0f} MACs, {_percent(shares[least])} of its return."
     )
 

@@ -1,8 +1,8 @@
 """The design of the pareto experiment: which policies are trained, where they are evaluated.
 
-Within a seed the spiking network is trained first; its rivals take over its walks and are trained
-with as many updates a level. A rival is pruned by the same ranking, to levels of its own. Then each
-of them goes on with reward from its best policy, with as many episodes.
+Within a seed the spiking network is trained first; its baselines take over its walks and are
+trained with as many updates a level. A baseline is pruned by the same ranking, to levels of its
+own. Then each of them goes on with reward from its best policy, with as many episodes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ LABELS = {
 }
 # shipped policies beside the teacher, where that is another one
 REFERENCES = {"hexapod-command": "hexapod-command/sac"}
-# earlier levels of pruning from which float rivals go on with reward too: where they are strong
+# earlier levels of pruning from which float baselines go on with reward too: where they are strong
 EARLIER = {
     ("hexapod", "small-mlp"): ("ops-130",),
     ("hexapod-command", "small-mlp"): ("ops-300",),
@@ -132,7 +132,7 @@ class ParetoDesign:
         return sorted(both, key=lambda training: training.seed)
 
     @property
-    def baselines(self) -> dict[str, str]:
+    def references(self) -> dict[str, str]:
         """Policies beside which students stand: the teacher, and the reference if there is one."""
         found = {"teacher": self.trainings()[0].planned([]).teacher}
         if self.env in REFERENCES and REFERENCES[self.env] != found["teacher"]:

@@ -1,4 +1,4 @@
-"""Evaluations of one training, or of the baselines, on seeds that no training or choice has seen.
+"""Evaluations of one training, or of the references, on seeds that no training or choice has seen.
 
 Each row is a file of its own, <runs>/evaluations/<training>/<level>@<place>.json, which says what
 it was made with: a stopped experiment goes on after the last row, and a row whose checkpoint or
@@ -55,12 +55,12 @@ def _row(
     return StoredRow(path.with_name(path.name.replace(":", "-")), made | _sizes(design, last))
 
 
-def baseline_rows(design: ParetoDesign) -> list[StoredRow]:
+def reference_rows(design: ParetoDesign) -> list[StoredRow]:
     """The rows of teacher and reference, on the seeds of every level."""
     folder, sizes = Path(design.runs) / "evaluations", _sizes(design, False)
     return [
         StoredRow(folder / f"{design.env}-{name}.json", {name: policy} | sizes)
-        for name, policy in design.baselines.items()
+        for name, policy in design.references.items()
     ]
 
 
@@ -115,10 +115,10 @@ def _evaluated(design: ParetoDesign, training: Training | RewardTraining, row: S
     return facts | done | found
 
 
-def perform_baselines(design: Record) -> bool:
+def perform_references(design: Record) -> bool:
     """Make the missing rows of teacher and reference (a job of `workers`)."""
     asked = ParetoDesign(**design)
-    for (name, policy), row in zip(asked.baselines.items(), baseline_rows(asked), strict=True):
+    for (name, policy), row in zip(asked.references.items(), reference_rows(asked), strict=True):
         if row.found is None:
             facts = {"env": asked.env, "student": name, "episodes": asked.episodes}
             row.write(facts | {"place": policy} | _walked(asked, policy))
@@ -158,8 +158,8 @@ def _played(
 
 def all_rows(design: ParetoDesign) -> Iterator[Record]:
     """The results so far: those of teacher and reference, then of all trainings."""
-    for baseline in baseline_rows(design):
-        found = baseline.found
+    for reference in reference_rows(design):
+        found = reference.found
         if found is not None:
             yield found
     trainings: list[Training | RewardTraining] = [*design.trainings(), *design.tunings()]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from spikedeploy.experiments.pareto import page
 from spikedeploy.experiments.pareto.design import ParetoDesign
-from spikedeploy.experiments.pareto.evaluation import baseline_rows, rows
+from spikedeploy.experiments.pareto.evaluation import reference_rows, rows
 from spikedeploy.experiments.pareto.training import Training, check
 from spikedeploy.experiments.pareto.tuning import RewardTraining
 from spikedeploy.experiments.parts import parts_to_do, run_parts
@@ -37,7 +37,7 @@ class _Part:
     def done(self) -> bool:
         """Whether nothing is missing."""
         if self.training is None:
-            return all(row.found is not None for row in baseline_rows(self.design))
+            return all(row.found is not None for row in reference_rows(self.design))
         if not self.training.trained or not self.evaluates:
             return self.training.trained
         asked = rows(self.design, self.training, self.last, self.design.levels)
@@ -105,9 +105,9 @@ def _parts(design: ParetoDesign) -> list[_Part]:
 
 
 def _every_level(design: ParetoDesign) -> Iterator[_Part]:
-    call = f"{_EVALUATION}:perform_baselines"
-    baselines = _job(design, " and ".join(design.baselines), call, {"design": _of(design)})
-    yield _Part(baselines, None, True, False, design)
+    call = f"{_EVALUATION}:perform_references"
+    references = _job(design, " and ".join(design.references), call, {"design": _of(design)})
+    yield _Part(references, None, True, False, design)
     for training in design.everything():
         after = (training.donor.name,) if training.donor else ()
         call = f"{_TUNING if isinstance(training, RewardTraining) else _TRAINING}:perform"

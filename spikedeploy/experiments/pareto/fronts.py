@@ -1,4 +1,4 @@
-"""Points of the front: the trainings of a student at one level, and their cheapest rivals."""
+"""Points of the front: the trainings of a student at one level, and their cheapest baselines."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -48,9 +48,9 @@ class Point:
         """Score in parts of the reference's, likewise."""
         return self._of(self.reference) if self.reference else None
 
-    def _of(self, baseline: Sequence[float]) -> Estimate:
+    def _of(self, reference: Sequence[float]) -> Estimate:
         scores = [row["scores"] for row in self.rows]
-        return nested_ratio(scores, baseline, np.random.default_rng(0))
+        return nested_ratio(scores, reference, np.random.default_rng(0))
 
     @property
     def single(self) -> list[float]:
@@ -113,14 +113,14 @@ def _rewarded(row: Record) -> bool:
     return row.get("trained_by") == RewardTraining.trained_by
 
 
-def baseline(rows: Iterable[Record], name: str = "teacher") -> Record | None:
-    """The row of a baseline: `teacher` or `reference`."""
+def reference_row(rows: Iterable[Record], name: str = "teacher") -> Record | None:
+    """The row of a policy beside which students stand: `teacher` or `reference`."""
     return next((row for row in rows if row["student"] == name), None)
 
 
 def points(rows: Sequence[Record], part: str = LEVELS) -> list[Point]:
     """All points of a part, student by student: imitation by falling operations, then reward."""
-    teacher, reference = baseline(rows), baseline(rows, "reference")
+    teacher, reference = reference_row(rows), reference_row(rows, "reference")
     if teacher is None:
         return []
     groups: dict[tuple[str, float, str, bool], list[Record]] = {}
@@ -145,30 +145,30 @@ def refusals(rows: Sequence[Record]) -> dict[tuple[str, str], str]:
 class Pairing:
     """A spiking point beside the cheapest float one that is as good, by some measure.
 
-    rival  None where no float student is
+    baseline  None where no float student is
     """
 
     point: Point
-    rival: Point | None
+    baseline: Point | None
     of: str
     lean: bool
     table: str = INT8
 
     @property
     def energies(self) -> tuple[float, float | None]:
-        """Of the point and of its rival [J]."""
+        """Of the point and of its baseline [J]."""
         mine = self.point.energy(self.of, self.table, self.lean)
-        return mine, self.rival.energy(self.of, self.table) if self.rival else None
+        return mine, self.baseline.energy(self.of, self.table) if self.baseline else None
 
     @property
     def ratio(self) -> float | None:
-        """Energy of the point over its rival's."""
+        """Energy of the point over its baseline's."""
         mine, theirs = self.energies
         return None if theirs is None else mine / theirs
 
 
 def pairing(found: Sequence[Point], point: Point, of: str, lean: bool = False) -> Pairing:
-    """A spiking point beside its rival by a total (costs.TOTALS) of horowitz45-int8."""
+    """A spiking point beside its baseline by a total (costs.TOTALS) of horowitz45-int8."""
     equal = [p for p in found if p.student in FLOAT and p.of_teacher.mean >= point.of_teacher.mean]
     return Pairing(point, min(equal, key=lambda p: p.energy(of), default=None), of, lean)
 
@@ -184,10 +184,10 @@ def pairing_at(
     spiking = [p for p in good if p.student in SPIKING]
     if not spiking:
         return None
-    rivals = [p for p in good if p.student in FLOAT]
+    baselines = [p for p in good if p.student in FLOAT]
     mine = min(spiking, key=lambda p: p.energy(of, table, lean))
-    rival = min(rivals, key=lambda p: p.energy(of, table), default=None)
-    return Pairing(mine, rival, of, lean, table)
+    baseline = min(baselines, key=lambda p: p.energy(of, table), default=None)
+    return Pairing(mine, baseline, of, lean, table)
 
 
 def span_at(
@@ -204,8 +204,8 @@ def span_at(
     def cheapest(points: Sequence[Point], kinds: Sequence[str], lean: bool) -> float | None:
         return min((p.energy(of, table, lean) for p in points if p.student in kinds), default=None)
 
-    def ratio(spiking: Sequence[Point], rivals: Sequence[Point]) -> float | None:
-        mine, theirs = cheapest(spiking, SPIKING, lean), cheapest(rivals, FLOAT, False)
+    def ratio(spiking: Sequence[Point], baselines: Sequence[Point]) -> float | None:
+        mine, theirs = cheapest(spiking, SPIKING, lean), cheapest(baselines, FLOAT, False)
         return mine / theirs if mine and theirs else None
 
     return ratio(reaching, above), ratio(above, reaching)

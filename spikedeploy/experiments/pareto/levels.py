@@ -1,4 +1,4 @@
-"""The tables of every level, the baselines below: score and activity; returns over trainings."""
+"""The tables of every level, the references below: score and activity; returns over trainings."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,9 +7,9 @@ from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.experiments.pareto.fronts import (
     Point,
     Record,
-    baseline,
     drives,
     earned,
+    reference_row,
     score,
 )
 from spikedeploy.experiments.pareto.tables import number, of_teacher, share
@@ -36,7 +36,7 @@ def level_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
     lines = [["policy", *cells]]
     lines += [[p.label, *(cell(p) for cell in cells.values())] for p in found]
     for name in ("teacher", "reference"):
-        if (row := baseline(rows, name)) is not None:
+        if (row := reference_row(rows, name)) is not None:
             about = {f"% of {name}": "100.0%"} | _own_scores(row)
             own = [about.get(head, ABSENT) for head in cells]
             lines.append([f"{name}, {row.get('place')}", *own])
@@ -50,7 +50,7 @@ def _cells(rows: Sequence[Record]) -> _Cells:
         "aim": lambda p: f"{p.level:g}",
         "seeds": lambda p: f"{len(p.rows)}",
         "% of teacher": of_teacher,
-        **(of_reference if baseline(rows, "reference") else {}),
+        **(of_reference if reference_row(rows, "reference") else {}),
         **(_driving(rows) if any(map(drives, rows)) else _walking()),
         **_ACTIVITY,
     }
@@ -64,7 +64,7 @@ def _walking() -> _Cells:
 
 
 def _driving(rows: Sequence[Record]) -> _Cells:
-    teacher = (baseline(rows) or {}).get("lap_time")
+    teacher = (reference_row(rows) or {}).get("lap_time")
 
     def beside(point: Point) -> str:
         mine = point.mean("lap_time")
@@ -78,7 +78,7 @@ def _driving(rows: Sequence[Record]) -> _Cells:
 
 
 def _own_scores(row: Record) -> dict[str, str]:
-    """Scores of a baseline by the head of their column."""
+    """Scores of a reference by the head of their column."""
     if not drives(row):
         return {"return": number(row["return_mean"]), "falls": number(row["falls"], ".1%")}
     finished = statistics.share(row["scores"]).mean
@@ -100,7 +100,7 @@ def return_table(rows: Sequence[Record], found: Sequence[Point]) -> str:
         counts = [f"{p.level:g}", f"{len(p.rows)}", f"{len(p.teacher)}"]
         lines.append([p.label, *counts, *_returns(p.rows, racing)])
     for name in ("teacher", "reference"):
-        if (row := baseline(rows, name)) is not None:
+        if (row := reference_row(rows, name)) is not None:
             counts = [ABSENT, ABSENT, f"{len(row['scores'])}"]
             lines.append([f"{name}, {row.get('place')}", *counts, *_returns([row], racing)])
     # older tables of karts have finishes alone

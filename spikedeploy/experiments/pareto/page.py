@@ -11,7 +11,7 @@ from spikedeploy.experiments.pareto import records, tables
 from spikedeploy.experiments.pareto.costs import ACC16, ACC32, INT8, LEAN_UPDATE
 from spikedeploy.experiments.pareto.design import ENVS, ParetoDesign
 from spikedeploy.experiments.pareto.evaluation import all_rows
-from spikedeploy.experiments.pareto.fronts import Record, baseline, points
+from spikedeploy.experiments.pareto.fronts import Record, points, reference_row
 from spikedeploy.experiments.pareto.levels import level_table, return_table
 from spikedeploy.experiments.pareto.overview import overview
 from spikedeploy.experiments.pareto.plot import front_figure
@@ -31,7 +31,7 @@ def _price(table: str, event: str) -> float:
 
 
 _INTRODUCTION = f"""\
-Sparse policies and their float rivals: all imitate the same teacher on the same walks and are
+Sparse policies and their float baselines: all imitate the same teacher on the same walks and are
 pruned by the same ranking, each to levels of its own, in operations of a control step. Updates of a
 level are as many for all; at their last level policies are polished once or more, and LIF walkers
 have about a tenth more updates in all.
@@ -85,15 +85,15 @@ Of each student the level with the fewest operations of those with {tables.NEARL
 teacher's score or more; where none has it, the one with the highest score. It is chosen on the
 episodes that it is reported on, among the few levels below, for spiking and float students
 alike."""
-_RIVALS = f"""\
+_BASELINES = f"""\
 Each spiking policy with {tables.NEAR:.0%} of the teacher's score or more, beside the cheapest float
 student whose mean score is not below its own: pJ against pJ. Few levels were trained, so a tenth of
-a percent can decide which rival that is. The sentences at the top take the same bounds for both,
+a percent can decide which baseline that is. The sentences at the top take the same bounds for both,
 and in brackets the least and the largest ratio as the intervals of the scores allow: policies whose
 interval reaches the bound beside those whose whole interval is above it. ✓ and ✗ are ratios that
 are on one side of 1 throughout; ≈ is undecided. No cheaper float policy was trained than those in
-the tables, none of them longer, and MLPs went on with reward from few of their levels: a rival that
-is missing makes a ratio look better than it is."""
+the tables, none of them longer, and MLPs went on with reward from few of their levels: a baseline
+that is missing makes a ratio look better than it is."""
 
 
 def write(design: ParetoDesign, results: Path) -> list[Path]:
@@ -139,7 +139,7 @@ def text(folder: Path) -> str:
 def _section(env: str, rows: list[Record], made: Record) -> list[str]:
     found = points(rows)
     head = [f"## {env}", f"    {made['command']}"]
-    if baseline(rows) is None or not found:
+    if reference_row(rows) is None or not found:
         return [*head, "Nothing is evaluated yet."]
     return [
         *head,
@@ -155,8 +155,8 @@ def _section(env: str, rows: list[Record], made: Record) -> list[str]:
         "Terms of the last level:",
         tables.term_table(found),
         "### Against float students",
-        _RIVALS,
-        tables.rival_table(found) or "There is none.",
+        _BASELINES,
+        tables.baseline_table(found) or "There is none.",
         "### The last level elsewhere",
         f"On the first {made['chip_episodes']} of the seeds; counts of the first row of each "
         "policy are of all.",

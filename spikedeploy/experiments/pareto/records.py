@@ -33,7 +33,7 @@ def write(found: Iterable[Record], path: Path) -> Path:
 
 
 def _counted(rows: list[Record]) -> list[Record]:
-    """The rows with the number of trainings; those of shipped baselines have none."""
+    """The rows with the number of trainings; those of shipped references have none."""
     trainings = Counter(map(_point, rows))
     return [
         row if row.get("level") is None else row | {"training_seeds": trainings[_point(row)]}

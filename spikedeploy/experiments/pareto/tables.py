@@ -55,7 +55,7 @@ def of_teacher(point: Point) -> str:
 
 
 def share(score: Estimate | None) -> str:
-    """With the interval; a dash where there is no baseline, or it scores nothing."""
+    """With the interval; a dash where there is no reference, or it scores nothing."""
     if score is None or math.isnan(score.mean):
         return ABSENT
     low, high = score.ci95
@@ -102,8 +102,8 @@ def last_levels(found: Sequence[Point]) -> list[Point]:
     return list({(p.student, p.rewarded): p for p in found}.values())
 
 
-def rival_table(found: Sequence[Point]) -> str:
-    """Every spiking point near the teacher beside its cheapest float rival."""
+def baseline_table(found: Sequence[Point]) -> str:
+    """Every spiking point near the teacher beside its cheapest float baseline."""
     lines = [["policy", "aim", "% of teacher", *(w.lower() for w in _WORDS.values()), "lean, all"]]
     for point in found:
         if point.spiking and point.of_teacher.mean >= NEAR:
@@ -115,10 +115,10 @@ def rival_table(found: Sequence[Point]) -> str:
 
 
 def _against(pair: Pairing) -> str:
-    if pair.rival is None or pair.ratio is None:
+    if pair.baseline is None or pair.ratio is None:
         return "no float student is as good"
     mine, theirs = pair.energies
-    label = f"{pair.rival.label} {pair.rival.level:g}"
+    label = f"{pair.baseline.label} {pair.baseline.level:g}"
     return f"{pico(mine)} : {pico(theirs or 0.0)} = {pair.ratio:.2f} ({label})"
 
 
@@ -162,14 +162,14 @@ def _mark(pair: Pairing, span: Span) -> str:
 
 
 def _beside(pair: Pairing | None, span: Span) -> str:
-    """What a spiking point costs beside its rival, as the means and as the intervals have it."""
+    """What a spiking point costs beside its baseline, as the means and as the intervals have it."""
     if pair is None:
         return "no spiking policy is good enough"
     own, other = pair.energies
     mine = f"{_named(pair.point)} costs {pico(own)} pJ"
-    if pair.rival is None or other is None:
+    if pair.baseline is None or other is None:
         return f"{mine}, no float student is good enough"
-    theirs = f"{_named(pair.rival)} {pico(other)} pJ"
+    theirs = f"{_named(pair.baseline)} {pico(other)} pJ"
     ends = ["?" if ratio is None else f"{ratio:.2f}" for ratio in span]
     between = "" if set(ends) == {f"{pair.ratio:.2f}"} else f" ({ends[0]} to {ends[1]})"
     return f"{mine}, {theirs}: {pair.ratio:.2f} times{between}"
@@ -195,7 +195,7 @@ def _lack(found: Sequence[Point]) -> str:
 
 def _lever(pair: Pairing, most: str) -> str:
     """What would have to be cheaper for a losing point to draw level."""
-    if pair.ratio is None or pair.rival is None or pair.ratio <= 1:
+    if pair.ratio is None or pair.baseline is None or pair.ratio <= 1:
         return ""
     terms = pair.point.terms(pair.lean, pair.table)
     mine, theirs = pair.energies

@@ -16,7 +16,8 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.phases import LEVEL, phases
 
-_OWN = ("pool", "teacher_walks", "noisy_walks")  # settings that a rival takes from the experiment
+# settings that a baseline takes from the experiment
+_OWN = ("pool", "teacher_walks", "noisy_walks")
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Training:
         return resolve(SparseConfig, self.recipe, overrides=settings, seed=self.seed)
 
     def beginning(self) -> list[str]:
-        """Settings of a new run beside the overrides: a rival takes over walks."""
+        """Settings of a new run beside the overrides: a baseline takes over walks."""
         donor = self.donor
         if donor is None:
             return []

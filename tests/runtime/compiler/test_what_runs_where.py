@@ -57,7 +57,7 @@ NETWORKS = {
 }
 # chip -> network -> the rule that refuses it; everything else runs
 REFUSED = {
-    **{name: {} for name in ("ideal", "int", "spinnaker2", *LOIHI)},
+    **{name: {} for name in ("ideal", "int", "spinnaker2", "spinnaker2-lif", *LOIHI)},
     "speck2f": {"leaky": "decay-range", "synaptic currents": "primitive"},
     "truenorth": {
         # two axons that reach two neurons with (1, -1) and (-1, 1) are of two types, and so on

@@ -338,7 +338,7 @@ def test_shipped_policies_fit_on_loihi(policy, name):
     found = check(load(zoo.path(policy)), chip(name))
     if name == "loihi1-brian2" and policy.endswith("/sparse"):
         assert [ruling.rule for ruling in found.rulings if ruling.failed] == ["compile"]
-        return  # neurons of its reading have no voltage bias
+        return  # neurons of its model have no voltage bias
     assert found.passed
 
 

@@ -6,7 +6,8 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy import zoo
+from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -76,6 +77,33 @@ def test_eight_bits_change_few_spikes_and_sixteen_fewer(reset, integrator):
     )
     assert fine <= differing(CHIP) < coarse
     assert fine <= 3
+
+
+def test_the_model_with_delays_takes_a_skip_past_a_layer_and_the_one_without_refuses_it():
+    walker = load(zoo.path("hexapod/sparse"))
+    (readout,) = compile_program(walker, chip("spinnaker2-lif")).layers[-1:]
+    assert {s.source: s.delay for s in readout.synapses} == {"input": 2, "lif1": 1}
+    with pytest.raises(RuleError, match=r"rule delay: .* of 2 timesteps; spinnaker2 has at most 1"):
+        compile_program(walker, CHIP)
+
+
+def test_the_model_with_delays_has_weights_of_15_and_delays_of_7_at_most():
+    on = chip("spinnaker2-lif")
+    weights = [s.weight for layer in compile_program(popsan(), on).layers for s in layer.synapses]
+    assert {int(np.abs(weight).max()) for weight in weights} == {15}
+
+    def delayed(steps):
+        delay = nir.Delay(np.full(4, steps * 1e-3))
+        nodes = [lif(4, tau=2e-3, r=1.0, threshold=0.5), delay, nir.Linear(np.eye(4))]
+        return Artifact(
+            chain(*nodes, lif(4, tau=2e-3, r=1.0, threshold=0.5), width=4, act=4),
+            None,
+            Convention(1e-3),
+        )
+
+    assert compile_program(delayed(6), on).layers
+    with pytest.raises(RuleError, match=r"rule delay: .*spinnaker2-lif has at most 7"):
+        compile_program(delayed(8), on)
 
 
 def test_an_impossible_width_is_refused():

@@ -1,4 +1,4 @@
-"""Integrate-and-fire neurons of each chip, by hand and beside a second, plain-Python reading."""
+"""Integrate-and-fire neurons of each chip, by hand and beside a second one in plain Python."""
 
 import json
 from dataclasses import replace

@@ -260,7 +260,7 @@ def test_the_sentence_names_the_kind_of_layer_and_where_to_look(fields, kind):
 
 
 def reach(weights, a, b, bias, voltage_bias):
-    """What a float neuron is reckoned to reach: NET_EVENTS spikes, or all that can arrive."""
+    """What a float neuron is estimated to reach: NET_EVENTS spikes, or all that can arrive."""
     layer = whole(np.array(weights)[:, None], 4096 * a, 4096 * b)
     peak, settled = response(layer, 0, [1] + [0] * 60), response(layer, 0, [1] * 3000)
     one_sign = max(sum(w for w in weights if w > 0), -sum(w for w in weights if w < 0))

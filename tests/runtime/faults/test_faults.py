@@ -24,7 +24,7 @@ from spikedeploy.runtime.faults.request import fault, faults
 from tests import graded
 from tests.networks import chain, event_driven, lif, popsan
 
-FLOATS = ("ideal", "spinnaker2")
+FLOATS = ("ideal", "spinnaker2", "spinnaker2-lif")
 INTEGERS = [name for name in CHIPS if name not in FLOATS]
 BROKEN = [name for name in FAULTS if fault(name).hurt is not None]
 OVER_TIME = [name for name in FAULTS if fault(name).hurt is None]

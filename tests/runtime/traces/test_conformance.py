@@ -1,4 +1,6 @@
-"""Equal to other emulators of chips in every current, membrane and spike, each in its reading."""
+"""Equal to other emulators of chips, and to one neuron of a board, in all that they recorded."""
+
+import json
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ TRACES = sorted(path for path in GOLDEN.glob("*.json") if path.name[:6] != "sana
 LOIHI = [path for path in TRACES if "xylo" not in path.name]
 # lava rounds sums where an exponent is negative, which only the interpreter does
 FAST = [path for path in LOIHI if "lava_own_exponent" not in path.name]
+# one neuron of a Loihi 2, NIR paper, 01_lif: spikes in, membrane, spikes out
+BOARD = GOLDEN / "board" / "loihi2_lif.json"
 
 
 def name(path):
@@ -37,6 +41,24 @@ def test_a_trace_is_verified(path):
     assert verdict.difference is None
     assert verdict.compared >= 600
     assert verdict.unread == ()
+
+
+def test_a_loihi_2_board_gives_every_spike_and_all_membranes_but_those_at_its_four_spikes():
+    verdict, recorded = verify(BOARD), recorded_trace(BOARD)
+    membrane, spikes = (recorded.recorded["layer0"][each] for each in ("membrane", "spikes"))
+    assert (verdict.chip, verdict.steps, verdict.equal) == ("loihi2", 1000, True)
+    assert (verdict.compared, verdict.passed_over) == (1996, 4)
+    assert np.flatnonzero(spikes).tolist() == [461, 511, 711, 761]
+    assert (membrane[spikes == 1] == 128).all()  # the probe's, documented nowhere
+    assert membrane.min() == 0  # so the rounding of negative numbers is not tested by it
+
+
+@pytest.mark.parametrize("changed", [{"dv": 162}, {"vth": 26}, {"weights": [[11]]}])
+def test_another_neuron_than_the_board_s_is_not_equal_to_its_trace(changed, tmp_path):
+    fields = json.loads(BOARD.read_text())
+    fields["params"] |= changed
+    (tmp_path / BOARD.name).write_text(json.dumps(fields))
+    assert not verify(tmp_path / BOARD.name).equal
 
 
 @pytest.mark.parametrize("path", LOIHI, ids=name)

@@ -59,7 +59,7 @@ def test_another_specimen_is_another_chip(command):
     assert told(command, *words)["rows"] != told(command, *words, "--specimen", "1")["rows"]
 
 
-def test_compare_breaks_the_chip_and_neither_float_twin_nor_rivals(command):
+def test_compare_breaks_the_chip_and_neither_float_twin_nor_baselines(command):
     words = ("compare", "kart-grid", "--episodes", "2", "--workers", "1")
     whole = told(command, *words)
     broken = told(command, *words, "--fault", "stuck-max=0.5", "--fault", "spurious-spikes=0.3")

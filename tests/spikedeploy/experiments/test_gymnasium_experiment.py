@@ -66,7 +66,7 @@ def of(results, role, place):
     return row
 
 
-def test_a_task_is_trained_from_the_teacher_to_the_rival(results, ran):
+def test_a_task_is_trained_from_the_teacher_to_the_baseline(results, ran):
     assert [name for name in ran if ":" not in name] == [
         f"{TASK}-{part}-s0" for part in ("teacher", "sparse", "tuned", "dense", "small-mlp")
     ]
@@ -95,11 +95,11 @@ def test_operations_are_all_weights_of_the_teacher_and_events_of_students(result
 
 
 def test_students_are_of_the_run_of_their_teacher(design, results):
-    teacher, sparse, tuned, dense, rival = design.trainings()
-    for student in (sparse, dense, rival):
+    teacher, sparse, tuned, dense, baseline = design.trainings()
+    for student in (sparse, dense, baseline):
         settings = json.loads((student.run / "config.json").read_text())
         assert settings["teacher"] == str(teacher.run)
-    settings = json.loads((rival.run / "config.json").read_text())
+    settings = json.loads((baseline.run / "config.json").read_text())
     assert (settings["pool"], settings["teacher_walks"]) == (str(sparse.run), 0)
     assert json.loads((tuned.run / "config.json").read_text())["start"] == sparse.run.name
     assert [training.changed_settings for training in design.trainings()] == [[]] * 5

@@ -1,4 +1,4 @@
-"""Energies of the pareto experiment by hand, its rivals, its rounding, its counts."""
+"""Energies of the pareto experiment by hand, its baselines, its rounding, its counts."""
 
 import math
 from types import SimpleNamespace
@@ -87,14 +87,14 @@ def point(student, score, operations, level=100.0):
     return Point(student, level, "here", [row], [10.0, 10.0])
 
 
-def test_a_rival_is_the_cheapest_float_student_that_is_not_below():
+def test_a_baseline_is_the_cheapest_float_student_that_is_not_below():
     mine = point("sparse", 9.8, 50.0)
     found = [
         mine, point("small-mlp", 10.0, 300.0), point("small-linear", 9.9, 250.0),
         point("small-linear", 9.7, 100.0),
     ]  # fmt: skip
     pair = pairing(found, mine, "operations")
-    assert pair.rival is found[2]
+    assert pair.baseline is found[2]
     assert pair.ratio == pytest.approx(50 * 1.35 / (250 * 1.55))
     assert pairing(found, point("sparse", 10.1, 50.0), "operations").ratio is None
 
@@ -112,8 +112,8 @@ def test_bounds_are_the_same_for_spiking_and_float_points():
         point("small-mlp", 9.85, 300.0), point("small-mlp", 9.55, 70.0),
     ]  # fmt: skip
     strict, loose = (pairing_at(found, share, "operations") for share in (0.98, 0.95))
-    assert (strict.point, strict.rival) == (found[0], found[3])
-    assert (loose.point, loose.rival) == (found[1], found[4])
+    assert (strict.point, strict.baseline) == (found[0], found[3])
+    assert (loose.point, loose.baseline) == (found[1], found[4])
     assert pairing_at(found[2:], 0.95, "operations") is None
     assert pairing_at(found[:2], 0.95, "operations").ratio is None
 
@@ -181,7 +181,7 @@ def test_a_teacher_that_scores_nothing_leaves_no_share():
     assert tables.of_teacher(nothing) == "–"
 
 
-def test_a_rival_with_reward_counts_and_is_named(tmp_path):
+def test_a_baseline_with_reward_counts_and_is_named(tmp_path):
     def row(student, score, operations, **more):
         costs = SPIKING if student.startswith("sparse") else FLOAT
         return {
@@ -201,7 +201,7 @@ def test_a_rival_with_reward_counts_and_is_named(tmp_path):
         "LIF", "LIF, with reward", "float MLP", "float MLP, with reward",
     ]  # fmt: skip
     best = pairing_at(found, 0.98, "operations")
-    assert (best.point, best.rival) == (found[1], found[3])
+    assert (best.point, best.baseline) == (found[1], found[3])
     assert "LIF, with reward at 60 (99.0%) costs" in tables.sentences(found)[0]
 
 

@@ -79,13 +79,13 @@ def test_the_spiking_network_comes_first_and_last_levels_elsewhere_come_last(res
     assert all(name.endswith("last level on chips") for name in ran[19:24])
 
 
-def test_rivals_learn_from_the_walks_of_the_spiking_network(design, results):
-    sparse, *rivals = design.trainings()
-    for rival in rivals:
-        settings = json.loads((rival.run / "config.json").read_text())
+def test_baselines_learn_from_the_walks_of_the_spiking_network(design, results):
+    sparse, *baselines = design.trainings()
+    for baseline in baselines:
+        settings = json.loads((baseline.run / "config.json").read_text())
         assert settings["pool"] == str(sparse.run)
         assert (settings["teacher_walks"], settings["noisy_walks"]) == (0, 0)
-        assert not rival.changed_settings
+        assert not baseline.changed_settings
 
 
 def test_every_level_of_every_student_has_a_row_on_all_episodes(results):

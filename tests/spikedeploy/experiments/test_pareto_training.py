@@ -25,7 +25,7 @@ def asked(tmp_path):
 
 
 @pytest.fixture
-def rival(tmp_path):
+def baseline(tmp_path):
     return Training("kart-grid-small-mlp", 1, str(tmp_path), (), RECIPE)
 
 
@@ -78,11 +78,11 @@ def test_a_finished_training_is_reused_whatever_lies_beside_it(asked, calls):
     assert (asked.run, calls) == (run, [])
 
 
-def test_a_rival_takes_over_the_walks_of_the_finished_spiking_run(rival, asked, calls):
+def test_a_baseline_takes_over_the_walks_of_the_finished_spiking_run(baseline, asked, calls):
     with pytest.raises(ConfigError, match="learns from the walks of kart-grid-sparse-s1"):
-        perform(**rival.arguments())
+        perform(**baseline.arguments())
     run = leave(asked, whole(asked))
-    perform(**rival.arguments())
+    perform(**baseline.arguments())
     assert calls[0][1]["overrides"] == [f'pool="{run}"', "teacher_walks=0", "noisy_walks=0"]
 
 
@@ -128,18 +128,18 @@ def test_a_training_with_reward_waits_for_its_start_and_begins_there(asked, call
     assert (options["seed"], options["overrides"]) == (1, ["iterations=5", f'start="{run}"'])
 
 
-def test_runs_with_reward_are_told_apart_by_the_runs_that_they_began_at(asked, rival, calls):
-    starts = {each: leave(each, whole(each)).name for each in (asked, rival)}
+def test_runs_with_reward_are_told_apart_by_the_runs_that_they_began_at(asked, baseline, calls):
+    starts = {each: leave(each, whole(each)).name for each in (asked, baseline)}
     leave_tuned(tuned(asked), "", None)  # refused, and left without a start
     leave_tuned(tuned(asked), "gone-s1", 5)
     mine = leave_tuned(tuned(asked), starts[asked], 5)
-    theirs = leave_tuned(tuned(rival), starts[rival], 4)
-    assert (tuned(asked).run, tuned(rival).run) == (mine, theirs)
-    assert (tuned(asked).trained, tuned(rival).trained) == (True, False)
-    assert tuned(rival).progress == (4, 5)
+    theirs = leave_tuned(tuned(baseline), starts[baseline], 4)
+    assert (tuned(asked).run, tuned(baseline).run) == (mine, theirs)
+    assert (tuned(asked).trained, tuned(baseline).trained) == (True, False)
+    assert tuned(baseline).progress == (4, 5)
     assert tuning.perform(**tuned(asked).arguments()) is True
     assert calls == []
-    tuning.perform(**tuned(rival).arguments())
+    tuning.perform(**tuned(baseline).arguments())
     assert calls[0][1]["resume"] == theirs
 
 
@@ -161,10 +161,10 @@ def test_reward_from_an_earlier_level_of_pruning_is_a_training_of_its_own(asked,
     assert early.changed_settings == []
 
 
-def test_the_command_tasks_rival_goes_on_from_300_operations_too(tmp_path):
+def test_the_command_tasks_baseline_goes_on_from_300_operations_too(tmp_path):
     names = [each.name for each in ParetoDesign("hexapod-command", 1, str(tmp_path)).tunings()]
-    rivals = [name for name in names if "small-mlp" in name]
-    assert rivals == [f"hexapod-command-tuned-small-mlp{x}-s0" for x in ("", "-ops-300")]
+    baselines = [name for name in names if "small-mlp" in name]
+    assert baselines == [f"hexapod-command-tuned-small-mlp{x}-s0" for x in ("", "-ops-300")]
 
 
 def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):

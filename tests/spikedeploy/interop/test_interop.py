@@ -88,6 +88,16 @@ def test_the_page_says_what_came_of_each_case(file):
     assert "Not imported: its import runs an installer." in text
 
 
+def test_the_page_counts_the_files_of_which_a_tool_computes_every_spike(file):
+    rows = measure([file], {}, Path("found.json"), print)
+    equal, other = (compared(layers(**a), layers()).record() for a in ({}, {"a": np.ones((5, 3))}))
+    for row, found in zip([r for r in rows if r["peer"] == "norse"], (other, equal), strict=True):
+        row |= {"opens": True, "meant": found, "like": found, "versions": {"norse": "1.1.0"}}
+    text = page(rows, "spikedeploy interop policy.nir -o x.md")
+    assert "| Norse | 1 of 1 | 0 of 1 | 1 of 1: `policy.nir` |" in text
+    assert "| snnTorch | " not in text  # not installed
+
+
 def test_a_case_that_cannot_be_written_is_refused_in_words(file, tmp_path):
     found = case(file, TOOL["rockpool"], FOR, tmp_path)
     assert found.path is None

@@ -47,9 +47,9 @@ def test_negative_returns_choose_the_best_policy_on_a_chip():
 
 def test_three_numbers_lead_with_what_they_are_beside():
     sparse = row("popsan", "snn", "loihi1", 2910, sops=48.3, joules=0.75e-9, **CHIP)
-    rivals = [ANN, row("mlp-8", "control", macs=700, joules=1.1e-9)]
+    baselines = [ANN, row("mlp-8", "control", macs=700, joules=1.1e-9)]
     kept, operations, energy = headline(
-        [*rivals, row("tiny", "control", None, 900, macs=9), sparse]
+        [*baselines, row("tiny", "control", None, 900, macs=9), sparse]
     )
     assert kept.number == "98.5%"
     assert kept.beside == (

@@ -33,6 +33,7 @@ def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
         (chip("odin"), "3 bits and the axon's sign", "8 bits unsigned, saturates"),
         (chip("truenorth"), "9 bits with the sign, 4 a neuron", "20 bits, saturates"),
         (chip("spinnaker2"), "8 bits with the sign", "float32"),
+        (chip("spinnaker2-lif"), "5 bits with the sign", "float32"),
     ],
 )
 def test_a_row_says_what_the_datasheet_says(used, weights, membrane):

@@ -199,8 +199,8 @@ def test_an_unknown_checkpoint_is_named_with_those_that_there_are(tmp_path, comm
 def test_a_page_names_the_runs_that_walks_and_the_start_came_from(tmp_path):
     runs, policy = tmp_path / "runs", PrunedMlpConfig(hidden=(4,))
     spiking = sparse_run(runs, "smoke-sparse", DeltaSnnConfig(hidden=4))
-    rival = sparse_run(runs, "smoke-sparse-mlp", policy, pool=spiking.name, teacher_walks=0)
-    run = tuned_run(runs, rival, policy)
+    baseline = sparse_run(runs, "smoke-sparse-mlp", policy, pool=spiking.name, teacher_walks=0)
+    run = tuned_run(runs, baseline, policy)
     file = publish_run(str(run), "tuned", 1, tmp_path / "zoo", processes=1)[0]
     page = file.with_suffix(".md").read_text()
     (made,) = [line for line in page.splitlines() if line.startswith("- made by: ")]
@@ -209,12 +209,12 @@ def test_a_page_names_the_runs_that_walks_and_the_start_came_from(tmp_path):
     assert second.startswith("`spikedeploy train smoke-sparse-mlp --seed 0")
     assert f"--set 'pool=\"{spiking.name}\"'" in second
     assert third.startswith("`spikedeploy train smoke-sparse-tuned --seed 0")
-    assert f"--set 'start=\"{rival.name}\"'" in third
+    assert f"--set 'start=\"{baseline.name}\"'" in third
     assert "policy." not in third  # it is that of the start
     assert "- environment steps: 40, after 300 updates by imitation\n" in page
     card = json.loads(file.with_suffix(".json").read_text())
     assert [(each["run"], each["gives"]) for each in card["before"]] == [
-        (spiking.name, "pool"), (rival.name, "start"),
+        (spiking.name, "pool"), (baseline.name, "start"),
     ]  # fmt: skip
 
 

@@ -99,10 +99,10 @@ def test_masks_stay_as_they_are_while_weights_learn(start, tmp_path):
         assert torch.equal(old.weight[old.mask == 0], new.weight[old.mask == 0])
 
 
-def test_the_float_rival_learns_in_the_same_way(tmp_path):
-    rival = train("smoke-sparse-mlp", overrides=SHORT, runs=tmp_path, quiet=True)
-    run = train("smoke-sparse-tuned", overrides=[f"start={rival}"], runs=tmp_path, quiet=True)
-    policy, old = load_policy(run, "last"), load_policy(rival)
+def test_the_float_baseline_learns_in_the_same_way(tmp_path):
+    baseline = train("smoke-sparse-mlp", overrides=SHORT, runs=tmp_path, quiet=True)
+    run = train("smoke-sparse-tuned", overrides=[f"start={baseline}"], runs=tmp_path, quiet=True)
+    policy, old = load_policy(run, "last"), load_policy(baseline)
     assert RunFolder(run).settings()["policy"]["kind"] == policy.kind == "pruned-mlp"
     for one, other in zip(policy.matrices, old.matrices, strict=True):
         assert torch.equal(one.mask, other.mask)
