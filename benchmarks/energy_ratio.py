@@ -24,7 +24,7 @@ import numpy as np
 
 from spikedeploy.experiments.csv_rows import Record, write_rows
 from spikedeploy.experiments.gymnasium import records as task_records
-from spikedeploy.experiments.gymnasium.design import BASELINE
+from spikedeploy.experiments.gymnasium.design import MLP
 from spikedeploy.experiments.gymnasium.points import TaskPoint, judged
 from spikedeploy.experiments.gymnasium.points import points as task_points
 from spikedeploy.experiments.pareto import records
@@ -114,7 +114,7 @@ def pairs(results: Path) -> Iterator[Pair]:
     for env in GYMNASIUM:
         tried = task_points([row for row in rows if row["env"] == env])
         spiking = judged(tried, "loihi1")
-        baselines = [p for p in tried if p.role == BASELINE and p.mean("operations") is not None]
+        baselines = [p for p in tried if p.role == MLP and p.mean("operations") is not None]
         if spiking and baselines:
             best = min(baselines, key=lambda p: p.mean("operations") or 0.0)
             yield _pair(env, f"{spiking.role}", "float MLP, pruned", spiking, best)

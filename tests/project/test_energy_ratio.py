@@ -25,7 +25,8 @@ TIMES = {"sanafe": (51.2 + 21.6) / 35.5, "davies2018": 81 / 23.6, "horowitz45-in
 FREE = {"gated": 1, "pipelined": 1, "free": 3}
 
 PAIR = Pair(
-    task="task", spiking="a", baseline="b", score=1.0, baseline_score=1.0, seeds=1, baseline_seeds=1,
+    task="task", spiking="a", baseline="b", score=1.0, baseline_score=1.0,
+    seeds=1, baseline_seeds=1,
     sops=100.0, updates=10.0, one_state=4.0, events=5.0, observations=20.0, constants=3.0,
     macs=200.0, baseline_observations=20.0, baseline_constants=8.0,
 )  # fmt: skip
