@@ -154,7 +154,7 @@ class Runner(ABC, Generic[C]):
         """Validate, write metrics and save checkpoints where they are due."""
         row: dict[str, float] = {}
         at_end = self.finished and self.VALIDATES_AT_END
-        if at_end or self._due(self._config.validation.every, before):
+        if at_end or self._validates(before):
             row = self._validate()
         if row or self._due(self._log_every, before):
             best = {"best": self.best} if np.isfinite(self.best) else {}
@@ -162,6 +162,10 @@ class Runner(ABC, Generic[C]):
             self._logged = self.step
         if self._due(self._checkpoint_every, before):
             self._checkpoint()
+
+    def _validates(self, before: int) -> bool:
+        """Return whether a validation is due since step `before`."""
+        return self._due(self._config.validation.every, before)
 
     def _validate(self) -> dict[str, float]:
         """Validate the policy, and save it as "best" if it is."""

@@ -43,6 +43,7 @@ class Chip:
     clocks: how it can advance the layers of a network, its own way first (runtime.convention.Clock,
         and "free": all neurons update in each of its timesteps, and a network that has no delays
         takes as many more of them as it is deep). Others are emulated too, and called assumptions.
+    clock: the one to run networks by; None is the network's own where the chip has it, else free.
     """
 
     name: str
@@ -57,12 +58,18 @@ class Chip:
     limits: Limits | None = None
     membrane_output: MembraneOutput = "none"
     clocks: tuple[Clock, ...] = CLOCKS
+    clock: Clock | None = None
 
     def __post_init__(self) -> None:
         if self.membrane_output not in get_args(MembraneOutput):
             raise ChipError(
                 f"chip {self.name!r}: membrane_output {self.membrane_output!r} is unknown. Choose "
                 f"one of {', '.join(map(repr, get_args(MembraneOutput)))}."
+            )
+        if self.clock not in (None, *CLOCKS):
+            raise ChipError(
+                f"chip {self.name!r}: clock {self.clock!r} is unknown. Choose one of "
+                f"{', '.join(map(repr, CLOCKS))}."
             )
 
     @property
@@ -164,6 +171,8 @@ def _read(datasheet: "Chip", field: "Field[Any]", text: str) -> Any:  # noqa: AN
         raise ChipError(f"chip {datasheet.name!r}: {field.name!r} cannot be given as text.")
     if kind is Register:
         return _register(datasheet, field.name, text)
+    if field.name == "clock":
+        return text
     if type(None) in get_args(kind):
         return None if text == "none" else _whole(datasheet, field.name, text)
     if get_origin(kind) is tuple:

@@ -34,7 +34,7 @@ def compile_program(
     """The artifact as a program of the chip.
 
     quantisation: of weights, biases, thresholds and decays.
-    clock: how layers advance, as in Program; None is `clock_on`. Gated and free, each layer, and so
+    clock: how layers advance, as in Program; None is the chip's, or `clock_on`. Gated and free, each layer, and so
         its bias axon, starts when the first spikes can reach it, so that a network without delays
         means the same on a chip that has some: always when gated; free where states are reset and
         no bias stands in a register. Pipelined starts all at once, as lava does.
@@ -45,7 +45,7 @@ def compile_program(
     _check_graded(artifact, chip)
     if not limits:
         chip = replace(chip, delay_max=_ENDLESS)
-    clock = clock or clock_on(artifact.convention, chip)
+    clock = clock or chip.clock or clock_on(artifact.convention, chip)
     artifact = _clocked(artifact, clock)
     graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
     plan = design(artifact, chip, chip.limits) if limits and chip.limits else None

@@ -42,6 +42,7 @@ class Ledger:
     steps: chip timesteps in all of them, those that only fill the pipeline included.
     several: whether a neuron can spike several times in a timestep.
     clock: how the layers advanced, as in Program.
+    assumed_clock: whether nothing says that the chip can advance them so.
     readouts: names of the layers that never spike, which sparsity leaves out.
     one_state: names of the layers whose neurons hold one state: a membrane, and no current.
     """
@@ -54,6 +55,7 @@ class Ledger:
     steps: int
     several: bool = False
     clock: Clock = "gated"
+    assumed_clock: bool = False
     readouts: tuple[str, ...] = ()
     one_state: tuple[str, ...] = ()
 
@@ -229,6 +231,7 @@ class LedgerBuilder:
             steps=self._steps,
             several=self._program.chip.spikes_max > 1,
             clock=self._program.clock,
+            assumed_clock=self._program.assumed_clock,
             readouts=tuple(a.name for a in self._program.layers if not a.spiking),
             one_state=tuple(
                 a.name for a in self._program.layers if state_count(a, self._program) == 1

@@ -103,6 +103,7 @@ class Comparison:
         tables = self.tables or _tables(row)
         energy, latency = _priced(found.energy_j, tables), _priced(found.latency_s, tables)
         return {
+            "clock": found.clock,
             "sparsity": found.sparsity,
             "spikes_per_inference": found.spikes,
             "input_spikes_per_inference": found.input_spikes,

@@ -17,6 +17,7 @@ footprint, footprint_packed
 connection_sparsity  NeuroBench's, of the file
 energy_j, latency_s  by each energy table, with an interval; latency as if one core did
                      everything
+clock                how layers advance (runtime.convention.Clock), and whether that is assumed
 energy_terms_j       by each table, then by term (runtime.metrics.energy_terms): those of the chip
                      add up to energy_j, or of a float network `operations` alone
 energy_unknown       by each table, terms that happen and that nothing prices
@@ -72,6 +73,7 @@ class Costs:
     messages: float | None = None
     messages_placed: float | None = None
     saturations: int | None = None
+    clock: str | None = None
     energy_j: Mapping[str, EnergyEstimate] = field(default_factory=dict)
     latency_s: Mapping[str, EnergyEstimate] = field(default_factory=dict)
     energy_terms_j: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -112,6 +114,7 @@ def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
     return Costs(
         **means,
         saturations=sum(saturations) if saturations else None,
+        clock=costs[0].clock,
         energy_terms_j={
             table: {term: j for term, j in found.items() if term not in unknown[table]}
             for table, found in terms.items()
@@ -188,6 +191,7 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         neuron_idle=counts["neuron_idle"],
         messages=counts["message"],
         saturations=ledger.total("saturation") if chip else None,
+        clock=f"{ledger.clock}, assumed" if ledger.assumed_clock else ledger.clock,
         # by every table, so that a report can choose
         energy_j={name: energy_estimate(ledger, table) for name, table in TABLES.items()},
         latency_s={

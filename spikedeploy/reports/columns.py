@@ -174,7 +174,14 @@ _AGREEMENT = (
         divergence,
     ),
 )
+_CLOCK = Column(
+    "clock",
+    "how layers advance: gated, one after the other; pipelined, all at once, a timestep for each "
+    "connection; free, all in every timestep until the last has seen the input",
+    number("clock", ""),
+)
 _OPERATIONS = (
+    _CLOCK,
     Column("sparsity", "1 - spikes / (neurons × T), spiking layers", number("sparsity", ".1%")),
     Column("spikes", "spikes of the spiking layers", number("spikes_per_inference", ",.0f")),
     Column("input", "spikes of the encoder", number("input_spikes_per_inference", ",.0f")),
@@ -234,8 +241,9 @@ _SIZE = (
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
     title, columns = _task(rows)
+    clocked = _filled((_CLOCK,), rows)
     found = {
-        title: [*_filled(columns, rows), *asked_for(rows)],
+        title: [*clocked, *_filled(columns, rows), *asked_for(rows)],
         "Does it act like its reference?": _filled(_AGREEMENT, rows),
         "How large is the network?": _filled(_SIZE, rows),
         "What does an inference take?": _filled(_OPERATIONS, rows),

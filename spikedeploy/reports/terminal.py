@@ -10,7 +10,7 @@ from spikedeploy.emulation.recorded_activity import RecordedActivity
 from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables
-from spikedeploy.reports.columns import Column, Row, bounded, scaled, tables
+from spikedeploy.reports.columns import Column, Row, bounded, label, scaled, tables
 from spikedeploy.reports.headline import disturbed, headline
 from spikedeploy.reports.headline import verdict as verdict_of
 from spikedeploy.reports.short_table import WIDTH, energy_hint, short_columns, verdict
@@ -71,8 +71,20 @@ def print_headline(document: Mapping[str, Any]) -> None:
 def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
     """Print one table of rows of a comparison, and which of their energies to quote."""
     _print_columns(title, short_columns(rows, env), rows, WIDTH)
+    _print_clocks(rows)
     if hint := energy_hint(rows):
         print_text(hint)
+
+
+def _print_clocks(rows: Sequence[Row]) -> None:
+    """Print how the layers of each network on a chip advance, a line."""
+    clocks: dict[str, list[str]] = {}
+    for row in rows:
+        if row.get("clock") and row["chip"] not in (None, "float"):
+            clocks.setdefault(row["clock"], []).append(label(row))
+    if clocks:
+        each = (f"{clock} ({', '.join(names)})" for clock, names in clocks.items())
+        print_text(f"Clock: {'; '.join(each)}.")
 
 
 def print_run(document: Mapping[str, Any], everything: bool = False) -> None:
@@ -88,6 +100,7 @@ def print_run(document: Mapping[str, Any], everything: bool = False) -> None:
     if "real_time" in document:
         print_real_time(document["real_time"])
     print_text(verdict(document))
+    _print_clocks(document["rows"])
     if hint := energy_hint(document["rows"]):
         print_text(hint)
     if not everything:

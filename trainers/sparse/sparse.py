@@ -147,8 +147,10 @@ class Sparse(Runner[SparseConfig]):
 
     def _next_phase(self) -> None:
         """Walk, set the encoder's steps anew, and start the next phase with a new optimiser."""
-        # the walks are of the policy as it was validated, the steps of the next phase
-        self._collect(in_float(self.policy), self._config.walks)
+        # who is judged is who walks: with the numbers of the chip, once training computes with them
+        rounded = isinstance(self._student, DeltaStudent) and self._student.offsets
+        walking = self._deployed() if rounded else self.policy
+        self._collect(in_float(walking), self._config.walks)
         if self._retunes and isinstance(self.policy, DeltaSnnPolicy):
             step = retuned(self.policy, self.pool, self._binary, self._config)
             self.policy.step.copy_(torch.from_numpy(step))
@@ -229,6 +231,10 @@ class Sparse(Runner[SparseConfig]):
             if key in infos[0]:
                 row[column] = float(np.mean([info[key] for info in infos]))
         return row
+
+    def _validates(self, before: int) -> bool:
+        """Return whether a validation is due: also at the end of each phase, when rates are low."""
+        return super()._validates(before) or self.updates == self._phases[self.phase].end
 
     def _validate(self) -> dict[str, float]:
         """Validate the policy where its goal is reached, and save it as best of its level."""
