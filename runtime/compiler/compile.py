@@ -34,10 +34,10 @@ def compile_program(
     """The artifact as a program of the chip.
 
     quantisation: of weights, biases, thresholds and decays.
-    clock: how layers advance, as in Program; None is the chip's, or `clock_on`. Gated and free, each layer, and so
-        its bias axon, starts when the first spikes can reach it, so that a network without delays
-        means the same on a chip that has some: always when gated; free where states are reset and
-        no bias stands in a register. Pipelined starts all at once, as lava does.
+    clock: how layers advance, as in Program; None is the chip's, or `clock_on`. Gated and free,
+        each layer, and so its bias axon, starts when the first spikes can reach it, so that a
+        network without delays means the same on a chip that has some: always when gated; free where
+        states are reset and no bias stands in a register. Pipelined starts all at once, as lava.
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip lacks capacity for the network, or something that the network asks for.
     """

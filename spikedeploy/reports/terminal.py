@@ -44,9 +44,9 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
         _print_columns(title, columns, rows)
     for name, convention in document["conventions"].items():
         print_text(f"{name} is stepped with {convention}")
-    for label, remarks in document["remarks"].items():
+    for policy, remarks in document["remarks"].items():
         for remark in remarks:
-            print_text(f"{label}: {remark}")
+            print_text(f"{policy}: {remark}")
     for sentence in (document["meaning"], document.get("env_remark", "")):
         if sentence:
             print_text(sentence)
