@@ -136,7 +136,7 @@ def _skip(
 
 
 def _delay(spec: Fields, chip: Chip, source: str) -> int:
-    """Delay from spikes of a source [timesteps], that of the reading where none is given."""
+    """Delay from spikes of a source [timesteps], that of the tool where none is given."""
     least = chip.arithmetic.input_delay(chip.delay) if source == "input" else chip.delay
     return spec.whole("delay", default=least, least=0, most=chip.delay_max)
 

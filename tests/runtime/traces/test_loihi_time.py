@@ -19,7 +19,7 @@ CLOCKS = sorted(GOLDEN.glob("*_clock_*.json"))
 DELAYS = sorted(GOLDEN.glob("*_delays.json"))
 
 
-def name(path):
+def stem(path):
     return path.stem
 
 
@@ -30,7 +30,7 @@ def test_each_emulator_has_a_network_of_each_clock():
     assert [path.stem for path in DELAYS] == ["brian2loihi_delays", "lava_delays"]
 
 
-@pytest.mark.parametrize("path", CLOCKS + DELAYS, ids=name)
+@pytest.mark.parametrize("path", CLOCKS + DELAYS, ids=stem)
 def test_its_hidden_layers_spike_through_the_whole_run_and_its_readout_integrates(path):
     layers = json.loads(path.read_text())["layers"]
     *hidden, readout = (np.array(layer["s"]) for layer in layers)
@@ -42,7 +42,7 @@ def test_its_hidden_layers_spike_through_the_whole_run_and_its_readout_integrate
     assert np.abs(layers[-1]["v"]).max() > 1 << 18
 
 
-@pytest.mark.parametrize("path", CLOCKS, ids=name)
+@pytest.mark.parametrize("path", CLOCKS, ids=stem)
 @pytest.mark.parametrize("layer", [0, 1])
 def test_another_delay_is_found(path, layer, tmp_path):
     trace = json.loads(path.read_text())
@@ -54,11 +54,11 @@ def test_another_delay_is_found(path, layer, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("reading", "from_input", "from_neurons"),
+    ("name", "from_input", "from_neurons"),
     [("loihi1", 1, 1), ("loihi1-brian2", 0, 1), ("loihi1-nengo", 1, 1), ("loihi2", 1, 1)],
 )
-def test_delays_of_the_readings(reading, from_input, from_neurons):
-    datasheet = chip(reading)
+def test_delays_of_published_models(name, from_input, from_neurons):
+    datasheet = chip(name)
     assert datasheet.delay == from_neurons
     assert datasheet.arithmetic.input_delay(datasheet.delay) == from_input
 
