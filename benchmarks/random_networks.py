@@ -1,9 +1,9 @@
 """Random networks of several layers and their input, as traces that a tool has yet to record.
 
-Inputs reach the first layer and, past it, the others; the last layer is a readout, whose threshold
-is out of reach and whose membranes are probed. Nothing is reset between control steps. A control
-step is one timestep (clock pipelined), or several with events in the first alone (clock free).
-spikedeploy is not needed, as in benchmarks/record_traces.py.
+Inputs reach the first layer and, unless it is a chain, past it the others; the last layer is a
+readout, whose threshold is out of reach and whose membranes are probed. Nothing is reset between
+control steps. A control step is one timestep (clock pipelined), or several with events in the first
+alone (clock free). spikedeploy is not needed, as in benchmarks/record_traces.py.
 """
 
 from itertools import pairwise
@@ -27,13 +27,22 @@ SOURCES = {
 }
 
 
+# timesteps from an event to the readout: inputs act in the next one, or in the same
+DEPTH = {"lava": 3, "nengo_loihi": 3, "brian2_loihi": 2}
 # tools whose synapses have delays, and the longest that is tried [timesteps]
 DELAYED = {"lava": 9, "brian2_loihi": 9}
 
 
-def random_kinds(tool: str) -> dict[str, dict[str, int]]:
-    """Name -> options of `random_trace`: each clock, and delays where the tool has them."""
-    kinds = {"clock_pipelined": {}, "clock_free": {"control_steps": 40, "timesteps": 3}}
+def random_kinds(tool: str) -> dict[str, dict[str, Any]]:
+    """Name -> options of `random_trace`: each clock, and delays where the tool has them.
+
+    A chain that runs free has as many timesteps as its events need to reach the readout.
+    """
+    kinds: dict[str, dict[str, Any]] = {
+        "clock_pipelined": {},
+        "clock_free": {"control_steps": 40, "timesteps": 3},
+        "chain_free": {"control_steps": 40, "timesteps": DEPTH[tool] + 1, "skips": False},
+    }
     if tool in DELAYED:
         kinds["delays"] = {"longest_delay": DELAYED[tool]}
     return kinds
@@ -45,12 +54,14 @@ def random_trace(
     control_steps: int = 60,
     timesteps: int = 1,
     longest_delay: int = 1,
+    skips: bool = True,
 ) -> dict[str, Any]:
     """Network and input of a trace, without what the tool records.
 
     tool: of SOURCES.
     timesteps: of a control step.
     longest_delay: [timesteps] longest delay of a synapse between neurons; 1 leaves out `delays`.
+    skips: whether the input reaches layers behind the first too.
     """
     rng = np.random.default_rng(seed)
     raster = np.zeros((control_steps, timesteps, SIZES[0]), np.int64)
@@ -58,7 +69,7 @@ def random_trace(
     layers = []
     for place, (fan_in, size) in enumerate(pairwise(SIZES)):
         layer = {"weights": _weights(rng, size, fan_in, -200 if place else -160)}
-        if place:
+        if place and skips:
             layer["weights_input"] = _weights(rng, size, SIZES[0], -200)
         if longest_delay > 1:
             layer["delays"] = rng.integers(1, longest_delay + 1, (size, fan_in)).tolist()
@@ -68,7 +79,7 @@ def random_trace(
     return {
         "name": f"{tool} clock seed {seed}",
         "source": SOURCES[tool],
-        "kind": f"random layers, skip connections from the input, a readout; clock {clock}",
+        "kind": f"random layers{', skips from the input' * skips}, a readout; clock {clock}",
         "input_spikes": raster.reshape(-1, SIZES[0]).tolist(),
         "layers": layers,
     }

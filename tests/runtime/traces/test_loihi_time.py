@@ -16,6 +16,7 @@ from tests.trace_files import recorded_trace
 
 CHIPS = {"lava": "loihi1", "brian2loihi": "loihi1-brian2", "nengoloihi": "loihi1-nengo"}
 CLOCKS = sorted(GOLDEN.glob("*_clock_*.json"))
+CHAINS = sorted(GOLDEN.glob("*_chain_free.json"))
 DELAYS = sorted(GOLDEN.glob("*_delays.json"))
 
 
@@ -27,10 +28,11 @@ def test_each_emulator_has_a_network_of_each_clock():
     assert [path.stem for path in CLOCKS] == [
         f"{tool}_clock_{clock}" for tool in sorted(CHIPS) for clock in ("free", "pipelined")
     ]
+    assert [path.stem for path in CHAINS] == [f"{tool}_chain_free" for tool in sorted(CHIPS)]
     assert [path.stem for path in DELAYS] == ["brian2loihi_delays", "lava_delays"]
 
 
-@pytest.mark.parametrize("path", CLOCKS + DELAYS, ids=stem)
+@pytest.mark.parametrize("path", CLOCKS + CHAINS + DELAYS, ids=stem)
 def test_its_hidden_layers_spike_through_the_whole_run_and_its_readout_integrates(path):
     layers = json.loads(path.read_text())["layers"]
     *hidden, readout = (np.array(layer["s"]) for layer in layers)
@@ -42,7 +44,7 @@ def test_its_hidden_layers_spike_through_the_whole_run_and_its_readout_integrate
     assert np.abs(layers[-1]["v"]).max() > 1 << 18
 
 
-@pytest.mark.parametrize("path", CLOCKS, ids=stem)
+@pytest.mark.parametrize("path", CLOCKS + CHAINS, ids=stem)
 @pytest.mark.parametrize("layer", [0, 1])
 def test_another_delay_is_found(path, layer, tmp_path):
     trace = json.loads(path.read_text())
@@ -101,5 +103,5 @@ def test_random_networks_on_nengo_loihis_emulator_equal_ours(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     verdicts = [verify(path) for path in sorted(tmp_path.glob("*.json"))]
-    assert len(verdicts) == 6
-    assert [verdict.difference for verdict in verdicts] == [None] * 6
+    assert len(verdicts) == 9
+    assert [verdict.difference for verdict in verdicts] == [None] * 9
