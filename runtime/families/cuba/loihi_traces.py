@@ -351,4 +351,5 @@ def _check_alike(fields: Fields, parts: list[_LoihiLayer]) -> None:
 def _program(parts: list[_LoihiLayer], width: int) -> Program:
     chip, layers = parts[0].chip, tuple(part.layer for part in parts)
     convention = Convention(1e-3, delay=chip.delay, source="the trace")
-    return Program(chip, convention, "input", width, layers, layers[-1].name, None)
+    output = layers[-1].name
+    return Program(chip, convention, "input", width, layers, output, None, clock="pipelined")

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from benchmarks.random_networks import SIZES, random_trace
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN, ROOT
 from tests.trace_files import recorded_trace
@@ -63,6 +65,32 @@ def test_delays_of_published_models(name, from_input, from_neurons):
     datasheet = chip(name)
     assert datasheet.delay == from_neurons
     assert datasheet.arithmetic.input_delay(datasheet.delay) == from_input
+
+
+@pytest.mark.parametrize("backend", ["numpy", "interpreter"])
+@pytest.mark.parametrize("path", CHAINS, ids=stem)
+def test_control_steps_of_the_clock_free_are_the_tools_timesteps(path, backend):
+    recorded = recorded_trace(path)
+    first = recorded.program.layers[0].synapses[0].delay
+    layers = tuple(
+        replace(layer, start=first + place) for place, layer in enumerate(recorded.program.layers)
+    )
+    program = replace(
+        recorded.program,
+        layers=layers,
+        clock="free",
+        convention=replace(recorded.program.convention, state="kept"),
+    )
+    timesteps = program.rows(1)
+    assert timesteps == layers[-1].start + 1
+    machine = Machine(program, trace=True, backend=backend)
+    for begin in range(0, recorded.raster.shape[1], timesteps):
+        machine.infer(recorded.raster[:, begin : begin + 1])
+        for layer in layers:
+            for quantity, expected in recorded.recorded[layer.name].items():
+                found = getattr(machine.recordings[layer.name], quantity)[0]
+                row = begin + layer.start
+                np.testing.assert_array_equal(found, expected[row : row + 1])
 
 
 def test_synapses_with_delays_of_their_own_are_lists_of_their_own():
