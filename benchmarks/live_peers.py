@@ -3,10 +3,10 @@
     python benchmarks/live_peers.py [NAME …] [--folder .venv-peers]
 
 Each tool gets a virtual environment, FOLDER/NAME, in the release that pyproject.toml pins. There
-its golden traces are recorded again, and the tests that compare with it run; `spikedeploy interop`
-finds it there. A line for each says
-what came of it; a tool that cannot be installed is named with the reason. Exits with 1 where a
-comparison fails.
+its golden traces are recorded again, random networks of several layers run on emulators of Loihi
+and are replayed here, and the tests that compare with it run; `spikedeploy interop` finds it there.
+A line for each says what came of it; a tool that cannot be installed is named with the reason.
+Exits with 1 where a comparison fails.
 
 sinabs and samna are never installed here, and rockpool without what it depends on: importing samna
 runs an installer.
@@ -28,7 +28,9 @@ from xml.etree import ElementTree
 if __name__ == "__main__":
     import prepare  # noqa: F401 - the checkout is in the path, not its folder benchmarks
 
+from benchmarks.random_networks import SOURCES
 from benchmarks.record_traces import NOTHING_RECORDED
+from spikedeploy.runtime.traces.verify import verify
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,6 +42,7 @@ FAMILIES, METRICS = "tests/runtime/families", "tests/runtime/metrics"
 PRESETS, EXPORTS = "tests/runtime/test_peers.py", "tests/runtime/test_peer_exports.py"
 INTEROP = "tests/spikedeploy/interop/test_peer_process.py"
 EXAMPLES = "tests/spikedeploy/commands/test_check_against.py"
+RANDOM_NETWORKS = 10
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,8 @@ def compared(peer: Peer, python: Path, home: Path) -> Iterator[tuple[bool, str]]
     """Whether each comparison passed, and what it says."""
     if peer.traces:
         yield recorded(peer.traces, python, home)
+    if peer.traces in SOURCES:
+        yield replayed(peer.traces, python, home)
     if peer.tests:
         yield tested(peer.tests, python, home)
 
@@ -180,6 +185,21 @@ def recorded(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     if done.returncode == NOTHING_RECORDED:
         return False, lines[0].removeprefix("- ") if lines else "no trace is recorded"
     return done.returncode == 0, "; ".join(["traces: " + last, *lines])
+
+
+def replayed(tool: str, python: Path, home: Path) -> tuple[bool, str]:
+    """Random networks of several layers, recorded with the tool and replayed with ours."""
+    script, folder = ROOT / "benchmarks" / "record_traces.py", home / "random"
+    shutil.rmtree(folder, ignore_errors=True)
+    words = ["--random", str(RANDOM_NETWORKS), "--tool", tool, "--out", str(folder)]
+    done = run([str(python), str(script), *words], home / "random.log")
+    if done.returncode:
+        return False, f"random networks: not recorded, see {home / 'random.log'}"
+    verdicts = [verify(path) for path in sorted(folder.glob("*.json"))]
+    bad = [verdict.source for verdict in verdicts if verdict.difference is not None]
+    numbers = sum(verdict.compared for verdict in verdicts)
+    text = f"random networks: {len(verdicts) - len(bad)} equal, {numbers:,} numbers"
+    return not bad and bool(verdicts), text + (f"; {len(bad)} different" if bad else "")
 
 
 def tested(tests: tuple[str, ...], python: Path, home: Path) -> tuple[bool, str]:

@@ -1,12 +1,14 @@
 """Record golden traces again with the tools that they come from, and compare every number.
 
     python benchmarks/record_traces.py [FILE.json …] [--tool xylosim] [--out FOLDER]
+    python benchmarks/record_traces.py --random 10 --tool lava --out FOLDER
 
 A trace holds its network and its input: both are given to the tool, and what it records must be
-what the file holds. `--out` writes the traces as they are recorded now. A tool that cannot be
-imported is named, and its traces are left out. spikedeploy is not needed, so that this runs in
-environments whose NumPy is older than ours allows. Exits with 1 where a number differs, and with
-77 where nothing could be recorded.
+what the file holds. `--out` writes the traces as they are recorded now. `--random` makes networks
+of several layers (benchmarks/random_networks.py) and records them, for `spikedeploy verify`. A tool
+that cannot be imported is named, and its traces are left out. spikedeploy is not needed, so that
+this runs in environments whose NumPy is older than ours allows. Exits with 1 where a number
+differs, and with 77 where nothing could be recorded.
 """
 
 import argparse
@@ -21,6 +23,8 @@ from typing import Any
 
 if __name__ == "__main__":
     import prepare  # noqa: F401 - xylosim is then the tool's own, not a file of benchmarks/traces
+
+from benchmarks.random_networks import SOURCES, random_kinds, random_trace
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden"
 # module of benchmarks.traces, and what the `source` of its traces begins with
@@ -44,6 +48,8 @@ def golden_traces() -> list[Path]:
 def main() -> int:
     """Record every trace whose tool is there; return the exit code."""
     arguments = parsed()
+    if arguments.random:
+        return record_random(arguments.tool, arguments.random, arguments.out)
     same = different = 0
     for path in arguments.files or golden_traces():
         trace = json.loads(path.read_text("utf-8"))
@@ -62,6 +68,20 @@ def main() -> int:
             write(arguments.out / path.name, name, merged(trace, found))
     print(f"{same} recorded again and equal, {different} different")
     return 1 if different else 0 if same else NOTHING_RECORDED
+
+
+def record_random(name: str, networks: int, folder: Path) -> int:
+    """Record random networks in each clock, with delays of synapses too where the tool has them."""
+    record = recorder(name)
+    if isinstance(record, str):
+        print(f"- {record}")
+        return NOTHING_RECORDED
+    for seed in range(networks):
+        for kind, options in random_kinds(name).items():
+            trace = random_trace(name, seed, **options)
+            write(folder / f"{name}_{kind}_{seed}.json", name, merged(trace, record(trace)))
+    print(f"{networks * len(random_kinds(name))} random networks recorded")
+    return 0
 
 
 def tool(trace: Trace) -> str:
@@ -129,7 +149,11 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("files", nargs="*", type=Path, help="default: all of tests/golden")
     parser.add_argument("--tool", choices=TOOLS, help="only the traces of this tool")
     parser.add_argument("--out", type=Path, help="folder for the traces as recorded now")
-    return parser.parse_args()
+    parser.add_argument("--random", type=int, metavar="N", help="record N random networks a clock")
+    arguments = parser.parse_args()
+    if arguments.random and (arguments.tool not in SOURCES or not arguments.out):
+        parser.error(f"--random needs --out, and --tool of {', '.join(SOURCES)}")
+    return arguments
 
 
 if __name__ == "__main__":

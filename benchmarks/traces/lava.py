@@ -2,7 +2,9 @@
 
 lava-nc 0.10.0 refuses Python 3.11 and newer; on 3.10 it runs. Row t is lava's timestep t + 1, and
 each Dense delays by a timestep. Weights of a trace with `exc_inh_split` come from two processes,
-one of weights from 0 and one of weights to 0, as Loihi's two lists.
+one of weights from 0 and one of weights to 0, as Loihi's two lists. `delays` are those of its
+DelayDense, which adds so many timesteps to the one of a Dense; monitors read after the neurons
+have spiked.
 """
 
 from typing import Any
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 from lava.magma.core.run_conditions import RunSteps
 from lava.magma.core.run_configs import Loihi1SimCfg
-from lava.proc.dense.process import Dense
+from lava.proc.dense.process import DelayDense, Dense
 from lava.proc.io.sink import RingBuffer as Sink
 from lava.proc.io.source import RingBuffer as Source
 from lava.proc.lif.process import LIF
@@ -37,10 +39,14 @@ def _run(raster: Any, layers: list[dict[str, Any]]) -> list[dict[str, Any]]:  # 
     port, probes, processes = source.s_out, [], []
     for params in layers:
         neurons = _neurons(params)
-        for dense in _dense(params):
-            port.connect(dense.s_in)
-            dense.a_out.connect(neurons.a_in)
-            processes.append(dense)
+        connections = [(port, _dense(params))]
+        if "weights_input" in params:
+            connections.append((source.s_out, _dense(params, "weights_input")))
+        for spikes, lists in connections:
+            for dense in lists:
+                spikes.connect(dense.s_in)
+                dense.a_out.connect(neurons.a_in)
+                processes.append(dense)
         sink = Sink(shape=neurons.s_out.shape, buffer=timesteps)
         neurons.s_out.connect(sink.a_in)
         monitors = {name: Monitor() for name in ("u", "v")}
@@ -62,15 +68,18 @@ def _neurons(params: dict[str, Any]) -> LIF:
     )
 
 
-def _dense(params: dict[str, Any]) -> list[Dense]:
+def _dense(params: dict[str, Any], name: str = "weights") -> list[Any]:
     """One process of weights of both signs, or one of each sign."""
-    weights = np.array(params["weights"])
-    options = {name: params[name] for name in ("weight_exp", "num_weight_bits")}
+    weights, make = np.array(params[name]), Dense
+    options = {key: params[key] for key in ("weight_exp", "num_weight_bits")}
+    if name == "weights" and "delays" in params:
+        # a delay of the trace counts the timestep of every Dense
+        make, options["delays"] = DelayDense, np.array(params["delays"]) - 1
     if not params["exc_inh_split"]:
-        return [Dense(weights=weights, sign_mode=SignMode.MIXED, **options)]
+        return [make(weights=weights, sign_mode=SignMode.MIXED, **options)]
     return [
-        Dense(weights=np.maximum(weights, 0), sign_mode=SignMode.EXCITATORY, **options),
-        Dense(weights=np.minimum(weights, 0), sign_mode=SignMode.INHIBITORY, **options),
+        make(weights=np.maximum(weights, 0), sign_mode=SignMode.EXCITATORY, **options),
+        make(weights=np.minimum(weights, 0), sign_mode=SignMode.INHIBITORY, **options),
     ]
 
 

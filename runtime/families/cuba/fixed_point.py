@@ -58,6 +58,10 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         """Whether one of a weight's bits is its sign; else its list has it."""
         return self.sign_mode == "mixed"
 
+    def input_delay(self, delay: int) -> int:
+        """Delay of the network's input [timesteps], that of spikes or none."""
+        return delay if self.input_acts == "next" else 0
+
     @property
     def threshold_range(self) -> tuple[int, int]:
         """Step and largest threshold [state units]."""

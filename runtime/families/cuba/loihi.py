@@ -2,7 +2,7 @@
 
 `loihi1` is lava's model; the others are brian2_loihi's and nengo-loihi's. All agree on decays
 rounded toward zero, a strict threshold and reset to zero, and differ in what the fields
-step_rounding, exponents, accumulator, current, push, the decays and the delay say; those were not
+step_rounding, exponents, accumulator, current, push, the decays and input_acts say; those were not
 settled by anything published. Equal to their traces, that is, not "equal to the chip".
 
 Loihi 2 (Intel 4, 2021) computes with its default neuron as Loihi 1 does. Its neurons are microcode;
@@ -48,6 +48,7 @@ _LAVA = CubaFixedPoint(
     push=Register(24, "none"),
     membrane=Register(24, "clip"),
     refractory=1,
+    input_acts="next",
 )
 
 _DOSSIER = "Davies et al. 2018, pp. 86-92 (secondary: a public transcription)"
@@ -95,7 +96,7 @@ LOIHI1 = Chip(
     arithmetic=_LAVA,
     resets=("zero",),
     delay=1,
-    delay_max=62,
+    delay_max=63,
     energy_tables=("davies2018", "sanafe"),
     membrane_output="probe",
     clocks=ALL_AT_ONCE,
@@ -123,8 +124,11 @@ LOIHI1 = Chip(
         "membrane": f"{LAVA}: 24 bits, clips; nengo-loihi too",
         "refractory": "none in lava's bit-accurate model; 1 to 64 on the chip (nengo-loihi)",
         "resets": "all emulators agree: to zero, the current stays",
-        "delay": f"{LAVA}: a spike arrives one timestep after it was emitted",
-        "delay_max": f"{_DAVIES}, p. 92: 6 bits",
+        "delay": f"{LAVA}: a Dense sends what it accumulated in the timestep before",
+        "input_acts": f"{LAVA}: a source's spikes pass a Dense as those of neurons do",
+        "delay_max": f"the timestep of delivery and a register of 0 to 62 ({_DAVIES}, p. 92, "
+        "secondary; brian2-loihi 0.5.2 checks it). A core with 1024 neurons has 3 of its 6 bits "
+        "(nengo-loihi 1.1.0, hardware/builder.py)",
     },
     limits=_LIMITS,
     evidence=f"equal to traces of {LAVA.partition(',')[0]}, `spikedeploy verify`",
@@ -133,7 +137,7 @@ LOIHI1 = Chip(
 LOIHI1_BRIAN2 = replace(
     LOIHI1,
     name="loihi1-brian2",
-    summary="Loihi 1 as brian2_loihi models it: nothing overflows, spikes arrive at once",
+    summary="Loihi 1 as brian2_loihi models it: nothing overflows, inputs act at once",
     arithmetic=replace(
         _LAVA,
         step_rounding="zero",
@@ -145,12 +149,12 @@ LOIHI1_BRIAN2 = replace(
         accumulator=Register(22, "none"),
         current=Register(24, "none"),
         membrane=Register(24, "none"),
+        input_acts="same",
     ),
-    delay=0,
     limits=replace(_LIMITS, current_loss=(0.0, 1.0), membrane_loss=(0.0, 1.0)),
     sources={
-        "clocks": "brian2-loihi 0.5.2: one schedule updates every group in each timestep",
         **LOIHI1.sources,
+        "clocks": "brian2-loihi 0.5.2: one schedule updates every group in each timestep",
         "step_rounding": f"{BRIAN2}: odd mixed weights go toward zero",
         "exponents": f"{BRIAN2}: each weight is rounded down and clipped at 21 bits less 64",
         "bias_mantissa_max": f"{BRIAN2}: its neurons have no bias",
@@ -163,7 +167,9 @@ LOIHI1_BRIAN2 = replace(
         "push": f"{BRIAN2}: overflow is not modelled",
         "membrane": f"{BRIAN2}: overflow is not modelled",
         "refractory": f"{BRIAN2}: 1 to 64, as on the chip",
-        "delay": f"{BRIAN2}: a spike acts in the timestep in which it was emitted",
+        "delay": f"{BRIAN2}: its schedule has synapses before thresholds, so a spike acts in the "
+        "timestep after the one in which it was emitted",
+        "input_acts": f"{BRIAN2}: its spike generators run at the start, before the synapses",
     },
     evidence=f"equal to traces of {BRIAN2.partition(',')[0]}, `spikedeploy verify`",
 )
@@ -171,7 +177,7 @@ LOIHI1_BRIAN2 = replace(
 LOIHI1_NENGO = replace(
     LOIHI1,
     name="loihi1-nengo",
-    summary="Loihi 1 as nengo-loihi models it: two's complement, spikes arrive at once",
+    summary="Loihi 1 as nengo-loihi models it: sums wrap in two's complement",
     arithmetic=replace(
         _LAVA,
         step_rounding="zero",
@@ -180,10 +186,9 @@ LOIHI1_NENGO = replace(
         current=Register(24, "wrap"),
         push=Register(24, "wrap"),
     ),
-    delay=0,
     sources={
-        "clocks": "nengo-loihi 1.1.0: CompartmentState.step updates all compartments",
         **LOIHI1.sources,
+        "clocks": "nengo-loihi 1.1.0: EmulatorInterface.step updates all compartments",
         "step_rounding": f"{NENGO}: rounded when the network is built, the same way for both signs",
         "exponents": f"{NENGO}: weights are shifted by 6 and the exponent together",
         "accumulator": f"{NENGO}: 21 bits and sign, wraps in two's complement",
@@ -191,7 +196,8 @@ LOIHI1_NENGO = replace(
         "push": f"{NENGO}: current and bias wrap once more, 23 bits and sign",
         "membrane": f"{NENGO}: clips to vmin and vmax, here the widest",
         "refractory": f"{NENGO}: 1 to 64",
-        "delay": f"{NENGO}: what a compartment is given acts in the same timestep",
+        "delay": f"{NENGO}: EmulatorInterface.step injects the spikes of the timestep before",
+        "input_acts": f"{NENGO}: SynapseState.inject_current: inputs take one timestep to arrive",
     },
     evidence=f"equal to traces of {NENGO.partition(',')[0]}, `spikedeploy verify`",
 )
@@ -229,6 +235,7 @@ LOIHI2 = replace(
     LOIHI1,
     name="loihi2",
     summary="Loihi 2 with its default neuron, which computes as Loihi 1's does",
+    delay_max=64,
     # sigma-delta neurons besides
     arithmetic=CubaGradedSpikes(**vars(_LAVA)),
     energy_tables=(),  # no public energy per operation
@@ -245,7 +252,8 @@ LOIHI2 = replace(
         "membrane_decay_offset": _BOARD,
         "resets": f"{_BOARD}; microcode could do others",
         "delay": _BOARD,
-        "delay_max": f"lava-nc 0.10.0, DelayDense: 6 bits; {_GUESS}",
+        "delay_max": "lava-nc 0.10.0, PyDelayDenseModelBitAcc: 0 to 63 for Loihi 2, beside the "
+        "timestep of a Dense",
     },
     evidence="equal to one neuron on a board in its spikes of 1000 timesteps (NIR paper, 01_lif), "
     "`spikedeploy verify`; the rest is Loihi 1's",

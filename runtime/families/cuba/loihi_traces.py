@@ -61,21 +61,26 @@ class _Weights:
     exponent: int
 
 
-def _loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int, work: Work) -> _LoihiLayer:
-    """The layer at a place of a chain, as the fields describe it."""
+def _loihi_layer(
+    spec: Fields, chip: Chip, place: int, fan_in: int, inputs: int, work: Work
+) -> _LoihiLayer:
+    """The layer at a place of a chain, as the fields describe it.
+
+    fan_in, inputs: neurons of the layer before, and of the network's input.
+    """
     arithmetic = chip.arithmetic
     if not isinstance(arithmetic, CubaFixedPoint):
         raise spec.wrong("chip", f"{chip.name} has no integers", "Name a chip that has.")
     weights = _weights(spec, arithmetic, fan_in)
-    work.add(len(weights.mantissa), weights.mantissa.size)
     arithmetic = _with_options(spec, arithmetic, weights)
-    delay = spec.whole("delay", default=chip.delay, least=0, most=chip.delay_max)
-    source, size = f"layer{place - 1}" if place else "input", len(weights.mantissa)
+    size = len(weights.mantissa)
+    synapses = _synapses(spec, chip, place, weights, arithmetic)
+    if spec.name("weights_input"):
+        synapses += _skip(spec, chip, place, inputs, weights, arithmetic)
+    work.add(size, sum(each.weight.size for each in synapses))
     layer = Layer(
         name=f"layer{place}",
-        synapses=tuple(
-            Synapses(source, w, delay, shift) for w, shift in _lists(weights, arithmetic)
-        ),
+        synapses=tuple(synapses),
         bias=np.zeros(size, np.int64),
         voltage_bias=_bias(spec, size),
         threshold=_threshold(spec, arithmetic, size),
@@ -85,6 +90,55 @@ def _loihi_layer(spec: Fields, chip: Chip, place: int, fan_in: int, work: Work) 
         start=0,
     )
     return _LoihiLayer(layer, replace(chip, arithmetic=arithmetic))
+
+
+def _synapses(
+    spec: Fields, chip: Chip, place: int, weights: _Weights, arithmetic: CubaFixedPoint
+) -> list[Synapses]:
+    """The synapses from the layer before, a list for each sign that is apart and for each delay."""
+    source = f"layer{place - 1}" if place else "input"
+    if spec.name("delays") is None:
+        delay = _delay(spec, chip, source)
+        return [Synapses(source, w, delay, shift) for w, shift in _lists(weights, arithmetic)]
+    delays = spec.array("delays", axes=2, least=0, most=chip.delay_max)
+    delays = delays.T if spec.text("index").startswith("[pre]") else delays
+    if delays.shape != weights.mantissa.shape:
+        remedy = f"Write {weights.mantissa.shape}, as the weights have."
+        raise spec.wrong("delays", f"has shape {delays.shape}", remedy)
+    return [
+        Synapses(source, w, int(delay), shift)
+        for delay in np.unique(delays)
+        for w, shift in _lists(
+            replace(weights, mantissa=np.where(delays == delay, weights.mantissa, 0)), arithmetic
+        )
+    ]
+
+
+def _skip(
+    spec: Fields,
+    chip: Chip,
+    place: int,
+    inputs: int,
+    weights: _Weights,
+    arithmetic: CubaFixedPoint,
+) -> list[Synapses]:
+    """The synapses from the network's input past the layers before."""
+    mantissa = _matrix(spec, "weights_input", inputs)
+    if not place or len(mantissa) != len(weights.mantissa):
+        raise spec.wrong(
+            "weights_input",
+            f"has shape {mantissa.shape}",
+            "Write it for layers behind the first, with a row for each neuron.",
+        )
+    lists = _lists(replace(weights, mantissa=mantissa), arithmetic)
+    delay = _delay(spec, chip, "input")
+    return [Synapses("input", w, delay, shift) for w, shift in lists]
+
+
+def _delay(spec: Fields, chip: Chip, source: str) -> int:
+    """Delay from spikes of a source [timesteps], that of the tool where none is given."""
+    least = chip.arithmetic.input_delay(chip.delay) if source == "input" else chip.delay
+    return spec.whole("delay", default=least, least=0, most=chip.delay_max)
 
 
 def _weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
@@ -230,7 +284,8 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     rows = table_of(specs[0], _INPUT, 0, 1, index="input_spikes_index")
     parts, size, work = [], rows.shape[1], Work(fields, len(rows))
     for place, spec in enumerate(specs):
-        parts.append(_loihi_layer(spec, datasheet(chip), place, size, work))
+        part = _loihi_layer(spec, datasheet(chip), place, size, rows.shape[1], work)
+        parts.append(part)
         size = parts[-1].layer.size
     _check_alike(fields, parts)
     recorded = {
@@ -296,4 +351,5 @@ def _check_alike(fields: Fields, parts: list[_LoihiLayer]) -> None:
 def _program(parts: list[_LoihiLayer], width: int) -> Program:
     chip, layers = parts[0].chip, tuple(part.layer for part in parts)
     convention = Convention(1e-3, delay=chip.delay, source="the trace")
-    return Program(chip, convention, "input", width, layers, layers[-1].name, None)
+    output = layers[-1].name
+    return Program(chip, convention, "input", width, layers, output, None, clock="pipelined")

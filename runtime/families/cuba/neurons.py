@@ -20,10 +20,12 @@ from spikedeploy.runtime.errors import ChipError
 SignMode = Literal["split", "mixed"]
 StepRounding = Literal["floor", "zero"]
 Exponents = Literal["sum", "weight", "exact"]
+InputActs = Literal["next", "same"]
 _CHOICES = {
     "sign_mode": get_args(SignMode),
     "step_rounding": get_args(StepRounding),
     "exponents": get_args(Exponents),
+    "input_acts": get_args(InputActs),
 }
 
 
@@ -50,6 +52,8 @@ class CubaRegisters:
     current, membrane: the two states.
     push: the current and the voltage bias, on their way to the membrane.
     refractory: timesteps from a spike to the next possible one; 1 is none.
+    input_acts: the timestep in which an input spike that the host injects in a timestep reaches
+        neurons: "next", as the spikes of other neurons; or the "same".
     """
 
     weight_bits: int
@@ -70,6 +74,7 @@ class CubaRegisters:
     push: Register
     membrane: Register
     refractory: int
+    input_acts: InputActs
 
     def __post_init__(self) -> None:
         if self.weight_bits not in self.weight_bits_allowed:

@@ -10,26 +10,26 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 
-# digests of programs, computed before there were readout layers
+# digests of programs, computed before there were readout layers, and delays on loihi1-nengo
 DIGESTS = {
     ("hexapod/popsan", "loihi1"): "524fcd64050600d6",
-    ("hexapod/popsan", "loihi1-nengo"): "d7b846ac45cef13c",
+    ("hexapod/popsan", "loihi1-nengo:delay=0"): "d7b846ac45cef13c",
     ("hexapod/popsan", "spinnaker2"): "df1f832afd0a68c6",
     ("hexapod/popsan", "int"): "1e504c46f9fc1da0",
     ("hexapod-command/popsan", "loihi1"): "b863bf24f5f68e9e",
-    ("hexapod-command/popsan", "loihi1-nengo"): "75136c5148b36833",
+    ("hexapod-command/popsan", "loihi1-nengo:delay=0"): "75136c5148b36833",
     ("hexapod-command/popsan", "spinnaker2"): "d655e533b08c8b66",
     ("hexapod-command/popsan", "int"): "afb29509f9fe8440",
     ("kart-gazebo/snn", "loihi1"): "ecc2d914209a6f95",
-    ("kart-gazebo/snn", "loihi1-nengo"): "bbc082b59f7f83a3",
+    ("kart-gazebo/snn", "loihi1-nengo:delay=0"): "bbc082b59f7f83a3",
     ("kart-gazebo/snn", "spinnaker2"): "620a8cf9ce880819",
     ("kart-gazebo/snn", "int"): "a7efd2f07b032970",
     ("kart-grid/snn", "loihi1"): "0a82d60283a8d440",
-    ("kart-grid/snn", "loihi1-nengo"): "18e70bff279da106",
+    ("kart-grid/snn", "loihi1-nengo:delay=0"): "18e70bff279da106",
     ("kart-grid/snn", "spinnaker2"): "f082c83885eda45f",
     ("kart-grid/snn", "int"): "c8132a69dfea0517",
     ("kart-steer/snn", "loihi1"): "d10253f7233fcbae",
-    ("kart-steer/snn", "loihi1-nengo"): "79b85a6e2b796dd4",
+    ("kart-steer/snn", "loihi1-nengo:delay=0"): "79b85a6e2b796dd4",
     ("kart-steer/snn", "spinnaker2"): "63255cf5eb4daca2",
     ("kart-steer/snn", "int"): "b3c817f119ba1d05",
 }

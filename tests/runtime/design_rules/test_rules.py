@@ -191,7 +191,7 @@ BOUNDARIES = [
     ("sign", "odin", signed([[1, -1], [2, 0]]), signed([[1, -1], [2, 1]])),
     ("recurrence", "loihi1", looped(True), None),
     ("recurrence", limited(recurrence=False), looped(False), looped(True)),
-    ("delay", "loihi1", delayed(62), delayed(63)),
+    ("delay", "loihi1", delayed(63), delayed(64)),
     ("decay-range", "loihi1", membrane(1.001e-3), membrane(1e-3)),
     ("decay-range", "xylo-a2", membrane(2.0**16 * 1e-3), membrane(2.01 * 2.0**15 * 1e-3)),
     ("decay-range", "speck2f", one(neurons=integrate(2)), membrane(10.0)),

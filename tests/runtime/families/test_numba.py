@@ -271,7 +271,7 @@ def test_the_kernels_know_every_field_of_the_arithmetic():
     at_compile_time = {
         "weight_bits", "weight_bits_allowed", "sign_mode", "step_rounding", "threshold_max",
         "bias_mantissa_max", "bias_exponent_max", "current_decay_offset", "membrane_decay_offset",
-        "exponents", "decay_max",
+        "exponents", "decay_max", "input_acts",
     }  # fmt: skip
     in_the_kernels = {
         "mantissa_shift", "decay_bits", "accumulator", "current", "membrane", "refractory",

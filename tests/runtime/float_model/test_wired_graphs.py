@@ -211,7 +211,7 @@ def test_a_delay_becomes_the_delay_of_its_synapses():
 def test_a_delay_longer_than_the_chip_has_is_refused():
     network = chain(nir.Delay(np.full(2, 0.1)), lif(2, 4e-3, 4.0), width=2, act=2)
     with pytest.raises(
-        RuleError, match="rule delay: node 'n1' has 100 timesteps; loihi1 has at most 62"
+        RuleError, match="rule delay: node 'n1' has 100 timesteps; loihi1 has at most 63"
     ):
         compile_program(artifact(network), chip("loihi1"))
 

@@ -28,6 +28,7 @@ def small(chip, weights, inputs, expected, **params):
         "source": "worked by hand",
         "chip": chip,
         "params": {"weights": weights, "vth": 131071, **decays, **params},
+        **({"delay": 0} if chip == "loihi1-nengo" else {}),
         "input_spikes": inputs,
         "u": expected,
     }

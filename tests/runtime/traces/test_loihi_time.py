@@ -1,0 +1,135 @@
+"""When inputs and spikes act on the Loihi of each emulator, on networks of several layers."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from benchmarks.random_networks import SIZES, random_trace
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.traces.verify import verify
+from tests.paths import GOLDEN, ROOT
+from tests.trace_files import recorded_trace
+
+CHIPS = {"lava": "loihi1", "brian2loihi": "loihi1-brian2", "nengoloihi": "loihi1-nengo"}
+CLOCKS = sorted(GOLDEN.glob("*_clock_*.json"))
+CHAINS = sorted(GOLDEN.glob("*_chain_free.json"))
+DELAYS = sorted(GOLDEN.glob("*_delays.json"))
+
+
+def stem(path):
+    return path.stem
+
+
+def test_each_emulator_has_a_network_of_each_clock():
+    assert [path.stem for path in CLOCKS] == [
+        f"{tool}_clock_{clock}" for tool in sorted(CHIPS) for clock in ("free", "pipelined")
+    ]
+    assert [path.stem for path in CHAINS] == [f"{tool}_chain_free" for tool in sorted(CHIPS)]
+    assert [path.stem for path in DELAYS] == ["brian2loihi_delays", "lava_delays"]
+
+
+@pytest.mark.parametrize("path", CLOCKS + CHAINS + DELAYS, ids=stem)
+def test_its_hidden_layers_spike_through_the_whole_run_and_its_readout_integrates(path):
+    layers = json.loads(path.read_text())["layers"]
+    *hidden, readout = (np.array(layer["s"]) for layer in layers)
+    for spikes in hidden:
+        assert 0.02 < spikes.mean() < 0.9
+        assert spikes[: len(spikes) // 3].any()
+        assert spikes[-len(spikes) // 3 :].any()
+    assert not readout.any()
+    assert np.abs(layers[-1]["v"]).max() > 1 << 18
+
+
+@pytest.mark.parametrize("path", CLOCKS + CHAINS, ids=stem)
+@pytest.mark.parametrize("layer", [0, 1])
+def test_another_delay_is_found(path, layer, tmp_path):
+    trace = json.loads(path.read_text())
+    at_once = CHIPS[path.stem.split("_")[0]] == "loihi1-brian2" and layer == 0
+    trace["layers"][layer]["delay"] = 1 if at_once else 0
+    wrong = tmp_path / path.name
+    wrong.write_text(json.dumps(trace))
+    assert verify(wrong).difference.layer == f"layer{layer}"
+
+
+@pytest.mark.parametrize(
+    ("name", "from_input", "from_neurons"),
+    [("loihi1", 1, 1), ("loihi1-brian2", 0, 1), ("loihi1-nengo", 1, 1), ("loihi2", 1, 1)],
+)
+def test_delays_of_published_models(name, from_input, from_neurons):
+    datasheet = chip(name)
+    assert datasheet.delay == from_neurons
+    assert datasheet.arithmetic.input_delay(datasheet.delay) == from_input
+
+
+@pytest.mark.parametrize("backend", ["numpy", "interpreter"])
+@pytest.mark.parametrize("path", CHAINS, ids=stem)
+def test_control_steps_of_the_clock_free_are_the_tools_timesteps(path, backend):
+    recorded = recorded_trace(path)
+    first = recorded.program.layers[0].synapses[0].delay
+    layers = tuple(
+        replace(layer, start=first + place) for place, layer in enumerate(recorded.program.layers)
+    )
+    program = replace(
+        recorded.program,
+        layers=layers,
+        clock="free",
+        convention=replace(recorded.program.convention, state="kept"),
+    )
+    timesteps = program.rows(1)
+    assert timesteps == layers[-1].start + 1
+    machine = Machine(program, trace=True, backend=backend)
+    for begin in range(0, recorded.raster.shape[1], timesteps):
+        machine.infer(recorded.raster[:, begin : begin + 1])
+        for layer in layers:
+            for quantity, expected in recorded.recorded[layer.name].items():
+                found = getattr(machine.recordings[layer.name], quantity)[0]
+                row = begin + layer.start
+                np.testing.assert_array_equal(found, expected[row : row + 1])
+
+
+def test_synapses_with_delays_of_their_own_are_lists_of_their_own():
+    recorded = recorded_trace(GOLDEN / "lava_delays.json")
+    delays = {synapses.delay for synapses in recorded.program.layer("layer1").synapses}
+    assert delays == set(range(1, 10))
+    trace = json.loads((GOLDEN / "lava_delays.json").read_text())
+    given, weights = (np.array(trace["layers"][1][key]).T for key in ("delays", "weights"))
+    for synapses in recorded.program.layer("layer1").synapses:
+        if synapses.source == "layer0":
+            expected = np.where(given == synapses.delay, weights, 0)
+            np.testing.assert_array_equal(synapses.weight, expected)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("delays", [[1, 2]], "delays has shape"),
+        ("delays", [[64] * SIZES[0]] * SIZES[1], "delays holds 64"),
+        ("weights_input", [[1] * SIZES[0]] * SIZES[1], "weights_input has shape"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_its_name(field, value, message, tmp_path):
+    trace = random_trace("lava", 0)
+    trace["layers"][0] = {**trace["layers"][0], field: value, "u": trace["input_spikes"]}
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(trace))
+    with pytest.raises(Exception, match=message):
+        verify(path)
+
+
+def test_random_networks_on_nengo_loihis_emulator_equal_ours(tmp_path):
+    if find_spec("nengo_loihi") is None:
+        pytest.skip("nengo-loihi is not installed; ./spike test --peers compares with it")
+    script = ROOT / "benchmarks" / "record_traces.py"
+    words = ["--random", "3", "--tool", "nengo_loihi", "--out", str(tmp_path)]
+    command = [sys.executable, str(script), *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdicts = [verify(path) for path in sorted(tmp_path.glob("*.json"))]
+    assert len(verdicts) == 9
+    assert [verdict.difference for verdict in verdicts] == [None] * 9
