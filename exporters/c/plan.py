@@ -103,6 +103,10 @@ class Plan:
         """Channels or neurons of a source that can spike in one timestep."""
         return self.events_max if name == self.program.input else self.sizes[name]
 
+    def states_max(self, name: str) -> int:
+        """Largest magnitude of a state of a layer, whatever the spikes [state units]."""
+        return self._magnitudes(self.program.layer(name)).states
+
     def _magnitudes(self, layer: Layer) -> magnitudes.Magnitudes:
         arithmetic, program = self.program.chip.arithmetic, self.program
         weights = magnitudes.arriving(layer, self.times_max)

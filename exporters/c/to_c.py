@@ -11,6 +11,8 @@ from spikedeploy.exporters.c.costs import CCosts, costs
 from spikedeploy.exporters.c.declarations import Declarations, bytes_of
 from spikedeploy.exporters.c.decoder import DecoderWriter
 from spikedeploy.exporters.c.encoders import encoder_gaps
+from spikedeploy.exporters.c.int16_codec import Int16Codec, Int16Player, int16_codec
+from spikedeploy.exporters.c.int16_writer import codec_files, selftest_files
 from spikedeploy.exporters.c.network import NetworkWriter
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.refusals import check_codec, check_prefix, check_program
@@ -21,6 +23,9 @@ from spikedeploy.runtime.compiler.program import Program
 
 MARK = "exported by spikedeploy as C"
 NAMES = ("policy.h", "policy.c", "codec.c", "selftest.c", "vectors.h", "Makefile")
+# of the interface in 16-bit integers, where there is one
+INT16_NAMES = ("policy_i16.h", "codec_i16.c", "host_i16.c", "selftest_i16.c", "vectors_i16.h")
+_INT16_STEPS = 200  # of the self-test
 
 
 @dataclass(frozen=True)
@@ -29,17 +34,19 @@ class CFiles:
 
     text: of each file, by name.
     costs: memory and operations.
+    without_int16: why there is no interface in 16-bit integers; "" where there is one.
     """
 
     text: Mapping[str, str]
     costs: CCosts
+    without_int16: str = ""
 
 
 def file_names(prefix: str, codec: bool) -> tuple[str, ...]:
     """The files that an export with this prefix writes."""
-    own = ("policy.h", "policy.c")
-    named = tuple(n.replace("policy", prefix) if n in own else n for n in NAMES)
-    return named if codec else tuple(name for name in named if name != "codec.c")
+    own = ("policy.h", "policy.c", "policy_i16.h")
+    every = (*NAMES, *INT16_NAMES) if codec else tuple(n for n in NAMES if n != "codec.c")
+    return tuple(n.replace("policy", prefix) if n in own else n for n in every)
 
 
 def policy_in_c(
@@ -59,7 +66,8 @@ def policy_in_c(
     check_codec(codec)
     plan = _plan(program, codec, prefix)
     seen = observed(plan, observation[: few(plan, codec.timesteps)])
-    return _files(plan, seen, codec.encode_episode(observation), origin, prefix)
+    raster = codec.encode_episode(observation)
+    return _files(plan, seen, raster, origin, prefix, observation)
 
 
 def network_in_c(
@@ -84,7 +92,12 @@ def _plan(program: Program, codec: Codec | None, prefix: str) -> Plan:
 
 
 def _files(
-    plan: Plan, seen: Recorded, raster: NDArray[np.uint8], origin: str, prefix: str
+    plan: Plan,
+    seen: Recorded,
+    raster: NDArray[np.uint8],
+    origin: str,
+    prefix: str,
+    observation: NDArray[np.float64] | None = None,
 ) -> CFiles:
     network, coder = NetworkWriter(plan), Declarations(bytes_of(plan.kind), bytes_of(plan.id_kind))
     gaps = _gaps(plan, origin, prefix)
@@ -98,10 +111,24 @@ def _files(
         )
     parts["selftest.c"] = filled(template("selftest.c"), gaps)
     parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, seen)}"
-    parts["Makefile"] = filled(template("Makefile"), gaps)
+    integers = int16_codec(plan)
+    if isinstance(integers, Int16Codec) and observation is not None:
+        parts |= codec_files(plan, integers, gaps, prefix)[0]
+        parts |= _int16_selftest(plan, integers, observation, gaps)
+        gaps |= {"integers": template("int16.mk")}
+    parts["Makefile"] = filled(template("Makefile"), {"integers": "", **gaps})
     memory = network.out.rom + coder.rom, network.out.ram + coder.ram
     found = costs(plan, raster, *memory)
-    return CFiles(parts, found)
+    return CFiles(parts, found, integers if isinstance(integers, str) else "")
+
+
+def _int16_selftest(
+    plan: Plan, codec: Int16Codec, observation: NDArray[np.float64], gaps: Mapping[str, str]
+) -> dict[str, str]:
+    """The self-test of the interface in 16-bit integers, on the first observations (S, obs)."""
+    rows = codec.observations.quantise(observation[:_INT16_STEPS])
+    player = Int16Player(plan.program, codec)
+    return selftest_files(rows, np.array([player.act(row) for row in rows]), gaps)
 
 
 def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
