@@ -9,7 +9,7 @@
 #include "@prefix@.h"
 
 /* shifts of negative numbers to the right have to keep the sign, as all compilers of note do */
-typedef char @prefix@_needs_arithmetic_shifts[((-1) >> 1) == -1 ? 1 : -1];
+typedef char @prefix@_keeps_sign_in_shifts[((-1) >> 1) == -1 ? 1 : -1];
 
 @declarations@
 
