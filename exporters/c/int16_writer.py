@@ -39,6 +39,7 @@ def interface_gaps(actions: int, choices: int) -> dict[str, str]:
         "actions": str(actions),
         "choices": str(choices),
         "action_words": words,
+        "net_call": "",
         "action_kind": "int32_t" if choices else "double",
         "action_value": "out[a]" if choices else "(double)out[a] / 32768.0",
     }
@@ -177,28 +178,56 @@ def _decoder(plan: Plan, codec: Int16Codec, out: Declarations) -> tuple[str, str
     """The function `decode`, and what a reset does to it."""
     layers = {layer.name: k for k, layer in enumerate(plan.program.layers)}
     scores, adds, resets = len(codec.bias), [], []
+    bias = out.per_neuron("bias", codec.bias, "a", "int32_t")
+    if _one_to_one(codec):
+        (term,) = codec.terms
+        weight = out.per_neuron("read_weight", np.diag(term.weight), "a", "int32_t")
+        value = f"(view.membrane[a] >> {term.drop})" if term.drop else "view.membrane[a]"
+        score = f"{bias} + {value} * {weight}"
+        lines = [
+            "@prefix@_layer_t view;",
+            "uint32_t a;",
+            f"@prefix@_net_layer({layers[term.layer]}u, 0u, &view);",
+            f"for (a = 0u; a < {scores}u; a++) {{",
+            f"    action[a] = {squashed(codec.squash, score)};",
+            "}",
+        ]
+        return _function("decode", lines), ""
     for k, term in enumerate(codec.terms):
         if term.silent and term.lag:
             resets += _declare_late(k, term, out)
         adds += _add(k, term, layers[term.layer], out)
-    bias = out.per_neuron("bias", codec.bias, "a", "int32_t")
     lines = [
-        "static void decode(int16_t *action)",
-        "{",
-        "    @prefix@_layer_t view;",
-        f"    int32_t score[{scores}];",
-        "    uint32_t a;",
-        "    uint32_t n;",
-        f"    for (a = 0u; a < {scores}u; a++) {{",
-        f"        score[a] = {bias};",
-        "    }",
-        *(f"    {line}" for line in adds),
-        *(f"    {line}" for line in _act(codec)),
+        "@prefix@_layer_t view;",
+        f"int32_t score[{scores}];",
+        "uint32_t a;",
+        "uint32_t n;",
+        f"for (a = 0u; a < {scores}u; a++) {{",
+        f"    score[a] = {bias};",
         "}",
-        "",
-        "",
+        *adds,
+        *_act(codec),
     ]
-    return "\n".join(lines), "\n".join(f"    {line}" for line in resets)
+    return _function("decode", lines), "\n".join(f"    {line}" for line in resets)
+
+
+def _one_to_one(codec: Int16Codec) -> bool:
+    """Whether each score is a bias and one membrane as it is now."""
+    if codec.chooses or len(codec.terms) != 1:
+        return False
+    (term,) = codec.terms
+    square = term.weight.shape[0] == term.weight.shape[1]
+    return bool(
+        square
+        and term.silent
+        and not term.lag
+        and not (term.weight - np.diag(np.diag(term.weight))).any()
+    )
+
+
+def _function(name: str, lines: list[str]) -> str:
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"static void {name}(int16_t *action)\n{{\n{body}\n}}\n\n"
 
 
 def _act(codec: Int16Codec) -> list[str]:

@@ -85,6 +85,12 @@ def write(files: CFiles, folder: Path) -> None:
         (folder / name).write_text(text, encoding="ascii")
 
 
+def printable(origin: str) -> str:
+    """Words of a file as they may stand in a comment of C."""
+    known = "".join(c if c.isalnum() or c in " ._:=,+-()" else "?" for c in origin)
+    return known.encode("ascii", "replace").decode()
+
+
 def _plan(program: Program, codec: Codec | None, prefix: str) -> Plan:
     check_prefix(prefix)
     check_program(program)
@@ -134,12 +140,11 @@ def _int16_selftest(
 def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
     """What several templates leave open."""
     codec, program = plan.codec, plan.program
-    printable = "".join(c if c.isalnum() or c in " ._:=,+-()" else "?" for c in origin)
     sources = f"{prefix}.c codec.c" if codec else f"{prefix}.c"
     actions = ", and every action to 1e-12" if codec and not codec.chooses else ""
     return {
         "mark": MARK,
-        "origin": printable.encode("ascii", "replace").decode(),
+        "origin": printable(origin),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "inputs": str(program.width),

@@ -24,7 +24,7 @@ void @prefix@_reset_i16(void);
 /* The action for an observation. */
 void @prefix@_act_i16(const int16_t observation[@PREFIX@_OBSERVATIONS],
                     int16_t action[@PREFIX@_ACTIONS]);
-
+@net_call@
 /* In host_i16.c: the scales, and the observation from numbers in units of training. Returns 0, or 1
  * where one of them is not finite, and then writes nothing. */
 extern const int8_t @prefix@_exponent[@PREFIX@_OBSERVATIONS];
