@@ -18,8 +18,8 @@ from spikedeploy.exporters.c.int16_tanh import (
 )
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.runtime.codec.codec import Codec
-from spikedeploy.runtime.codec.delta import PARTS, Code, DeltaEncoder
 from spikedeploy.runtime.codec.delta import LARGEST as X_LARGEST
+from spikedeploy.runtime.codec.delta import PARTS, Code, DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
 from spikedeploy.runtime.emulator.machine import Machine
 

@@ -16,7 +16,9 @@ _EXPONENTS = 126  # of either sign: what an int8_t of C holds
 
 @dataclass(frozen=True, eq=False)
 class Int16Observations:
-    """Fixed-point numbers that stand for observations: o = clip(rint(value 2**exponent), low, high).
+    """Fixed-point numbers that stand for observations.
+
+        o = rint(clip(value 2**exponent, low, high))
 
     exponent: (obs,) bits behind the binary point; may be negative.
     low, high: (obs,) the clip of the normaliser in these units, within int16.

@@ -40,4 +40,4 @@ def linear_q15(score: Integers, fraction: int) -> Integers:
 
 def score_fraction(largest: float) -> int:
     """Bits behind the point with which scores up to this magnitude leave one of 31 bits free."""
-    return int(floor(30 - log2(max(largest, 2.0**-14))))
+    return floor(30 - log2(max(largest, 2.0**-14)))

@@ -116,13 +116,12 @@ def _encoder(codec: Int16Codec, out: Declarations) -> str:
     out.constant("centre_at_rest", rest, "int32_t")
     out.variable("level", level, count)
     out.variable("centre", "int32_t", count)
+    bound = (2 * delta.threshold + 1) << delta.shift
     each = "".join(
         f"    sum = ({gain} * observation[{k}]) + centre[{n}];\n"
-        f"    if ((uint32_t)sum >= {literal(((2 * delta.threshold + 1) << int(shift)), 'uint32_t')}) {{\n"
+        f"    if ((uint32_t)sum >= {literal(int(most), 'uint32_t')}) {{\n"
         f"        count = sent({n}u, sum, id, count);\n    }}\n"
-        for n, (k, gain, shift) in enumerate(
-            zip(delta.observed, delta.gain, delta.shift, strict=True)
-        )
+        for n, (k, gain, most) in enumerate(zip(delta.observed, delta.gain, bound, strict=True))
     )
     most = str(delta.most)
     first = np.asarray(2 * delta.most * delta.observed)

@@ -149,8 +149,8 @@ def _quantised(
     fraction = int(np.floor(np.log2(_ACCUMULATED / total)))
     if not LEAST_FRACTION <= fraction < 60:
         raise ConfigError(
-            f"--to c: a layer sums up to {total:.3g}, with {fraction} bits behind the point left of "
-            f"32; at least {LEAST_FRACTION} are needed. Scale its weights down."
+            f"--to c: a layer sums up to {total:.3g}, which leaves {fraction} of 32 bits behind the "
+            f"point; at least {LEAST_FRACTION} are needed. Scale its weights down."
         )
     with np.errstate(divide="ignore"):
         shift = np.ceil(np.log2(row * 2.0**fraction / _WEIGHT))
@@ -170,7 +170,7 @@ def _reached(layer: Int8Layer, largest: Integers) -> Integers:
 
 
 def read_onnx(path: Path) -> FloatMlp:
-    """The network in an ONNX file that our exporters wrote; ConfigError where it is another kind."""
+    """The network in an ONNX file of our exporters; ConfigError where it is of another kind."""
     import onnx
     from onnx import numpy_helper
 
@@ -183,9 +183,9 @@ def read_onnx(path: Path) -> FloatMlp:
     kinds = [node.op_type for node in graph.node]
     if kinds[:3] != ["Sub", "Div", "Clip"] or not _alternates(kinds[3:]):
         raise ConfigError(
-            f"--to c: {path.name} computes {' '.join(kinds[:8])} ...; C of float networks is written "
-            "for a scaled and clipped observation before affine layers (Gemm) with Relu, Tanh or "
-            "Identity. Export a policy such as mlp-8."
+            f"--to c: {path.name} computes {' '.join(kinds[:8])} ...; C of float networks is "
+            "written for a scaled and clipped observation before affine layers (Gemm) with Relu, "
+            "Tanh or Identity. Export a policy such as mlp-8."
         )
     value: dict[str, Any] = {each.name: numpy_helper.to_array(each) for each in graph.initializer}
     try:
@@ -193,7 +193,9 @@ def read_onnx(path: Path) -> FloatMlp:
         mean, std = (value[graph.node[k].input[1]].astype(np.float64) for k in (0, 1))
         low, high = (float(value[name]) for name in graph.node[2].input[1:3])
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise ArtifactError(f"{path} lacks a constant that its graph names. Export it again") from error
+        raise ArtifactError(
+            f"{path} lacks a constant that its graph names. Export it again"
+        ) from error
     if low != -high:
         raise ConfigError(f"--to c: {path.name} clips from {low} to {high}, not evenly.")
     activations = [_ACTIVATIONS[kind] for kind in kinds[4::2]]

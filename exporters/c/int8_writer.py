@@ -1,10 +1,11 @@
-"""An 8-bit network as C: one statement for each weight, or loops where there are many.
+"""An 8-bit network as C: loops that keep sums in registers; of pruned layers what is left.
 
 Where the compiler has the packed multiplication of ARM's DSP extension (two products of 16 bits and
 their sum in one instruction), weights are read in pairs; the integers are the same.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,16 @@ from spikedeploy.exporters.c.int16_writer import (
     squashed,
     tanh_gaps,
 )
+from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.templates import filled, template
 from spikedeploy.exporters.c.to_c import MARK, printable
 
 Integers = NDArray[np.int64]
 
-_BLOCK = 8  # outputs whose sums a core keeps in registers
-_STRAIGHT = 4096  # weights of a network that are written as statements of their own
-_PAIRED = 0.5  # part of the weights that are not 0, from which pairs take fewer instructions
+_BLOCK = 9  # outputs whose sums a core keeps in registers, at most
+_STRAIGHT = 4096  # weights of a pruned network that are written as statements of their own
+_DENSE = 0.5  # part of the weights that are not 0, above which all are computed
 _INT16 = 2**15 - 1
 
 
@@ -47,7 +49,8 @@ class DenseFiles:
 def dense_names(prefix: str) -> tuple[str, ...]:
     """The files that an export with this prefix writes."""
     own = (f"{prefix}_i16.h", f"{prefix}.c", "host_i16.c")
-    return (*own, "selftest_i16.c", "vectors_i16.h", "Makefile")
+    every = (*own, "selftest_i16.c", "vectors_i16.h", "Makefile")
+    return (*every, *package_names(prefix))
 
 
 def mlp_in_c(
@@ -74,6 +77,7 @@ def mlp_in_c(
         "host_i16.c": host_file(network.observations, common, prefix),
         **selftest_files(rows, network.act(rows), common),
         "Makefile": filled(template("dense.mk"), common),
+        **package_files(Interface(network.observations, False, choices, network.actions), common),
     }
     names = dense_names(prefix)
     return DenseFiles({name: text[name] for name in names}, out.rom, out.ram)
@@ -114,7 +118,7 @@ def _gaps(network: Int8Mlp, out: Declarations) -> dict[str, str]:
 
 
 def _hidden_tanh(fraction: int, out: Declarations) -> str:
-    """tanh of hidden sums, under a name of its own."""
+    """Write tanh of hidden sums, under a name of its own."""
     return tanh_gaps("tanh", fraction, out).replace("tanh_q15", f"hidden_tanh{fraction}")
 
 
@@ -127,25 +131,28 @@ def _act(network: Int8Mlp, squash: str) -> str:
 
 
 def _layer(k: int, layer: Int8Layer, last: bool, straight: bool, out: Declarations) -> str:
-    """The function of a layer, with a second body for pairs where that is shorter.
+    """The function of a layer, with a second body where weights can be read in pairs.
 
-    straight: whether weights are statements.
+    straight: whether the weights of a pruned layer are statements.
     """
     kind = "int32_t" if last else "int16_t"
     factors = layer.factors
     nonzero = np.count_nonzero(factors)
-    body = _statements(layer, last) if straight else _loops(k, layer, last, out)
-    paired = nonzero > _PAIRED * factors.size and int(np.abs(factors).max()) <= _INT16
-    if paired:
-        pairs = _pairs(k, layer, last)
-        body = ["#ifdef @PREFIX@_PAIRS", *pairs, "#else", *body, "#endif"]
+    if nonzero <= _DENSE * factors.size:
+        body = _statements(layer, last) if straight else _lists(k, layer, last, out)
+    else:
+        body = _rows(layer, last)
+        if int(np.abs(factors).max()) <= _INT16:
+            body = ["#ifdef @PREFIX@_PAIRS", *_pairs(layer, last), "#else", *body, "#endif"]
     shown = [line if line.startswith("#") or not line else f"    {line}" for line in body]
     return "\n".join([f"static void layer{k}(const int16_t *x, {kind} *y)", "{", *shown, "}", ""])
 
 
 def _blocks(layer: Int8Layer) -> list[range]:
+    """Outputs, up to nine at a time, in blocks as even as can be."""
     size = len(layer.bias)
-    return [range(first, min(first + _BLOCK, size)) for first in range(0, size, _BLOCK)]
+    ends = np.linspace(0, size, -(-size // _BLOCK) + 1).round().astype(int).tolist()
+    return [range(first, end) for first, end in pairwise(ends)]
 
 
 def _statements(layer: Int8Layer, last: bool) -> list[str]:
@@ -153,7 +160,10 @@ def _statements(layer: Int8Layer, last: bool) -> list[str]:
     lines, factors = [], layer.factors
     for block in _blocks(layer):
         lines.append("{")
-        lines += [f"    int32_t a{j - block[0]} = {literal(int(layer.bias[j]), 'int32_t')};" for j in block]
+        lines += [
+            f"    int32_t a{j - block[0]} = {literal(int(layer.bias[j]), 'int32_t')};"
+            for j in block
+        ]
         lines.append("    int32_t in;")
         for i, row in enumerate(factors):
             used = [j for j in block if row[j]]
@@ -174,64 +184,82 @@ def _after(layer: Int8Layer, value: str, last: bool) -> str:
     return f"(int16_t)(({value} < 0) ? 0 : ({value} >> {layer.drop}))"
 
 
-def _loops(k: int, layer: Int8Layer, last: bool, out: Declarations) -> list[str]:
-    """The same as loops over the outputs, with weights in a table; as lists where many are 0."""
+def _lists(k: int, layer: Int8Layer, last: bool, out: Declarations) -> list[str]:
+    """The weights of each output that are not 0 as lists."""
     factors = layer.factors.T
+    rows, columns = np.nonzero(factors)
     bias = out.constant(f"bias{k}", layer.bias, "int32_t")
-    size, width = factors.shape
-    lines = ["uint32_t i;", "uint32_t j;", f"for (j = 0u; j < {size}u; j++) {{"]
-    lines.append(f"    int32_t a = {bias}[j];")
-    if np.count_nonzero(factors) > _PAIRED * factors.size:
-        weight = out.constant(f"weight{k}", factors)
-        kind = narrowest_of(factors)
-        lines += [
-            f"    const {kind} *w = &{weight}[j * {width}u];",
-            f"    for (i = 0u; i < {width}u; i++) {{",
-            "        a += (int32_t)x[i] * w[i];",
-            "    }",
-        ]
-    else:
-        rows, columns = np.nonzero(factors)
-        first = out.constant(f"first{k}", np.searchsorted(rows, np.arange(size + 1)))
-        source = out.constant(f"source{k}", columns)
-        weight = out.constant(f"weight{k}", factors[rows, columns])
-        lines += [
-            f"    for (i = {first}[j]; i < {first}[j + 1u]; i++) {{",
-            f"        a += (int32_t)x[{source}[i]] * {weight}[i];",
-            "    }",
-        ]
-    return [*lines, f"    y[j] = {_after(layer, 'a', last)};", "}"]
+    first = out.constant(f"first{k}", np.searchsorted(rows, np.arange(len(factors) + 1)))
+    source = out.constant(f"source{k}", columns)
+    weight = out.constant(f"weight{k}", factors[rows, columns])
+    return [
+        "uint32_t i;",
+        "uint32_t j;",
+        f"for (j = 0u; j < {len(factors)}u; j++) {{",
+        f"    int32_t a = {bias}[j];",
+        f"    for (i = {first}[j]; i < {first}[j + 1u]; i++) {{",
+        f"        a += (int32_t)x[{source}[i]] * {weight}[i];",
+        "    }",
+        f"    y[j] = {_after(layer, 'a', last)};",
+        "}",
+    ]
 
 
-def _pairs(k: int, layer: Int8Layer, last: bool) -> list[str]:
-    """The same with two products in one instruction; its table is declared inside."""
+def _rows(layer: Int8Layer, last: bool) -> list[str]:
+    """All weights as a loop over the inputs, with the sums of a block of outputs in registers."""
     factors = layer.factors
-    width = len(factors) + len(factors) % 2
-    padded = np.zeros((width, factors.shape[1]), np.int64)
-    padded[: len(factors)] = factors
-    both = (padded[::2] & 0xFFFF) | ((padded[1::2] & 0xFFFF) << 16)
-    both = np.where(both >= 2**31, both - 2**32, both)
-    own, lines = Declarations(), []
-    table = np.concatenate([both[:, block.start : block.stop].ravel() for block in _blocks(layer)])
-    own.constant("pairs", table, "int32_t")
-    lines += own.lines
-    lines += ["const int32_t *w = pairs;", "uint32_t i;"]
-    whole = len(factors) // 2
-    for block in _blocks(layer):
-        each = [f"        a{n} = __smlad(in, w[{n}], a{n});" for n in range(len(block))]
+    own = Declarations()
+    blocks = _blocks(layer)
+    table = np.concatenate([factors[:, each.start : each.stop].ravel() for each in blocks])
+    kind = narrowest_of(factors)
+    own.constant("weights", table, kind)
+    lines = [*own.lines, f"const {kind} *w = weights;", "uint32_t i;"]
+    for each in blocks:
+        names = [f"a{j - each.start}" for j in each]
+        bias = [literal(int(layer.bias[j]), "int32_t") for j in each]
         lines += [
             "{",
-            *(f"    int32_t a{j - block[0]} = {literal(int(layer.bias[j]), 'int32_t')};" for j in block),
-            "    int32_t in;",
-            f"    for (i = 0u; i < {whole}u; i++) {{",
+            *(f"    int32_t {n} = {b};" for n, b in zip(names, bias, strict=True)),
+            f"    for (i = 0u; i < {len(factors)}u; i++) {{",
+            "        const int32_t in = x[i];",
+            *(f"        {n} += in * w[{k}];" for k, n in enumerate(names)),
+            f"        w += {len(each)};",
+            "    }",
+            *(f"    y[{j}] = {_after(layer, n, last)};" for j, n in zip(each, names, strict=True)),
+            "}",
+        ]
+    return lines
+
+
+def _pairs(layer: Int8Layer, last: bool) -> list[str]:
+    """The same with two products and their sum in one instruction."""
+    factors = layer.factors
+    odd = len(factors) % 2
+    padded = np.concatenate([factors, np.zeros((odd, factors.shape[1]), np.int64)])
+    both = (padded[::2] & 0xFFFF) | ((padded[1::2] & 0xFFFF) << 16)
+    both = np.where(both >= 2**31, both - 2**32, both)
+    own, blocks = Declarations(), _blocks(layer)
+    table = np.concatenate([both[:, each.start : each.stop].ravel() for each in blocks])
+    own.constant("pairs", table, "int32_t")
+    lines = [*own.lines, "const int32_t *w = pairs;", "int32_t in;", "uint32_t i;"]
+    for each in blocks:
+        names = [f"a{j - each.start}" for j in each]
+        bias = [literal(int(layer.bias[j]), "int32_t") for j in each]
+        lines += [
+            "{",
+            *(f"    int32_t {n} = {b};" for n, b in zip(names, bias, strict=True)),
+            f"    for (i = 0u; i < {len(factors) // 2}u; i++) {{",
             "        in = pair_at(&x[2u * i]);",
-            *each,
-            f"        w += {len(block)};",
+            *(f"        {n} = __smlad(in, w[{k}], {n});" for k, n in enumerate(names)),
+            f"        w += {len(each)};",
             "    }",
         ]
-        if len(factors) % 2:
-            lines += [f"    in = x[{len(factors) - 1}];", *(line[4:].replace(
-                "__smlad(in, w", "__smlad(in & 0xFFFF, w") for line in each), f"    w += {len(block)};"]
-        lines += [f"    y[{j}] = {_after(layer, f'a{j - block[0]}', last)};" for j in block]
+        if odd:
+            lines.append(f"    in = x[{len(factors) - 1}];")
+            lines += [f"    {n} += in * (int16_t)w[{k}];" for k, n in enumerate(names)]
+            lines.append(f"    w += {len(each)};")
+        lines += [
+            f"    y[{j}] = {_after(layer, n, last)};" for j, n in zip(each, names, strict=True)
+        ]
         lines.append("}")
     return [*lines, "(void)w;"]

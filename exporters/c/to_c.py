@@ -14,6 +14,7 @@ from spikedeploy.exporters.c.encoders import encoder_gaps
 from spikedeploy.exporters.c.int16_codec import Int16Codec, Int16Player, int16_codec
 from spikedeploy.exporters.c.int16_writer import codec_files, selftest_files
 from spikedeploy.exporters.c.network import NetworkWriter
+from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.refusals import check_codec, check_prefix, check_program
 from spikedeploy.exporters.c.templates import filled, template
@@ -46,7 +47,8 @@ def file_names(prefix: str, codec: bool) -> tuple[str, ...]:
     """The files that an export with this prefix writes."""
     own = ("policy.h", "policy.c", "policy_i16.h")
     every = (*NAMES, *INT16_NAMES) if codec else tuple(n for n in NAMES if n != "codec.c")
-    return tuple(n.replace("policy", prefix) if n in own else n for n in every)
+    named = tuple(n.replace("policy", prefix) if n in own else n for n in every)
+    return (*named, *package_names(prefix)) if codec else named
 
 
 def policy_in_c(
@@ -80,14 +82,20 @@ def network_in_c(
 
 def write(files: CFiles, folder: Path) -> None:
     """Write all files into a folder."""
+    write_texts(files.text, folder)
+
+
+def write_texts(texts: Mapping[str, str], folder: Path) -> None:
+    """Write files by name into a folder, some of them into folders in it."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in files.text.items():
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text, encoding="ascii")
 
 
 def printable(origin: str) -> str:
     """Words of a file as they may stand in a comment of C."""
-    known = "".join(c if c.isalnum() or c in " ._:=,+-()" else "?" for c in origin)
+    known = "".join(c if c.isalnum() or c in " ._:=,+-()/" else "?" for c in origin)
     return known.encode("ascii", "replace").decode()
 
 
@@ -118,6 +126,11 @@ def _files(
     parts["selftest.c"] = filled(template("selftest.c"), gaps)
     parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, seen)}"
     integers = int16_codec(plan)
+    scales = integers.observations if isinstance(integers, Int16Codec) else None
+    if plan.codec is not None:
+        choices = int(gaps["actions_to_choose"])
+        kit = Interface(scales, True, choices, int(gaps["actions"]))
+        parts |= package_files(kit, gaps)
     if isinstance(integers, Int16Codec) and observation is not None:
         parts |= codec_files(plan, integers, gaps, prefix)[0]
         parts |= _int16_selftest(plan, integers, observation, gaps)
@@ -165,13 +178,15 @@ def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
 
 def _codec_header(codec: Codec, plan: Plan) -> dict[str, str]:
     """What the codec adds to the header and to the self-test."""
+    scores = DecoderWriter(plan, codec, Declarations()).scores
     exact = 'compare("an action", inference, 0u, a, found, wanted);'
     return {
         "codec_defines": template("codec_defines.h"),
         "codec_calls": template("codec_calls.h"),
         "seed_call": _SEED if codec.encoder.random else "",
         "observations": str(codec.encoder.observed),
-        "actions": "1" if codec.chooses else str(DecoderWriter(plan, codec, Declarations()).scores),
+        "actions_to_choose": str(scores if codec.chooses else 0),
+        "actions": "1" if codec.chooses else str(scores),
         "timesteps": str(codec.timesteps),
         "action_kind": "int32_t" if codec.chooses else "double",
         "compare_action": exact if codec.chooses else _NEAR,
