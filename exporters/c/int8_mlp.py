@@ -149,8 +149,8 @@ def _quantised(
     fraction = int(np.floor(np.log2(_ACCUMULATED / total)))
     if not LEAST_FRACTION <= fraction < 60:
         raise ConfigError(
-            f"--to c: a layer sums up to {total:.3g}, which leaves {fraction} of 32 bits behind the "
-            f"point; at least {LEAST_FRACTION} are needed. Scale its weights down."
+            f"--to c: a layer sums up to {total:.3g}, which leaves {fraction} of 32 bits behind "
+            f"the point; at least {LEAST_FRACTION} are needed. Scale its weights down."
         )
     with np.errstate(divide="ignore"):
         shift = np.ceil(np.log2(row * 2.0**fraction / _WEIGHT))

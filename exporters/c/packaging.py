@@ -146,8 +146,8 @@ def _interface(interface: Interface, prefix: str) -> str:
         words += [
             f"`{prefix}_reset_i16()` where an episode begins, then `{prefix}_act_i16(observation, "
             f"action)` in each control step. Observation k is the sensor's value in units of "
-            "training times 2^exponent, rounded, and kept from low to high, beyond which training clipped. "
-            f"An action is {what}.",
+            "training times 2^exponent, rounded, and kept from low to high, beyond which training "
+            f"clipped. An action is {what}.",
             "",
             _scales(interface.int16),
         ]

@@ -1,10 +1,13 @@
-/* Instructions of a control step of the 16-bit interface (or, with DOUBLES, of policy_step) on recorded
+/* Instructions of a control step of policy_act_i16 (with FLOATS: of policy_step) on recorded
  * observations, counted by qemu's -icount shift=0: mean, most, and of the network alone.
  *
- * Linked with --wrap=@policy_net_step@ for spiking networks (SPIKING), whose network is between two
- * calls; of a dense one policy_net_i16 is called once more by itself. */
-#ifdef DOUBLES
+ * SPIKING: linked with --wrap=policy_net_step, where the network is between encoder and decoder.
+ * DENSE: the network is called once more by itself. */
+#ifdef FLOATS
 #include "policy.h"
+#ifndef OBSERVATION
+#define OBSERVATION double
+#endif
 #else
 #include "policy_i16.h"
 #endif
@@ -56,18 +59,18 @@ void __wrap_policy_net_step(uint32_t count)
 
 int main(void)
 {
-#ifdef DOUBLES
+#ifdef FLOATS
     policy_action_t action[POLICY_ACTIONS];
-    const double *rows = count_doubles;
+    const OBSERVATION *rows = count_observation;
 #else
     int16_t action[POLICY_ACTIONS];
-    const int16_t *rows = count_integers;
+    const int16_t *rows = count_observation;
 #endif
     uint32_t i;
     unsigned long long total = 0u;
     unsigned long worst = 0u;
     start();
-#ifdef DOUBLES
+#ifdef FLOATS
     policy_reset();
 #else
     policy_reset_i16();
@@ -75,7 +78,7 @@ int main(void)
     for (i = 0u; i < COUNT_ROWS; i++) {
         const uint32_t before = now();
         unsigned long spent;
-#ifdef DOUBLES
+#ifdef FLOATS
         (void)policy_step(&rows[i * POLICY_OBSERVATIONS], action);
 #else
         policy_act_i16(&rows[i * POLICY_OBSERVATIONS], action);
@@ -86,7 +89,7 @@ int main(void)
     }
 #ifdef DENSE
     for (i = 0u; i < COUNT_ROWS; i++) {
-        int32_t score[POLICY_SCORES_MAX];
+        int32_t score[COUNT_SCORES];
         const uint32_t before = now();
         policy_net_i16(&rows[i * POLICY_OBSERVATIONS], score);
         network += (unsigned long)((now() - before) & MASK) * UNIT;
