@@ -22,7 +22,8 @@ _NETWORK_HEAD = (
 _CORES = {"cortex-m0": "M0", "cortex-m3": "M3", "cortex-m4": "M4", "cortex-m4f": "M4F",
           "rv32imac": "RV32"}  # fmt: skip
 _INTEGER_HEAD = (
-    "policy", "computed in", "return", "beside its own in float", "ROM [kB]", "RAM [kB]", *_CORES.values(),
+    "policy", "computed in", "return", "beside its own in float", "ROM [kB]", "RAM [kB]",
+    *_CORES.values(),
 )  # fmt: skip
 _COUNTS = ("instructions", "instructions_max")
 

@@ -53,4 +53,4 @@ class Int16Observations:
         if not np.isfinite(observation).all():
             raise ObservationError("the observation holds a number that is not finite")
         scaled = np.asarray(observation, np.float64) * 2.0**self.exponent
-        return np.rint(np.clip(scaled, self.low, self.high)).astype(np.int64)
+        return np.asarray(np.rint(np.clip(scaled, self.low, self.high)), np.int64)

@@ -19,7 +19,7 @@ LEAST_FRACTION = PER_UNIT + BETWEEN
 
 
 def tanh_q15(score: Integers, fraction: int) -> Integers:
-    """Q15 of tanh(score 2**-fraction), fraction >= LEAST_FRACTION; within 3 units of the real one.
+    """Q15 of tanh(score 2**-fraction), fraction >= LEAST_FRACTION; within 5 units of the real one.
 
     z = |score|,  i = z >> (fraction - 5),  f = ten bits behind i
     y = T[i] + ((T[i + 1] - T[i]) f + 512 >> 10),  and 32767 where the table ends
@@ -30,7 +30,8 @@ def tanh_q15(score: Integers, fraction: int) -> Integers:
     between = (size >> (fraction - LEAST_FRACTION)) & (2**BETWEEN - 1)
     step = TABLE[inside + 1] - TABLE[inside]
     line = TABLE[inside] + ((step * between + 2 ** (BETWEEN - 1)) >> BETWEEN)
-    return np.sign(score) * np.where(place < len(TABLE) - 1, line, ONE)
+    found: Integers = np.sign(score) * np.where(place < len(TABLE) - 1, line, ONE)
+    return found
 
 
 def linear_q15(score: Integers, fraction: int) -> Integers:

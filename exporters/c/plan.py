@@ -10,6 +10,7 @@ from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 
 
@@ -112,7 +113,7 @@ class Plan:
         """Largest magnitude of a state of a layer, whatever the spikes [state units]."""
         return self._magnitudes(self.program.layer(name)).states
 
-    def cuba_largest(self, layer: Layer, registers: CubaFixedPoint) -> magnitudes.CubaLargest:
+    def cuba_largest(self, layer: Layer, registers: CubaRegisters) -> magnitudes.CubaLargest:
         """Largest magnitudes that reach the registers of a layer."""
         weights = magnitudes.arriving(layer, self.times_max)
         return magnitudes.cuba_largest(layer, registers, weights, self._window)

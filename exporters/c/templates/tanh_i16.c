@@ -1,4 +1,4 @@
-/* Q15 of tanh of a score in 2**-@fraction@, within 3 units: straight lines between 32 entries for each
+/* Q15 of tanh of a score in 2**-@fraction@, within 5 units: straight lines between 32 entries for each
  * unit of the score. */
 static int16_t tanh_q15(int32_t score)
 {
