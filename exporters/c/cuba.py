@@ -1,6 +1,6 @@
 """One timestep of CuBa-LIF neurons in C, as runtime.families.cuba.neurons has it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +30,14 @@ class CubaWriter:
     registers: CubaRegisters
     kind: str
     largest: int
+    used: set[str] = field(default_factory=set)  # registers that numbers can reach
 
     has_current = True
 
     def shared(self) -> str:
-        """Functions that all layers use."""
-        fits = [fit(name, getattr(self.registers, name), self.kind) for name in _REGISTERS]
+        """Functions that the layers written before use."""
+        used = [name for name in _REGISTERS if name in self.used]
+        fits = [fit(name, getattr(self.registers, name), self.kind) for name in used]
         decays = [
             factor
             for layer in self.program.layers
@@ -91,6 +93,7 @@ class CubaWriter:
         register: Register = getattr(self.registers, name)
         if register.between is None and largest < 1 << (register.bits - 1):
             return f"({expression})"
+        self.used.add(name)
         return held(name, register, expression)
 
     def _fire(self, layer: Layer, name: str, out: Declarations) -> list[str]:

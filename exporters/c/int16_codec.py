@@ -22,6 +22,7 @@ from spikedeploy.runtime.codec.delta import LARGEST as X_LARGEST
 from spikedeploy.runtime.codec.delta import PARTS, Code, DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
 from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -185,7 +186,10 @@ def int16_codec(plan: Plan) -> Int16Codec | str:
         return "the states of the network need more than 32 bits"
     if any(plan.times_max[t.layer] > 1 for t in plan.terms if not _silent(plan, t)):
         return "a neuron that the output reads can spike several times in a timestep"
-    observations = Int16Observations.of(codec.normaliser)
+    try:
+        observations = Int16Observations.of(codec.normaliser)
+    except ConfigError as error:
+        return str(error).removeprefix("--to c: ")
     delta = _delta(plan, codec, codec.encoder, observations)
     return delta if isinstance(delta, str) else _scored(plan, codec, observations, delta)
 

@@ -36,7 +36,8 @@ def tanh_q15(score: Integers, fraction: int) -> Integers:
 
 def linear_q15(score: Integers, fraction: int) -> Integers:
     """Q15 of the score itself, within [-1, 1]."""
-    return np.clip(score >> (fraction - 15), -ONE, ONE)
+    found: Integers = np.clip(score >> (fraction - 15), -ONE, ONE)
+    return found
 
 
 def score_fraction(largest: float) -> int:

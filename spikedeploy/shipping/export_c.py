@@ -64,7 +64,7 @@ class WrittenC:
         if self.without_int16:
             beside = f"no interface in 16-bit integers: {self.without_int16}"
         return [
-            f"constants (ROM)        {found.rom:,} bytes, and the code",
+            f"constants (ROM)        {found.rom:,} bytes, and the code, which has short rows of weights",
             f"variables (RAM)        {found.ram:,} bytes, and the stack",
             f"input spikes           {found.events:,.1f}, at most {found.events_max:,}",
             f"synaptic operations    {found.sops:,.1f}, at most {found.sops_max:,}",
