@@ -63,8 +63,9 @@ class WrittenC:
         beside = f"{prefix}_act_i16: observations and actions as 16-bit integers; README.md"
         if self.without_int16:
             beside = f"no interface in 16-bit integers: {self.without_int16}"
+        code = "and the code, which has short rows of weights"
         return [
-            f"constants (ROM)        {found.rom:,} bytes, and the code, which has short rows of weights",
+            f"constants (ROM)        {found.rom:,} bytes, {code}",
             f"variables (RAM)        {found.ram:,} bytes, and the stack",
             f"input spikes           {found.events:,.1f}, at most {found.events_max:,}",
             f"synaptic operations    {found.sops:,.1f}, at most {found.sops_max:,}",
