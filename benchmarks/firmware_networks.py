@@ -40,7 +40,7 @@ from spikedeploy.exporters.c.to_c import network_in_c
 from spikedeploy.exporters.c.to_c import write as write_c
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.shipping.export_c import export_c
@@ -78,7 +78,7 @@ def _network(name: str, tools: snn_mlir_code.Tools, folder: Path) -> list[dict]:
     raster = np.asarray(policy.codec.encode_episode(observations))
     spiking = without_readout(policy)
     save(spiking, folder / "net.nir")
-    program = compile_program(spiking, chip("loihi1"))
+    program = compile_program(spiking, chip("loihi1"), clock=own_clock(spiking.convention))
     wanted = {"own": trace(program, raster)[program.output].spikes.sum(axis=1)}
     wanted["float32"] = FloatGraph(spiking).run(raster)["output"].sum(axis=1).astype(np.int64)
     rows = [_own(name, program, raster, folder / "own")]

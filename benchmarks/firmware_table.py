@@ -4,7 +4,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 PAGE = Path(__file__).parent.parent / "docs/firmware.md"
-_OWN, PEERS, NETWORKS = "firmware", "peers", "networks"  # places of the tables on the page
+# places of the tables on the page
+_OWN, PEERS, NETWORKS, INTEGERS = "firmware", "peers", "networks", "integers"
 _HEAD = (
     "policy", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most", "RV32 instructions", "at most",
     "host [µs]", "runtime / C", "spikes compared", "steps that differ",
@@ -17,6 +18,12 @@ _PEER_HEAD = (
 _NETWORK_HEAD = (
     "spiking layers of", "C by", "ROM [kB]", "M4 instructions", "at most", "with FPU",
     "host [ns]", "times ours", "counts unlike float",
+)  # fmt: skip
+_CORES = {"cortex-m0": "M0", "cortex-m3": "M3", "cortex-m4": "M4", "cortex-m4f": "M4F",
+          "rv32imac": "RV32"}  # fmt: skip
+_INTEGER_HEAD = (
+    "policy", "computed in", "return", "beside its own in float", "ROM [kB]", "RAM [kB]",
+    *_CORES.values(),
 )  # fmt: skip
 _COUNTS = ("instructions", "instructions_max")
 
@@ -48,6 +55,26 @@ def peer_table(rows: list[dict]) -> str:
 def _peer_cells(row: dict) -> list[str]:
     memory = [_thousands(row["cortex-m4"], key) for key in ("rom", "static")]
     return [row["policy"], row["by"], f"{row['return']:,.1f}", *memory, *_costs(row)]
+
+
+def integer_table(rows: list[dict]) -> str:
+    """Spiking and dense policies in integers, as a table in Markdown."""
+    return _table(_INTEGER_HEAD, map(_integer_cells, rows), names=2)
+
+
+def _integer_cells(row: dict) -> list[str]:
+    own = row["difference"]
+    memory = [_thousands(row["cortex-m4"], key) for key in ("rom", "static")]
+    cores = [_parts(row[core]) for core in _CORES]
+    return [row["policy"], row["by"], row["return"], own, *memory, *cores]
+
+
+def _parts(found: dict) -> str:
+    """Instructions of a step, and codec + network where they are told apart."""
+    total = found["instructions"]
+    if not found["network"]:
+        return f"{total:,}"
+    return f"{total:,} ({total - found['network']:,} + {found['network']:,})"
 
 
 def network_table(rows: list[dict]) -> str:

@@ -23,6 +23,9 @@ TARGETS = {
         _M4_MEMORY,
         _M4_MACHINE,
     ),
+    # both run on the emulated M4, which has all of their instructions
+    "cortex-m0": ("arm-none-eabi", ("-mcpu=cortex-m0", "-mthumb"), _M4_MEMORY, _M4_MACHINE),
+    "cortex-m3": ("arm-none-eabi", ("-mcpu=cortex-m3", "-mthumb"), _M4_MEMORY, _M4_MACHINE),
     "rv32imac": (
         "riscv64-unknown-elf",
         ("-march=rv32imac", "-mabi=ilp32"),
@@ -52,17 +55,31 @@ def counted(target: str, folder: Path, sources: tuple[str, ...] = ("policy.c", "
     hosted = [*_hosted(target), str(SOURCES / "count.c"), "-lm", "-o", "count.elf"]
     must([*build, *hosted], folder)
     mean, worst = map(int, must([*_machine(target), "count.elf"], folder).split()[:2])
+    return {"instructions": mean, "instructions_max": worst, **sized(target, folder, sources)}
+
+
+def split(target: str, folder: Path, sources: tuple[str, ...], options: tuple[str, ...]) -> dict:
+    """Instructions of a control step on the rows of count_rows.h, mean and most; of the network.
+
+    options: SPIKING, DENSE and FLOATS, as benchmarks/firmware/count_rows.c has them.
+    """
+    defines = [f"-D{option}" for option in options]
+    wrapped = ["-Wl,--wrap=policy_net_step"] if "SPIKING" in options else []
+    build = [*_compiler(target), *sources, *defines, str(SOURCES / "count_rows.c")]
+    must([*build, *_hosted(target), *wrapped, "-lm", "-o", "count.elf"], folder)
+    said = must([*_machine(target), "count.elf"], folder).split()[:3]
+    return dict(zip(("instructions", "instructions_max", "network"), map(int, said), strict=True))
+
+
+def sized(target: str, folder: Path, sources: tuple[str, ...], least: str = "least.c") -> dict:
+    """Bytes of ROM, and of static memory, of the least program that has all of a policy."""
+    build = [*_compiler(target), *sources]
     alone = ["--specs=picolibc.specs", "-nostartfiles", "-Wl,-e,main", "-Wl,--gc-sections"]
-    least = ["-ffunction-sections", *alone, *_memory(target), str(SOURCES / "least.c")]
-    must([*build, *least, "-lm", "-o", "least.elf"], folder)
+    words = ["-ffunction-sections", *alone, *_memory(target), str(SOURCES / least)]
+    must([*build, *words, "-lm", "-o", "least.elf"], folder)
     size = must([f"{TARGETS[target][0]}-size", "least.elf"], folder).split()
     text, data, bss = map(int, size[6:9])
-    return {
-        "instructions": mean,
-        "instructions_max": worst,
-        "rom": text + data,
-        "static": data + bss,
-    }
+    return {"rom": text + data, "static": data + bss}
 
 
 def shared(folder: Path, *sources: str) -> None:

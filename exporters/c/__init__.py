@@ -17,6 +17,13 @@ encoders        codec.c: observations to events
 fixed_parts     the delta code in fixed point, and how sure its rounding is
 decoder         codec.c: spikes and membranes to actions
 vectors         what the interpreter computes, for the self-test
+int16_interface observations as 16-bit integers: a power of two for each
+int16_codec     the codec in 16-bit integers: what its C equals bit for bit
+int16_tanh      tanh from a fixed-point score to Q15
+int16_writer    codec_i16.c, host_i16.c and their self-test
+int8_mlp        a float network in 8-bit weights: what its C equals bit for bit
+int8_writer     policy.c of such a network
+packaging       a Zephyr module, a CMSIS layer, a cycle counter, a README
 costs           memory, and operations in the worst case and as recorded
 templates/      C with gaps
 """

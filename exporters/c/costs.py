@@ -15,7 +15,8 @@ from spikedeploy.runtime.emulator.machine import Machine
 class CCosts:
     """Memory, and operations of an inference.
 
-    rom: constants [bytes]; the code comes on top, which the compiler decides.
+    rom: constants [bytes]; the code comes on top, which the compiler decides, and which has the
+        weights of projections with few synapses.
     ram: static variables [bytes]; the stack comes on top, less than 1 kB without the C library.
     sops, sops_max: synaptic operations, the mean of those recorded and the most there can be.
     events, events_max: input spikes, likewise.

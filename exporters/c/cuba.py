@@ -1,13 +1,15 @@
 """One timestep of CuBa-LIF neurons in C, as runtime.families.cuba.neurons has it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.declarations import Declarations, literal
+from spikedeploy.exporters.c.magnitudes import CubaLargest
 from spikedeploy.exporters.c.registers import decay, fit, held
 from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
@@ -21,23 +23,29 @@ class CubaWriter:
     program: whose layers they are.
     registers: of its chip.
     kind: C type of all numbers.
+    largest: magnitude of a state.
     """
 
     program: Program
     registers: CubaRegisters
     kind: str
+    largest: int
+    used: set[str] = field(default_factory=set)  # registers that numbers can reach
 
     has_current = True
 
     def shared(self) -> str:
-        """Functions that all layers use."""
-        fits = [fit(name, getattr(self.registers, name), self.kind) for name in _REGISTERS]
-        decays = any(
-            self._mixed(factor)
+        """Functions that the layers written before use."""
+        used = [name for name in _REGISTERS if name in self.used]
+        fits = [fit(name, getattr(self.registers, name), self.kind) for name in used]
+        decays = [
+            factor
             for layer in self.program.layers
             for factor in (layer.current_decay, layer.membrane_decay)
-        )
-        rest = [decay(self.kind, self.registers.decay_bits)] if decays else []
+            if self._mixed(factor)
+        ]
+        whole = any(int(factor.max()) >= self.registers.decay_one for factor in decays)
+        rest = [decay(self.kind, self.registers.decay_bits, whole, self.largest)] if decays else []
         return "\n".join([*filter(None, fits), *rest])
 
     def variables(self, layer: Layer, name: str, out: Declarations) -> None:
@@ -52,10 +60,13 @@ class CubaWriter:
         late = [f"{name}_refractory"] if self._refractory(layer) else []
         return [f"{name}_current", f"{name}_membrane", *late]
 
-    def update(self, layer: Layer, name: str, unit: int, out: Declarations) -> str:
+    def update(
+        self, layer: Layer, name: str, unit: int, largest: CubaLargest, out: Declarations
+    ) -> str:
         """The body of a timestep, after the weights have been summed in `sums`.
 
         unit: by which the sums have to be multiplied.
+        largest: magnitudes that reach the registers.
         """
         shift = unit << self.registers.mantissa_shift
         drive = f"sums[n] * {literal(shift, self.kind)}" if shift > 1 else "sums[n]"
@@ -66,16 +77,24 @@ class CubaWriter:
             pushed += f" + {out.per_neuron(f'{name}_bias_v', bias, 'n', self.kind)}"
         kept = self._kept(f"{name}_keep_i", current, layer.current_decay, out)
         left = self._kept(f"{name}_keep_v", membrane, layer.membrane_decay, out)
-        registers = self.registers
-        drive = held("accumulator", registers.accumulator, drive)
-        pushed = held("push", registers.push, pushed)
+        drive = self._held("accumulator", drive, largest.drive)
+        pushed = self._held("push", pushed, largest.pushed)
         lines = [
             f"for (n = 0u; n < {layer.size}u; n++) {{",
-            f"    {current} = {held('current', registers.current, f'{kept}{drive}')};",
-            f"    {membrane} = {held('membrane', registers.membrane, f'{left}{pushed}')};",
+            f"    {current} = {self._held('current', f'{kept}{drive}', largest.current)};",
+            f"    {membrane} = {self._held('membrane', f'{left}{pushed}', largest.membrane)};",
+            *(f"    {line}" for line in (self._fire(layer, name, out) if layer.spiking else [])),
             "}",
         ]
-        return "\n".join([*lines, *(self._fire(layer, name, out) if layer.spiking else [])])
+        return "\n".join(lines)
+
+    def _held(self, name: str, expression: str, largest: int) -> str:
+        """The expression as a register holds it, which changes nothing up to its magnitude."""
+        register: Register = getattr(self.registers, name)
+        if register.between is None and largest < 1 << (register.bits - 1):
+            return f"({expression})"
+        self.used.add(name)
+        return held(name, register, expression)
 
     def _fire(self, layer: Layer, name: str, out: Declarations) -> list[str]:
         threshold = out.per_neuron(f"{name}_threshold", layer.threshold, "n", self.kind)
@@ -83,20 +102,20 @@ class CubaWriter:
         subtract = self.program.convention.reset == "subtract"
         after = f"{membrane} -= {threshold};" if subtract else f"{membrane} = 0;"
         spike = [after, f"{name}_id[@slot@][fired] = (@prefix@_id_t)n;", "fired++;"]
-        lines = [f"for (n = 0u; n < {layer.size}u; n++) {{"]
+        lines = []
         test = f"if ({membrane} > {threshold}) {{"
         if self._refractory(layer):
             waits = f"{name}_refractory[n]"
             lines += [
-                f"    if ({waits} > 0u) {{",
-                f"        {waits}--;",
-                f"        {membrane} = 0;",
+                f"if ({waits} > 0u) {{",
+                f"    {waits}--;",
+                f"    {membrane} = 0;",
             ]
             test = f"}} else {test}"
             spike.append(f"{waits} = {self.registers.refractory - 1}u;")
-        tail = ["    } else {", "        /* it stays below its threshold */"]
+        tail = ["} else {", "    /* it stays below its threshold */"]
         tail = tail if self._refractory(layer) else []
-        return [*lines, f"    {test}", *(f"        {s}" for s in spike), *tail, "    }", "}"]
+        return [*lines, test, *(f"    {s}" for s in spike), *tail, "}"]
 
     def _refractory(self, layer: Layer) -> bool:
         return layer.spiking and self.registers.refractory > 1

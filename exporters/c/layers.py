@@ -80,7 +80,8 @@ class LayerWriter:
                 times = f", {of}_times[{slot}][i]" if self._several(layer, k) else ""
                 parts.append(_for_each(of, slot, f"{each.name}({of}_id[{slot}][i]{times});"))
         if isinstance(neurons, CubaWriter):
-            return "\n".join([*parts, neurons.update(layer, name, unit, out)])
+            largest = self.plan.cuba_largest(layer, neurons.registers)
+            return "\n".join([*parts, neurons.update(layer, name, unit, largest, out)])
         first, last = neurons.begin(layer, name, out), neurons.end(layer, name, out)
         take = neurons.take(layer, name, unit, out)
         return "\n".join(filter(None, [first, *parts, take, last]))

@@ -45,15 +45,42 @@ def arriving(layer: Layer, most: dict[str, int]) -> int:
     return int(total.max(initial=0))
 
 
+@dataclass(frozen=True)
+class CubaLargest:
+    """Largest magnitudes that reach the registers of CuBa-LIF neurons, before they are held.
+
+    drive, current, pushed, membrane: into the accumulator, the current, the push, the membrane.
+    """
+
+    drive: int
+    current: int
+    pushed: int
+    membrane: int
+
+
 def of_cuba(
     layer: Layer, registers: CubaRegisters, weights: int, timesteps: int | None
 ) -> Magnitudes:
     """Of CuBa-LIF neurons; weights: what `arriving` says; timesteps: T where states are reset."""
+    return _of_cuba(layer, registers, weights, timesteps)[0]
+
+
+def cuba_largest(
+    layer: Layer, registers: CubaRegisters, weights: int, timesteps: int | None
+) -> CubaLargest:
+    """What reaches the registers; parameters as of `of_cuba`."""
+    return _of_cuba(layer, registers, weights, timesteps)[1]
+
+
+def _of_cuba(
+    layer: Layer, registers: CubaRegisters, weights: int, timesteps: int | None
+) -> tuple[Magnitudes, CubaLargest]:
     one = registers.decay_one
     summed = weights << registers.mantissa_shift
     drive = _held(registers.accumulator, summed, 0, 0)
     keeps = int(layer.current_decay.max(initial=0)), int(layer.membrane_decay.max(initial=0))
     current = _state(layer, registers.current, drive, keeps[0] / one, timesteps)
+    unheld = _unheld(drive, keeps[0] / one, current)
     pushed = current + int(np.abs(layer.voltage_bias).max(initial=0))
     push = _held(registers.push, pushed, 0, 0)
     membrane = _state(layer, registers.membrane, push, keeps[1] / one, timesteps)
@@ -61,7 +88,8 @@ def of_cuba(
     states = max(summed, current + drive, pushed, membrane + push, membrane + threshold)
     if max(states, (membrane + current) * one) > _INT64:
         raise _unbounded(layer)
-    return Magnitudes(weights, states)
+    largest = CubaLargest(summed, unheld, pushed, _unheld(push, keeps[1] / one, membrane))
+    return Magnitudes(weights, states), largest
 
 
 def of_integrate(layer: Layer, rules: IntegrateAndFireRules, weights: int) -> Magnitudes:
@@ -106,6 +134,17 @@ def _state(
     if not reached:
         raise _unbounded(layer)
     return int(min(reached)) + 1
+
+
+def _unheld(added: int, keeps: float, state: int) -> int:
+    """Largest magnitude that a state reaches before its register holds it.
+
+    added: to what is left of it; state: its largest magnitude as held.
+    """
+    # rounded toward zero, what is left is no more than its part, so that the sum of the geometric
+    # series bounds the state even if nothing holds it
+    free = int(added / (1 - keeps)) + 1 if keeps < 1 else state + added
+    return min(free, state + added)
 
 
 def _unbounded(layer: Layer) -> ConfigError:

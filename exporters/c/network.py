@@ -20,7 +20,7 @@ class NetworkWriter:
         arithmetic = plan.program.chip.arithmetic
         self._neurons: CubaWriter | IntegrateWriter
         if isinstance(arithmetic, CubaFixedPoint):
-            self._neurons = CubaWriter(plan.program, arithmetic, plan.kind)
+            self._neurons = CubaWriter(plan.program, arithmetic, plan.kind, plan.largest)
         else:
             self._neurons = IntegrateWriter(plan.program, arithmetic, plan.kind)  # type: ignore[arg-type]
         self._declare()

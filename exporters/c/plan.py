@@ -10,6 +10,7 @@ from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 
 
@@ -103,13 +104,31 @@ class Plan:
         """Channels or neurons of a source that can spike in one timestep."""
         return self.events_max if name == self.program.input else self.sizes[name]
 
+    @property
+    def largest(self) -> int:
+        """Largest magnitude of a state of any layer [state units]."""
+        return max(self.states_max(layer.name) for layer in self.program.layers)
+
+    def states_max(self, name: str) -> int:
+        """Largest magnitude of a state of a layer, whatever the spikes [state units]."""
+        return self._magnitudes(self.program.layer(name)).states
+
+    def cuba_largest(self, layer: Layer, registers: CubaRegisters) -> magnitudes.CubaLargest:
+        """Largest magnitudes that reach the registers of a layer."""
+        weights = magnitudes.arriving(layer, self.times_max)
+        return magnitudes.cuba_largest(layer, registers, weights, self._window)
+
     def _magnitudes(self, layer: Layer) -> magnitudes.Magnitudes:
-        arithmetic, program = self.program.chip.arithmetic, self.program
+        arithmetic = self.program.chip.arithmetic
         weights = magnitudes.arriving(layer, self.times_max)
         if isinstance(arithmetic, IntegrateAndFire):
             return magnitudes.of_integrate(layer, arithmetic, weights)
         if not isinstance(arithmetic, CubaFixedPoint):
             raise TypeError(type(arithmetic).__name__)
-        reset = program.convention.state == "reset" and self.codec is not None
-        window = self.codec.timesteps if self.codec is not None and reset else None
-        return magnitudes.of_cuba(layer, arithmetic, weights, window)
+        return magnitudes.of_cuba(layer, arithmetic, weights, self._window)
+
+    @property
+    def _window(self) -> int | None:
+        """Timesteps after which all states are reset; None where they are kept."""
+        reset = self.program.convention.state == "reset" and self.codec is not None
+        return self.codec.timesteps if self.codec is not None and reset else None

@@ -67,11 +67,15 @@ def _function(name: str, kind: str, steps: list[str]) -> str:
     return f"static {kind} {name}({kind} x)\n{{\n{body}\n    return x;\n}}\n"
 
 
-def decay(kind: str, bits: int) -> str:
+def decay(kind: str, bits: int, whole: bool, largest: int) -> str:
     """A C function: the magnitude of x times factor / 2**bits, rounded toward zero.
 
+    whole: whether a factor can be 2**bits itself.
+    largest: magnitude of x.
     32-bit numbers are cut in two at the decay's bits, so that no product needs 64:
     (h 2**b + l) f >> b  =  h f + (l f >> b).
+    Cores with a long multiplication take the upper half of 2 x (f << 31 - b) instead, to which
+    2**32 - 1 is added where x is negative: that rounds up.
     """
     unsigned = f"u{kind}"
     mask = literal((1 << bits) - 1, unsigned)
@@ -81,12 +85,22 @@ def decay(kind: str, bits: int) -> str:
         kept = f"(uint32_t)(((uint64_t)size * factor) >> {bits})"
     else:
         kept = f"(size * factor) >> {bits}"
-    return (
-        f"static {kind} decay({kind} x, {unsigned} factor)\n{{\n"
+    body = (
         f"    const {unsigned} size = (x < 0) ? ({unsigned})(-x) : ({unsigned})x;\n"
         f"    const {kind} kept = ({kind})({kept});\n"
-        "    return (x < 0) ? -kept : kept;\n}\n"
+        "    return (x < 0) ? -kept : kept;\n"
     )
+    if kind == "int32_t" and not whole and largest < 2**30:
+        body = f"{_LONG.format(shift=31 - bits)}#else\n{body}#endif\n"
+    return f"static {kind} decay({kind} x, {unsigned} factor)\n{{\n{body}}}\n"
+
+
+# ARMv6-M and ARMv8-M Baseline have no long multiplication
+_LONG = """\
+#if !defined(__ARM_ARCH_6M__) && !defined(__ARM_ARCH_8M_BASE__)
+    const int64_t product = (int64_t)(2 * x) * (int32_t)(factor << {shift});
+    return (int32_t)((product + (int64_t)((x < 0) ? UINT32_MAX : 0u)) >> 32);
+"""
 
 
 def shifted_down(value: str, shift: str) -> str:

@@ -11,7 +11,10 @@ from spikedeploy.exporters.c.costs import CCosts, costs
 from spikedeploy.exporters.c.declarations import Declarations, bytes_of
 from spikedeploy.exporters.c.decoder import DecoderWriter
 from spikedeploy.exporters.c.encoders import encoder_gaps
+from spikedeploy.exporters.c.int16_codec import Int16Codec, Int16Player, int16_codec
+from spikedeploy.exporters.c.int16_writer import codec_files, selftest_files
 from spikedeploy.exporters.c.network import NetworkWriter
+from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.refusals import check_codec, check_prefix, check_program
 from spikedeploy.exporters.c.templates import filled, template
@@ -21,6 +24,9 @@ from spikedeploy.runtime.compiler.program import Program
 
 MARK = "exported by spikedeploy as C"
 NAMES = ("policy.h", "policy.c", "codec.c", "selftest.c", "vectors.h", "Makefile")
+# of the interface in 16-bit integers, where there is one
+INT16_NAMES = ("policy_i16.h", "codec_i16.c", "host_i16.c", "selftest_i16.c", "vectors_i16.h")
+_INT16_STEPS = 200  # of the self-test
 
 
 @dataclass(frozen=True)
@@ -29,17 +35,20 @@ class CFiles:
 
     text: of each file, by name.
     costs: memory and operations.
+    without_int16: why there is no interface in 16-bit integers; "" where there is one.
     """
 
     text: Mapping[str, str]
     costs: CCosts
+    without_int16: str = ""
 
 
 def file_names(prefix: str, codec: bool) -> tuple[str, ...]:
     """The files that an export with this prefix writes."""
-    own = ("policy.h", "policy.c")
-    named = tuple(n.replace("policy", prefix) if n in own else n for n in NAMES)
-    return named if codec else tuple(name for name in named if name != "codec.c")
+    own = ("policy.h", "policy.c", "policy_i16.h")
+    every = (*NAMES, *INT16_NAMES) if codec else tuple(n for n in NAMES if n != "codec.c")
+    named = tuple(n.replace("policy", prefix) if n in own else n for n in every)
+    return (*named, *package_names(prefix)) if codec else named
 
 
 def policy_in_c(
@@ -59,7 +68,8 @@ def policy_in_c(
     check_codec(codec)
     plan = _plan(program, codec, prefix)
     seen = observed(plan, observation[: few(plan, codec.timesteps)])
-    return _files(plan, seen, codec.encode_episode(observation), origin, prefix)
+    raster = codec.encode_episode(observation)
+    return _files(plan, seen, raster, origin, prefix, observation)
 
 
 def network_in_c(
@@ -72,9 +82,21 @@ def network_in_c(
 
 def write(files: CFiles, folder: Path) -> None:
     """Write all files into a folder."""
+    write_texts(files.text, folder)
+
+
+def write_texts(texts: Mapping[str, str], folder: Path) -> None:
+    """Write files by name into a folder, some of them into folders in it."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in files.text.items():
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text, encoding="ascii")
+
+
+def printable(origin: str) -> str:
+    """Words of a file as they may stand in a comment of C."""
+    known = "".join(c if c.isalnum() or c in " ._:=,+-()/" else "?" for c in origin)
+    return known.encode("ascii", "replace").decode()
 
 
 def _plan(program: Program, codec: Codec | None, prefix: str) -> Plan:
@@ -84,7 +106,12 @@ def _plan(program: Program, codec: Codec | None, prefix: str) -> Plan:
 
 
 def _files(
-    plan: Plan, seen: Recorded, raster: NDArray[np.uint8], origin: str, prefix: str
+    plan: Plan,
+    seen: Recorded,
+    raster: NDArray[np.uint8],
+    origin: str,
+    prefix: str,
+    observation: NDArray[np.float64] | None = None,
 ) -> CFiles:
     network, coder = NetworkWriter(plan), Declarations(bytes_of(plan.kind), bytes_of(plan.id_kind))
     gaps = _gaps(plan, origin, prefix)
@@ -98,21 +125,39 @@ def _files(
         )
     parts["selftest.c"] = filled(template("selftest.c"), gaps)
     parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, seen)}"
-    parts["Makefile"] = filled(template("Makefile"), gaps)
+    integers = int16_codec(plan)
+    scales = integers.observations if isinstance(integers, Int16Codec) else None
+    if plan.codec is not None:
+        choices = int(gaps["actions_to_choose"])
+        kit = Interface(scales, True, choices, int(gaps["actions"]))
+        parts |= package_files(kit, gaps)
+    if isinstance(integers, Int16Codec) and observation is not None:
+        parts |= codec_files(plan, integers, gaps, prefix)[0]
+        parts |= _int16_selftest(plan, integers, observation, gaps)
+        gaps |= {"integers": template("int16.mk")}
+    parts["Makefile"] = filled(template("Makefile"), {"integers": "", **gaps})
     memory = network.out.rom + coder.rom, network.out.ram + coder.ram
     found = costs(plan, raster, *memory)
-    return CFiles(parts, found)
+    return CFiles(parts, found, integers if isinstance(integers, str) else "")
+
+
+def _int16_selftest(
+    plan: Plan, codec: Int16Codec, observation: NDArray[np.float64], gaps: Mapping[str, str]
+) -> dict[str, str]:
+    """The self-test of the interface in 16-bit integers, on the first observations (S, obs)."""
+    rows = codec.observations.quantise(observation[:_INT16_STEPS])
+    player = Int16Player(plan.program, codec)
+    return selftest_files(rows, np.array([player.act(row) for row in rows]), gaps)
 
 
 def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
     """What several templates leave open."""
     codec, program = plan.codec, plan.program
-    printable = "".join(c if c.isalnum() or c in " ._:=,+-()" else "?" for c in origin)
     sources = f"{prefix}.c codec.c" if codec else f"{prefix}.c"
     actions = ", and every action to 1e-12" if codec and not codec.chooses else ""
     return {
         "mark": MARK,
-        "origin": printable.encode("ascii", "replace").decode(),
+        "origin": printable(origin),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "inputs": str(program.width),
@@ -133,13 +178,15 @@ def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
 
 def _codec_header(codec: Codec, plan: Plan) -> dict[str, str]:
     """What the codec adds to the header and to the self-test."""
+    scores = DecoderWriter(plan, codec, Declarations()).scores
     exact = 'compare("an action", inference, 0u, a, found, wanted);'
     return {
         "codec_defines": template("codec_defines.h"),
         "codec_calls": template("codec_calls.h"),
         "seed_call": _SEED if codec.encoder.random else "",
         "observations": str(codec.encoder.observed),
-        "actions": "1" if codec.chooses else str(DecoderWriter(plan, codec, Declarations()).scores),
+        "actions_to_choose": str(scores if codec.chooses else 0),
+        "actions": "1" if codec.chooses else str(scores),
         "timesteps": str(codec.timesteps),
         "action_kind": "int32_t" if codec.chooses else "double",
         "compare_action": exact if codec.chooses else _NEAR,

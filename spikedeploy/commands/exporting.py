@@ -42,7 +42,7 @@ def export(
         str | None,
         typer.Option(
             help="Format: nir, c or xylo for spiking policies, onnx for float ones, or for one "
-            "step of a spiking one; or card.",
+            "step of a spiking one; c of small float ones, in 8-bit weights; or card.",
             show_default="as -o ends, else as the policy is",
         ),
     ] = None,
@@ -103,7 +103,7 @@ def export(
             "--from, --dt and --reset go with --for, --nir-compat or --to xylo"
         )
     if to == "c":
-        _export_c(run, chip or "loihi1", output, observations, prefix, force, json)
+        _export_c(run, chip, output, observations, prefix, force, json)
         return
     if to == "card":
         _export_card(run, output, checkpoint, film, force, json)
@@ -123,18 +123,23 @@ def export(
 
 def _export_c(
     policy: str,
-    chip: str,
+    chip: str | None,
     folder: Path | None,
     observations: int,
     prefix: str,
     force: bool,
     json: bool,
 ) -> None:
-    """Write a policy as C of a chip, and say what that takes."""
+    """Write a policy as C, of a chip if it spikes, and say what that takes."""
     from spikedeploy.console import print_json
     from spikedeploy.shipping import export_c as shipping
+    from spikedeploy.shipping import export_int8
 
-    written = shipping.export_c(policy, chip, folder, observations, prefix, force)
+    written: shipping.WrittenC | export_int8.WrittenInt8
+    if (file := export_int8.onnx_file(policy)) is not None:
+        written = export_int8.export_int8(file, policy, chip, folder, observations, prefix, force)
+    else:
+        written = shipping.export_c(policy, chip or "loihi1", folder, observations, prefix, force)
     if json:
         print_json(written.record())
         return

@@ -31,6 +31,7 @@ class WrittenC:
     costs: memory and operations.
     remarks: what of the program is not as in the file.
     source: of the observations behind the typical operations.
+    without_int16: why there is no interface in 16-bit integers; "" where there is one.
     """
 
     folder: Path
@@ -38,6 +39,7 @@ class WrittenC:
     costs: CCosts
     remarks: tuple[str, ...]
     source: str
+    without_int16: str
 
     def record(self) -> dict[str, Any]:
         """All of it as data."""
@@ -47,19 +49,30 @@ class WrittenC:
             "costs": asdict(self.costs),
             "recorded": self.source,
             "remarks": list(self.remarks),
+            "int16": not self.without_int16,
         }
+
+    @property
+    def prefix(self) -> str:
+        """What names in C begin with."""
+        return next(name.removesuffix(".h") for name in self.names if name.endswith(".h"))
 
     def lines(self) -> list[str]:
         """All of it for a terminal."""
-        found = self.costs
+        found, prefix = self.costs, self.prefix
+        beside = f"{prefix}_act_i16: observations and actions as 16-bit integers; README.md"
+        if self.without_int16:
+            beside = f"no interface in 16-bit integers: {self.without_int16}"
+        code = "and the code, which has short rows of weights"
         return [
-            f"constants (ROM)        {found.rom:,} bytes, and the code",
+            f"constants (ROM)        {found.rom:,} bytes, {code}",
             f"variables (RAM)        {found.ram:,} bytes, and the stack",
             f"input spikes           {found.events:,.1f}, at most {found.events_max:,}",
             f"synaptic operations    {found.sops:,.1f}, at most {found.sops_max:,}",
             f"neuron updates         {found.neuron_updates:,}",
             f"of an inference, means of {self.source}",
             *self.remarks,
+            beside,
             f"wrote {self.folder}: {', '.join(self.names)}",
             f"compare with the interpreter: make -C {self.folder} test",
         ]
@@ -91,14 +104,16 @@ def export_c(
             "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
         )
     names = file_names(prefix, codec=True)
-    check_output_folder("-o", folder, names, (file, policy), force, _written_before)
+    check_output_folder("-o", folder, names, (file, policy), force, written_before)
     # software updates a layer when it is told to
     program = compile_program(artifact, on, clock=own_clock(artifact.convention))
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
     files = policy_in_c(program, artifact.codec, seen, origin, prefix)
     write(files, folder)
-    return WrittenC(folder, tuple(files.text), files.costs, program.remarks, source)
+    return WrittenC(
+        folder, tuple(files.text), files.costs, program.remarks, source, files.without_int16
+    )
 
 
 def nir_file(policy: str, to: str) -> Path:
@@ -116,9 +131,9 @@ def nir_file(policy: str, to: str) -> Path:
     return file
 
 
-def _written_before(folder: Path) -> bool:
+def written_before(folder: Path) -> bool:
     """Whether the folder has an earlier export."""
-    return marked(folder / "codec.c", MARK)
+    return marked(folder / "Makefile", MARK)
 
 
 def world_of(policy: str, artifact: Artifact) -> str:

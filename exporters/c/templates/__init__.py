@@ -3,6 +3,8 @@
 policy.h, policy.c      the network
 codec.c                 observation to action; encode_*.c and decode.c are parts of it
 selftest.c              compares with recorded numbers; run_*.c are parts of it
+*_i16.c, policy_i16.h   the interface in 16-bit integers; dense_i16.c a network in 8-bit weights
+cycles.*, README.md     what stands around; module.yml, zephyr.cmake, clayer.yml for build systems
 Makefile                builds and runs the self-test, and a shared object
 """
 

@@ -6,6 +6,9 @@
  */
 #include "@prefix@.h"
 
+/* shifts of negative numbers to the right have to keep the sign, as all compilers of note do */
+typedef char @prefix@_shifts_keep_the_sign[((-1) >> 1) == -1 ? 1 : -1];
+
 @declarations@
 
 @functions@

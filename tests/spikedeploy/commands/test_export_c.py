@@ -7,7 +7,7 @@ import subprocess
 import pytest
 
 from spikedeploy.exporters.c.refusals import check_prefix
-from spikedeploy.exporters.c.to_c import NAMES
+from spikedeploy.exporters.c.to_c import file_names
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import export_c, exported_run
@@ -33,7 +33,11 @@ def test_it_writes_every_file_and_says_what_they_take(command, file, tmp_path):
     code, out, err = command("export", file, *CHIP, "-o", "c", "--observations", "50", "--json")
     assert code == 0, err
     found = json.loads(out)
-    assert {path.name for path in (tmp_path / "c").iterdir()} == set(NAMES) == set(found["files"])
+    written = {str(path.relative_to(tmp_path / "c")) for path in (tmp_path / "c").rglob("*.*")}
+    names = set(file_names("policy", codec=True)) - {"Makefile", "zephyr/Kconfig"}
+    assert written == names
+    assert set(found["files"]) == {*names, "Makefile", "zephyr/Kconfig"}
+    assert found["int16"] is True
     costs = found["costs"]
     assert 0 < costs["sops"] <= costs["sops_max"]
     assert 0 < costs["events"] <= costs["events_max"]
@@ -66,7 +70,11 @@ def test_the_same_policy_is_written_again_and_other_files_are_not(command, file,
     ("words", "said"),
     [
         (("policy.nir", "--to", "c"), "name it, as in -o"),
-        (("hexapod/linear", "--to", "c", "-o", "c"), "is no spiking policy"),
+        (("hexapod/gait", "--to", "c", "-o", "c"), "is no spiking policy"),
+        (("hexapod/fourier", "--to", "c", "-o", "c"), "computes Gather"),
+        (("hexapod/linear", "--to", "c"), "name it, as in -o"),
+        (("hexapod/linear", "--to", "c", "-o", "c", "--chip", "loihi1"), "leave --chip out"),
+        (("hexapod/linear", "--to", "c", "-o", "c", "--prefix", "host_i16"), "written beside it"),
         (("policy.nir", "--to", "c", "-o", "c", "--chip", "ideal"), "computes with"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "A b"), "--prefix"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "stdint"), "a header of C"),
@@ -109,6 +117,22 @@ def test_no_header_that_the_files_include_can_be_the_prefix(tmp_path):
         with pytest.raises(ConfigError, match="is the name of a header"):
             check_prefix(stem)
     check_prefix("stdint_policy")
+
+
+def test_a_float_policy_is_written_in_8_bits_and_says_how_far_its_actions_move(
+    command, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    words = ("export", "kart-grid/linear", "--to", "c", "-o", "c", "--observations", "40")
+    code, out, err = command(*words, "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["weights"] <= 140
+    assert found["largest_difference"] <= 0.05
+    assert (tmp_path / "c/zephyr/module.yml").is_file()
+    code, out, _ = command(*words)  # again, over what the first wrote
+    assert code == 0
+    assert "of choices differ from the float network's" in out
 
 
 def test_a_network_without_a_codec_is_refused(command, tmp_path, monkeypatch):

@@ -1,0 +1,37 @@
+/* @mark@
+ * @origin@
+ *
+ * Observations and actions as 16-bit integers: no floating point, no 64-bit number. Needs
+ * @prefix@.c, and not codec.c; use one of the two interfaces, as both run the same network.
+ */
+#include "@prefix@_i16.h"
+
+#include "@prefix@.h"
+
+/* shifts of negative numbers to the right have to keep the sign, as all compilers of note do */
+typedef char @prefix@_keeps_sign_in_shifts[((-1) >> 1) == -1 ? 1 : -1];
+
+@declarations@
+
+@encoder@
+@tanh@
+void @prefix@_reset_i16(void)
+{
+    uint32_t k;
+    @prefix@_net_reset();
+    for (k = 0u; k < @channels@u; k++) {
+        level[k] = 0;
+        centre[k] = centre_at_rest[k];
+    }
+@decoder_reset@
+}
+
+void @prefix@_act_i16(const int16_t observation[@PREFIX@_OBSERVATIONS],
+                    int16_t action[@PREFIX@_ACTIONS])
+{
+    uint8_t *times;
+    @prefix@_id_t *id = @prefix@_net_begin(&times);
+    (void)times;
+    @prefix@_net_step(encode(observation, id));
+    decode(action);
+}
