@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from benchmarks import firmware_dense, snn_to_linalg
-from benchmarks.firmware_table import NETWORKS, PAGE, PEERS, network_table, peer_table
+from benchmarks.firmware_table import (
+    INTEGERS,
+    NETWORKS,
+    PAGE,
+    PEERS,
+    integer_table,
+    network_table,
+    peer_table,
+)
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 
@@ -83,3 +91,9 @@ def test_what_is_not_translated_is_refused(line):
 def test_the_table_of_networks_has_the_columns_of_its_command():
     head = network_table([]).splitlines()[0]
     assert f"<!-- {NETWORKS} -->\n{head}" in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_table_of_integers_on_the_page_has_the_columns_of_the_command():
+    page = PAGE.read_text(encoding="utf-8")
+    place = page.split(f"<!-- {INTEGERS} -->")[1].split(f"<!-- end of {INTEGERS} -->")[0]
+    assert integer_table([]).splitlines()[0] in place
