@@ -307,6 +307,7 @@ SPINNAKER2_LIF = replace(
     delay_max=7,
     limits=_LIF_LIMITS,
     sources={
+        "clocks": SPINNAKER2.sources["clocks"],
         "membrane_output": f"{_API}: recordings hold the voltages of a population",
         "weight_bits": f"{_API}: lif takes whole weights of -15 to 15 (secondary); {_BOARDS} scale "
         "theirs to +-15; rounding to nearest is assumed",
