@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program, Readout
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
@@ -148,23 +149,33 @@ def with_bias_axons(program: Program) -> tuple[Program, int]:
     biased = [layer.name for layer in program.layers if layer.bias.any()]
     if not biased:
         return program, 0
-    width, layers = program.width + len(biased), []
+    layers = []
     for layer in program.layers:
-        synapses = [
-            replace(s, weight=np.vstack([s.weight, np.zeros((len(biased), layer.size), np.int16)]))
-            if s.source == program.input
-            else s
-            for s in layer.synapses
-        ]
+        rows = np.zeros((len(biased), layer.size), np.int64)
         if layer.name in biased:
-            heard = next(s for s in layer.synapses)
-            row = np.zeros((width, layer.size), np.asarray(heard.weight).dtype)
-            row[program.width + biased.index(layer.name)] = layer.bias
-            least = 1 if program.chip.delay else 0
-            synapses.append(replace(heard, source=program.input, weight=row, delay=least))
-            layer = replace(layer, bias=np.zeros_like(layer.bias))
-        layers.append(replace(layer, synapses=tuple(synapses)))
+            rows[biased.index(layer.name)] = layer.bias
+        layers.append(_with_input_rows(layer, program, rows))
+    width = program.width + len(biased)
     return replace(program, width=width, layers=tuple(layers), inputs=()), len(biased)
+
+
+def _with_input_rows(layer: Layer, program: Program, rows: NDArray[np.int64]) -> Layer:
+    """The layer without bias and with more axons of the input, which have these weights (M, N).
+
+    They go to the first synapses from the input, or make some with the chip's delay.
+    """
+    synapses = list(layer.synapses)
+    heard = [k for k, each in enumerate(synapses) if each.source == program.input]
+    if not heard and rows.any():
+        delay = synapses[0].delay if program.chip.delay else 0
+        none = np.zeros((program.width, layer.size), np.int64)
+        synapses.append(replace(synapses[0], source=program.input, weight=none, delay=delay))
+        heard = [len(synapses) - 1]
+    for place in heard:
+        added = rows if place == heard[0] else 0 * rows
+        weight = np.vstack([synapses[place].weight, added])
+        synapses[place] = replace(synapses[place], weight=weight)
+    return replace(layer, bias=np.zeros_like(layer.bias), synapses=tuple(synapses))
 
 
 def program_text(
@@ -240,9 +251,9 @@ def host_record(program: Program, codec: Codec | None, bias_axons: int) -> dict[
     element `first` on. Under "missing" is why a loop cannot be closed, where it cannot.
     """
     common = {"bias_axons": bias_axons}
-    if missing := _missing(program, codec):
+    missing = _missing(program, codec)
+    if codec is None or missing:
         return {**common, "missing": missing}
-    assert codec is not None  # noqa: S101
     taps, bias = _taps(program)
     return {**common, "codec": _plain(codec.to_record()), "bias": bias, "taps": taps}
 

@@ -22,9 +22,14 @@ def main(make_chip, tool, options=()):
     make_chip(program, arguments) builds the chip; options are (flag, help) of its own.
     """
     parser = argparse.ArgumentParser(description=f"Run this kit's program with {tool}.")
-    parser.add_argument("--loop", metavar="ENV", nargs="?", const="recorded",
-                        help="close the loop: a gymnasium id or module:Class; without one, "
-                        "the recorded observations of episode.npz")
+    parser.add_argument(
+        "--loop",
+        metavar="ENV",
+        nargs="?",
+        const="recorded",
+        help="close the loop: a gymnasium id or module:Class; without one, "
+        "the recorded observations of episode.npz",
+    )
     parser.add_argument("--steps", type=int, help="control steps, or timesteps of the raster")
     for flag, text in options:
         parser.add_argument(flag, action="store_true", help=text)
@@ -52,10 +57,20 @@ def play(program, expected, chip, steps, tool, path):
     rows = np.zeros((steps, program["input"]["width"]), np.int64)
     np.add.at(rows, tuple(events.T), 1)
     found = chip.run(rows)
-    recorded = {layer: {quantity: np.asarray(table).astype(np.int64).tolist()
-                        for quantity, table in tables.items()} for layer, tables in found.items()}
-    trace = {**expected, "source": f"{tool}, run_*.py of the kit", "timesteps": steps,
-             "input_events": events.tolist(), "recorded": recorded}
+    recorded = {
+        layer: {
+            quantity: np.asarray(table).astype(np.int64).tolist()
+            for quantity, table in tables.items()
+        }
+        for layer, tables in found.items()
+    }
+    trace = {
+        **expected,
+        "source": f"{tool}, run_*.py of the kit",
+        "timesteps": steps,
+        "input_events": events.tolist(),
+        "recorded": recorded,
+    }
     path.write_text(json.dumps(trace), "utf-8")
     print(f"wrote {path.name}; compare: spikedeploy verify {path.name}")
     return report(recorded, expected["recorded"], steps)
@@ -71,8 +86,11 @@ def report(recorded, expected, steps):
             wrong = np.argwhere(ours != theirs)
             if len(wrong) and (first is None or wrong[0][0] < first[0]):
                 t, n = wrong[0]
-                first = (t, f"timestep {t}, {layer}, neuron {n}, {quantity}: "
-                            f"expected {ours[t, n]}, found {theirs[t, n]}")
+                first = (
+                    t,
+                    f"timestep {t}, {layer}, neuron {n}, {quantity}: "
+                    f"expected {ours[t, n]}, found {theirs[t, n]}",
+                )
     print(f"differs: {first[1]}" if first else f"equal: {count:,} numbers of {steps} timesteps")
     return 1 if first or not count else 0
 

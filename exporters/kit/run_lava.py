@@ -1,7 +1,7 @@
-"""This kit's program on Loihi 1 or 2 by lava (lava-nc 0.10, Python 3.10).
+"""Run this kit's program on Loihi 1 or 2 by lava (lava-nc 0.10, Python 3.10).
 
     python run_lava.py                  lava's simulator of the fixed-point neurons
-    python run_lava.py --board          the hardware, where lava-loihi is installed (never run by us)
+    python run_lava.py --board          the hardware, where lava-loihi is; never run by us
     python run_lava.py --loop           the actions, from the recorded observations
     python run_lava.py --loop ENV       the closed loop in a gymnasium environment
 
@@ -99,7 +99,5 @@ def connections(synapses):
 
 
 if __name__ == "__main__":
-    code = main(
-        LavaChip, "lava", [("--board", "run on the hardware instead of lava's simulator")]
-    )
+    code = main(LavaChip, "lava", [("--board", "run on the hardware instead of lava's simulator")])
     sys.exit(code)

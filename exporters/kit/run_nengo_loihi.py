@@ -1,8 +1,8 @@
-"""This kit's program on Loihi 1 by nengo-loihi (1.1, with nengo 4.1).
+"""Run this kit's program on Loihi 1 by nengo-loihi (1.1, with nengo 4.1).
 
     python run_nengo_loihi.py           nengo-loihi's emulator, which is target="sim"
     python run_nengo_loihi.py --board   the hardware, target="loihi", by NxSDK (never run by us)
-    python run_nengo_loihi.py --loop [ENV]      the closed loop; without ENV on recorded observations
+    python run_nengo_loihi.py --loop [ENV]  the closed loop; without ENV on recorded observations
 
 The registers are written into blocks as they are, without nengo-loihi's discretisation. A spike of
 the host or of a neuron arrives one timestep later; all neurons update in each.
@@ -91,7 +91,9 @@ def connect(sender, target, synapses):
             continue
         synapse = Synapse(len(part))
         synapse.indices = [np.flatnonzero(row).astype(np.int32)[None] for row in part]
-        synapse.weights = [row[i[0]][None] << 6 for row, i in zip(part, synapse.indices)]
+        synapse.weights = [
+            row[i[0]][None] << 6 for row, i in zip(part, synapse.indices, strict=True)
+        ]
         synapse.format(
             compression=0, idx_bits=synapse.idx_bits(), fanout_type=fanout_type, n_synapses=63,
             weight_bits=7, weight_exp=synapses["exponent"],

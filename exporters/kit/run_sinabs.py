@@ -1,4 +1,4 @@
-"""This kit's program for Speck by sinabs (3.1): its layers offline, or the chip by samna.
+"""Run this kit's program for Speck by sinabs (3.1): its layers offline, or the chip by samna.
 
     python run_sinabs.py                sinabs' layers; `import sinabs` loads no samna
     python run_sinabs.py --board        a Speck 2f dev kit, by sinabs' DynapcnnNetwork and samna
@@ -38,12 +38,14 @@ class SinabsChip:
         """Spike counts (T, M) in, membranes and counts after each timestep out."""
         names = [layer["name"] for layer in self.program["layers"]]
         if self.board is not None:
-            return {names[-1]: {"spikes": events_of(self.board, rows)}}
+            size = self.program["layers"][-1]["neurons"]
+            return {names[-1]: {"spikes": events_of(self.board, rows, size)}}
         found = {name: {"membrane": [], "spikes": []} for name in names}
         with torch.no_grad():
+            parts = list(zip(names, self.parts[::2], self.parts[1::2], strict=True))
             for row in rows:
-                spikes = torch.tensor(row, dtype=torch.float64)[None, None]
-                for name, weights, layer in zip(names, self.parts[::2], self.parts[1::2]):
+                spikes = torch.tensor(row).float()[None, None]
+                for name, weights, layer in parts:
                     spikes = layer(weights(spikes))
                     found[name]["spikes"].append(spikes[0, 0].numpy())
                     found[name]["membrane"].append(layer.v_mem[0].numpy().copy())
@@ -57,9 +59,9 @@ def linear(layer):
     """The weights and biases of a layer: Speck's kernels."""
     (synapses,) = layer["synapses"]
     weights = np.array(synapses["weights"], float) * 2.0 ** synapses["exponent"]
-    made = torch.nn.Linear(*weights.shape, dtype=torch.float64)
-    made.weight.data = torch.tensor(weights.T.copy())
-    made.bias.data = torch.tensor(layer["bias"], dtype=torch.float64)
+    made = torch.nn.Linear(*weights.shape)
+    made.weight.data = torch.tensor(weights.T).float().contiguous()
+    made.bias.data = torch.tensor(layer["bias"]).float()
     return made
 
 
@@ -69,7 +71,7 @@ def neurons(layer, program):
     if len(set(layer["threshold"])) > 1:
         sys.exit(f"layer {layer['name']}: neurons of a core share one threshold")
     return sinabs.layers.IAF(
-        spike_threshold=torch.tensor(float(layer["threshold"][0]), dtype=torch.float64),
+        spike_threshold=torch.tensor(float(layer["threshold"][0])),
         reset_fn=MembraneSubtract() if program["reset"] == "subtract" else MembraneReset(),
         min_v_mem=floors[program["floor"]],
     )
@@ -80,7 +82,7 @@ def board(parts, program):
     from sinabs.backend.dynapcnn import DynapcnnNetwork
 
     squeezed = []
-    for weights, layer in zip(parts[::2], parts[1::2]):
+    for weights, layer in zip(parts[::2], parts[1::2], strict=True):
         # each layer is a convolution over a single pixel
         kernel = torch.nn.Conv2d(weights.in_features, weights.out_features, 1)
         kernel.weight.data = weights.weight.data.float()[:, :, None, None]
@@ -92,17 +94,17 @@ def board(parts, program):
     network = DynapcnnNetwork(
         torch.nn.Sequential(*squeezed), (program["input"]["width"], 1, 1), discretize=False
     )
-    return network.to("speck2fdevkit:0", monitor_layers=[-1])
+    network.to("speck2fdevkit:0", monitor_layers=[-1])
+    return network
 
 
-def events_of(network, rows):
+def events_of(network, rows, size):
     """Counts (T, N) of the events that leave the chip, a millisecond of its time for each row."""
     from sinabs.backend.dynapcnn.chip_factory import ChipFactory
 
     factory = ChipFactory("speck2fdevkit:0")
     raster = torch.tensor(rows)[:, :, None, None]
-    seen = network(factory.raster_to_events(raster, layer=network.chip_layers_ordering[0], dt=1e-3))
-    size = network.sequence[-1].conv_layer.out_channels
+    seen = network(factory.raster_to_events(raster, layer=network.layer2core_map[0], dt=1e-3))
     counts = np.zeros((len(rows), size), int)
     start = min((event.timestamp for event in seen), default=0)
     for event in seen:

@@ -1,8 +1,8 @@
-"""This kit's program on a Xylo dev kit by Rockpool and samna, or by SynSense's simulator xylosim.
+"""Run this kit's program on a Xylo dev kit by Rockpool and samna, or by xylosim.
 
-    python run_xylo.py --sim            xylosim 0.1.3, which needs neither Rockpool nor samna
-    python run_xylo.py                  the dev kit: `pip install "rockpool[xylo]"` (never run by us)
-    python run_xylo.py [--sim] --loop [ENV]     the closed loop; without ENV on recorded observations
+    python run_xylo.py --sim            SynSense's simulator 0.1.3; no Rockpool, no samna
+    python run_xylo.py                  the dev kit, by "rockpool[xylo]"; never run by us
+    python run_xylo.py [--sim] --loop [ENV]   the closed loop; without ENV on recorded observations
 
 All layers but the last are Xylo's one population of hidden neurons. Input events act in their
 timestep, hidden spikes in the next.
@@ -124,10 +124,11 @@ class XylosimChip:
         """Nothing to let go of."""
 
 
+MODULES = {"xylo-a2": "syns61201", "xylo-a3": "syns65302", "xylo-imu": "syns63300"}
+
+
 class XyloBoard:
     """The program on a dev kit, by Rockpool's XyloSamna."""
-
-    MODULES = {"xylo-a2": "syns61201", "xylo-a3": "syns65302", "xylo-imu": "syns63300"}
 
     def __init__(self, program, arguments):
         # importing these imports samna, which on its first import installs itself
@@ -135,8 +136,8 @@ class XyloBoard:
 
         from rockpool.devices.xylo.helper import find_xylo_hdks
 
-        module = import_module(f"rockpool.devices.xylo.{self.MODULES[program['chip']]}")
-        kits, modules, versions = find_xylo_hdks()
+        module = import_module(f"rockpool.devices.xylo.{MODULES[program['chip']]}")
+        kits, _, versions = find_xylo_hdks()
         if not kits:
             sys.exit("no Xylo dev kit was found; with --sim, xylosim runs the program")
         self.program = program
@@ -165,6 +166,7 @@ class XyloBoard:
 
 
 if __name__ == "__main__":
+
     def chip(program, arguments):
         """The simulator or the dev kit."""
         return (XylosimChip if arguments.sim else XyloBoard)(program, arguments)

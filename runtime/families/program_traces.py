@@ -38,13 +38,15 @@ def program_trace(fields: Fields, folder: Path) -> TraceFile:
     for layer in program.layers:
         if groups.name(layer.name) is not None:
             recorded[layer.name] = _recorded(groups.group(layer.name), layer, timesteps)
-    unread = (fields.unread - PROSE) | groups.unread | (beside.unread - PROSE - _USE)
+    raster = _raster(fields, program, timesteps)
+    fields.text("chip")
+    unread = (fields.unread - PROSE - _USE) | groups.unread | (beside.unread - PROSE - _USE)
     if not any(recorded.values()):
         raise nothing_to_compare(fields, unread, f"{', '.join(QUANTITIES)} of a layer")
     return TraceFile(
         source=fields.text("source") or program.chip.name,
         program=program,
-        raster=_raster(fields, program, timesteps),
+        raster=raster,
         recorded=recorded,
         blind_at_spikes=False,
         unread=tuple(sorted(unread)),
