@@ -81,7 +81,7 @@ def cuba(size: int) -> nir.NIRNode:
 
 def integrators(size: int) -> nir.NIRNode:
     """Neurons that only add up, as Speck's."""
-    return nir.IF(np.ones(size), np.full(size, 1.5))
+    return nir.IF(np.full(size, 1e3), np.full(size, 1.5))  # r dt is the gain of a weight
 
 
 def xylo_policy() -> Artifact:

@@ -6,7 +6,7 @@
     python run_sinabs.py --loop [ENV]   the closed loop; without ENV on recorded observations
 
 The layers are stepped in time: all spikes of a timestep are one sum, and a neuron spikes as often
-as its threshold fits into its membrane. The chip has no timesteps and takes one event after
+as its threshold fits into its membrane, or once. The chip has no timesteps and takes one event after
 another, so that counts of a board may differ where events of both signs meet in a timestep.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 import sinabs.layers
 import torch
 from host import main
-from sinabs.activation import MembraneReset, MembraneSubtract
+from sinabs.activation import MembraneReset, MembraneSubtract, MultiSpike, SingleSpike
 
 
 class SinabsChip:
@@ -72,6 +72,7 @@ def neurons(layer, program):
         sys.exit(f"layer {layer['name']}: neurons of a core share one threshold")
     return sinabs.layers.IAF(
         spike_threshold=torch.tensor(float(layer["threshold"][0])),
+        spike_fn=MultiSpike if program["spikes"] == "many" else SingleSpike,
         reset_fn=MembraneSubtract() if program["reset"] == "subtract" else MembraneReset(),
         min_v_mem=floors[program["floor"]],
     )
@@ -88,7 +89,7 @@ def board(parts, program):
         kernel.weight.data = weights.weight.data.float()[:, :, None, None]
         kernel.bias.data = weights.bias.data.float()
         squeezed += [kernel, sinabs.layers.IAFSqueeze(
-            spike_threshold=layer.spike_threshold.float(), reset_fn=layer.reset_fn,
+            spike_threshold=layer.spike_threshold, spike_fn=layer.spike_fn, reset_fn=layer.reset_fn,
             min_v_mem=float(layer.min_v_mem), batch_size=1,
         )]  # fmt: skip
     network = DynapcnnNetwork(
