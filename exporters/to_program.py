@@ -279,7 +279,8 @@ def _taps(program: Program) -> tuple[list[dict[str, Any]], list[float]]:
         readout = program.readout or Readout(np.eye(size), np.zeros(size), 0)
         weight = None if program.readout is None else readout.weight
         return [_tap(program, program.output, weight, 0)], readout.bias.tolist()
-    taps, bias = [], []
+    taps: list[dict[str, Any]] = []
+    bias: list[float] = []
     for outlet in program.outlets:
         taps += [_tap(program, tap.layer, tap.weight, len(bias)) for tap in outlet.taps]
         bias += outlet.bias.tolist()

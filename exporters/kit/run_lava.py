@@ -1,7 +1,7 @@
 """Run this kit's program on Loihi 1 or 2 by lava (lava-nc 0.10, Python 3.10).
 
     python run_lava.py                  lava's simulator of the fixed-point neurons
-    python run_lava.py --board          the hardware, where lava-loihi is; never run by us
+    python run_lava.py --board          Loihi 2, where Intel's lava-loihi is; never run by us
     python run_lava.py --loop           the actions, from the recorded observations
     python run_lava.py --loop ENV       the closed loop in a gymnasium environment
 
@@ -28,20 +28,22 @@ class LavaChip:
         loihi = "Loihi2" if program["chip"] == "loihi2" else "Loihi1"
         kind = "HwCfg" if arguments.board else "SimCfg"
         self.config = getattr(run_configs, loihi + kind)(select_tag="fixed_pt")
-        self.source = Source(data=np.zeros((program["input"]["width"], 1), np.int32))
+        width = program["input"]["width"]
+        self.source = Source(data=np.zeros((width, 1), np.int32))
+        port = through(self.source.s_out, "PyToNxAdapter", arguments.board)
         self.layers = {layer["name"]: neurons(layer) for layer in program["layers"]}
         self.sinks, self.kept = {}, []  # lava does not keep processes alive
         for layer in program["layers"]:
             target = self.layers[layer["name"]]
             for synapses in layer["synapses"]:
                 inside = synapses["source"] != program["input"]["name"]
-                source = self.layers[synapses["source"]] if inside else self.source
+                sender = self.layers[synapses["source"]].s_out if inside else port
                 for dense in connections(synapses):
-                    source.s_out.connect(dense.s_in)
+                    sender.connect(dense.s_in)
                     dense.a_out.connect(target.a_in)
                     self.kept.append(dense)
             sink = self.sinks[layer["name"]] = Sink(shape=target.s_out.shape, buffer=1)
-            target.s_out.connect(sink.a_in)
+            through(target.s_out, "NxToPyAdapter", arguments.board).connect(sink.a_in)
 
     def run(self, rows):
         """Inject the rows (T, M), one in each timestep; probe every layer after each."""
@@ -61,6 +63,17 @@ class LavaChip:
     def stop(self):
         """End lava's processes, which else keep the script from ending."""
         self.source.stop()
+
+
+def through(port, name, board):
+    """The port itself, or on a board that of lava-loihi's adapter behind it, by its name."""
+    if not board:
+        return port
+    from lava.proc.embedded_io import spike
+
+    adapter = getattr(spike, name)(shape=port.shape)
+    port.connect(adapter.inp)
+    return adapter.out
 
 
 def neurons(layer):

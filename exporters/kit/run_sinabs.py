@@ -6,8 +6,8 @@
     python run_sinabs.py --loop [ENV]   the closed loop; without ENV on recorded observations
 
 The layers are stepped in time: all spikes of a timestep are one sum, and a neuron spikes as often
-as its threshold fits into its membrane, or once. The chip has no timesteps and takes one event after
-another, so that counts of a board may differ where events of both signs meet in a timestep.
+as its threshold fits into its membrane, or once. The chip has no timesteps and takes one event
+after another, so that counts of a board may differ where events of both signs meet in a timestep.
 """
 
 import sys

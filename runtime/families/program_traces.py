@@ -88,9 +88,9 @@ def _raster(fields: Fields, program: Program, timesteps: int) -> NDArray[np.uint
             raise fields.wrong("input_events", "leave the raster", f"Count from 0; {limits}.")
         np.add.at(counts, tuple(events.T), 1)
     most = program.chip.input_spikes_max
-    if (found := int(counts.max())) > most:
+    if (repeated := int(counts.max())) > most:
         limit = f"{program.chip.name} takes {most} on an axon in a timestep."
-        raise fields.wrong("input_events", f"repeat one {found} times", limit)
+        raise fields.wrong("input_events", f"repeat one {repeated} times", limit)
     return counts.astype(np.uint8)[None]
 
 

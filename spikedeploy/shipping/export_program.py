@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import zoo
-from spikedeploy.console import say
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
-from spikedeploy.envs.rollout import Rollout, rollout
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.exporters.to_program import (
     EPISODE,
     EXPECTED,
@@ -142,7 +141,7 @@ def export_program(
     for name, content in written.items():
         write_text(folder / name, content)
     if episode is not None:
-        _write_episode(folder / EPISODE, episode, steps)
+        _write_episode(folder / EPISODE, episode)
     else:
         (folder / EPISODE).unlink(missing_ok=True)
     verdict = verify(folder / EXPECTED)
@@ -212,43 +211,30 @@ def _episode(
             f"--to program: {policy} names no environment of ours. Name one with --env, or give a "
             "raster: --input spikes.npy."
         )
-    env, controller = make_env(where, {}), _Recording(artifact, on)
-    say(f"playing an episode of {where}, seed {VALIDATION[0]}")
+    controller = SpikingController(artifact, on, "none", stagger=False)
+    env, rows = make_env(where, {}), []
     try:
-        played = rollout(env, controller, seed=VALIDATION[0])
+        recorder = EpisodeRecorder(env, VALIDATION[0])
+        controller.reset(VALIDATION[0])
+        while not recorder.over and recorder.steps < steps:
+            action = controller.act(recorder.observation)
+            rows.append(controller.encoded[0].astype(np.uint8))
+            recorder.step(action)
+        played = recorder.rollout()
     finally:
         env.close()
-    source = f"{min(steps, played.steps)} control steps in {where}, seed {VALIDATION[0]}"
-    return np.concatenate(controller.rows[:steps]), played, source
+    source = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
+    return np.concatenate(rows), played, source
 
 
-class _Recording:
-    """A controller that keeps the input spikes (T, M) of each control step."""
-
-    def __init__(self, artifact: Artifact, on: Chip) -> None:
-        self._controller = SpikingController(artifact, on, "none", stagger=False)
-        self.rows: list[NDArray[np.uint8]] = []
-
-    def reset(self, seed: int) -> None:
-        """Start an episode."""
-        self._controller.reset(seed)
-        self.rows = []
-
-    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
-        """The action for an observation."""
-        action = self._controller.act(observation)
-        self.rows.append(self._controller.encoded[0].astype(np.uint8))
-        return action
-
-
-def _write_episode(path: Path, episode: Rollout, steps: int) -> None:
+def _write_episode(path: Path, episode: Rollout) -> None:
     """What a closed loop is compared with: observations, actions and rewards; the seed."""
     archive.write(
         path,
         {
-            "observation": episode.observation[: steps + 1],
-            "action": episode.action[:steps],
-            "reward": episode.reward[:steps],
+            "observation": episode.observation,
+            "action": episode.action,
+            "reward": episode.reward,
             "seed": np.array(episode.seed),
         },
     )
