@@ -25,9 +25,10 @@ class LavaChip:
     """The program's neurons and connections as lava's processes."""
 
     def __init__(self, program, arguments):
-        loihi = "Loihi2" if program["chip"] == "loihi2" else "Loihi1"
-        kind = "HwCfg" if arguments.board else "SimCfg"
-        self.config = getattr(run_configs, loihi + kind)(select_tag="fixed_pt")
+        # lava-loihi is for Loihi 2, whose default neuron is that of lava's Loihi 1
+        simulated = "Loihi2SimCfg" if program["chip"] == "loihi2" else "Loihi1SimCfg"
+        name = "Loihi2HwCfg" if arguments.board else simulated
+        self.config = getattr(run_configs, name)(select_tag="fixed_pt")
         width = program["input"]["width"]
         self.source = Source(data=np.zeros((width, 1), np.int32))
         port = through(self.source.s_out, "PyToNxAdapter", arguments.board)
