@@ -74,7 +74,7 @@ _NENGO = ChipTool(
 _XYLO = ChipTool(
     "run_xylo.py",
     "rockpool",
-    "python3 -m venv xylo && xylo/bin/pip install xylosim==0.1.3",
+    "python3 -m venv xylo && xylo/bin/pip install xylosim==0.1.3 numpy",
     "xylosim, SynSense's simulator (--sim)",
     "board-xylo.md",
 )
@@ -89,7 +89,7 @@ TOOLS = {
         "run_sinabs.py",
         "sinabs",
         "python3 -m venv speck && speck/bin/pip install --no-deps sinabs==3.1.3 nirtorch==2.6 pbr "
-        "&& speck/bin/pip install 'torch<2.14' nir==1.0.8",
+        "&& speck/bin/pip install 'torch<2.14' nir==1.0.8 numpy",
         "sinabs' layers, which need no samna",
         "board-speck.md",
     ),

@@ -39,7 +39,12 @@ def main(make_chip, tool, options=()):
     expected = json.loads((HERE / "expected.json").read_text("utf-8"))
     if expected["program_sha256"] != hashlib.sha256(text).hexdigest():
         raise SystemExit("expected.json is of another program.json; export both again")
-    chip, name = make_chip(program, arguments), tool.replace(" ", "-")
+    try:
+        chip, name = make_chip(program, arguments), tool.replace(" ", "-")
+    except ImportError as error:
+        raise SystemExit(
+            f"{error}: what the board needs is not here; README.md names it"
+        ) from error
     try:
         if arguments.loop:
             path = HERE / f"loop_{name}.npz"

@@ -70,7 +70,7 @@ def through(port, name, board):
     """The port itself, or on a board that of lava-loihi's adapter behind it, by its name."""
     if not board:
         return port
-    from lava.proc.embedded_io import spike
+    from lava.proc.embedded_io import spike  # of lava-loihi
 
     adapter = getattr(spike, name)(shape=port.shape)
     port.connect(adapter.inp)
