@@ -27,7 +27,7 @@ import numpy as np
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.shipping.export_program import WrittenKit, export_program
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +45,7 @@ class Case:
     flags: of the script.
     raster: input of a file without a codec; random where a network without one is made.
     env: in which the loop is closed; empty is recorded observations.
+    clock: None is the network's own, or free.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Case:
     flags: tuple[str, ...] = ()
     raster: str | None = None
     env: str = ""
+    clock: Clock | None = None
 
 
 def policy(neurons: Callable[[int], nir.NIRNode], convention: Convention) -> Artifact:
@@ -112,12 +114,15 @@ def biased_chain(reset: str) -> Artifact:
 _NET, _RASTER = str(ROOT / "examples" / "net.nir"), str(ROOT / "examples" / "raster.npy")
 CASES = {
     "lava": (
-        Case("sparse", "loihi1", "hexapod/sparse"),
+        Case("sparse-free", "loihi1", "hexapod/sparse"),
+        Case("sparse", "loihi1", "hexapod/sparse", clock="pipelined"),
         Case("recurrent", "loihi1", _NET, raster=_RASTER),
         Case("loihi2", "loihi2", _NET, raster=_RASTER),
     ),
     "nengo-loihi": (
-        Case("sparse", "loihi1-nengo", "hexapod/sparse", env="spikedeploy:hexapod"),
+        Case(
+            "sparse", "loihi1-nengo", "hexapod/sparse", env="spikedeploy:hexapod", clock="pipelined"
+        ),
         Case("recurrent", "loihi1-nengo", _NET, raster=_RASTER),
     ),
     "xylosim": (Case("cartpole", "xylo-a2", xylo_policy, flags=("--sim",)),),
@@ -178,7 +183,7 @@ def written(case: Case, folder: Path) -> WrittenKit:
             raster = folder.parent / f"{case.name}.npy"
             drawn = np.random.default_rng(2).random((STEPS, width)) < 0.4
             np.save(raster, drawn.astype(np.uint8))
-    kit = export_program(network, case.chip, folder, STEPS, raster, env)
+    kit = export_program(network, case.chip, folder, STEPS, raster, env, case.clock)
     recorded = json.loads((folder / "expected.json").read_text("utf-8"))["recorded"]
     if silent := [name for name, each in recorded.items() if _silent(kit, name, each)]:
         raise DiffersError(f"layer {silent[0]} never spikes, so that the kit shows little")

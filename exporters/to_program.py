@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
@@ -23,7 +23,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program, Readout
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
-from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
+from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.program_record import program_record
 from spikedeploy.runtime.traces.trace_file import QUANTITIES
@@ -48,6 +48,7 @@ class ChipTool:
     install: what installs it, for a terminal.
     offline: what runs without a board; empty where nothing does.
     page: of docs/.
+    delay: [timesteps] from a spike to its arrival, where it has only one; 0 where any.
     """
 
     script: str
@@ -55,6 +56,7 @@ class ChipTool:
     install: str
     offline: str
     page: str
+    delay: int = 0
 
 
 _LAVA = ChipTool(
@@ -70,6 +72,7 @@ _NENGO = ChipTool(
     "python3 -m venv nengo && nengo/bin/pip install nengo-loihi==1.1.0 nengo==4.1.0",
     "nengo-loihi's emulator (target sim)",
     "board-loihi.md",
+    delay=1,
 )
 _XYLO = ChipTool(
     "run_xylo.py",
@@ -118,80 +121,94 @@ def script(name: str) -> str:
     return (files("spikedeploy.exporters") / "kit" / name).read_text(encoding="utf-8")
 
 
-@dataclass(frozen=True)
-class ControlStep:
-    """The chip timesteps of a control step.
+@dataclass(frozen=True, eq=False)
+class ChipRun:
+    """A program as a chip runs it: all neurons update in each timestep, from the first on.
 
-    timesteps: from one observation to the next.
+    program: with biases as weights of axons of the input, behind those that it had: all that the
+        host injects. Delays are those from a spike to its arrival; no layer waits to start.
+    timesteps: of a control step, or of the run of a raster.
     inject: the host's rows go into so many of them, from the first on.
-    read: the host reads after each of so many, which are the last.
+    windows: for each layer the timesteps after which the host reads it.
+    biases: for each axon of a bias the timesteps in which it spikes.
     """
 
+    program: Program
     timesteps: int
     inject: int
-    read: int
+    windows: Mapping[str, slice]
+    biases: tuple[slice, ...]
 
-    def record(self) -> dict[str, Any]:
-        """The same with first timesteps, counted from 0 within the control step."""
-        return {
-            "timesteps": self.timesteps,
-            "inject": [0, self.inject],
-            "read": [self.timesteps - self.read, self.timesteps],
-        }
+    def rows(self, spikes: NDArray[Any]) -> NDArray[np.uint8]:
+        """What the host injects (timesteps, M) for the spikes (inject, M) of the input."""
+        raster = np.zeros((self.timesteps, self.program.width), np.uint8)
+        width = spikes.shape[1]
+        raster[: len(spikes), :width] = spikes
+        for axon, timesteps in enumerate(self.biases, start=width):
+            raster[timesteps, axon] = 1
+        return raster
 
 
-def with_bias_axons(program: Program) -> tuple[Program, int]:
-    """The program with biases as weights of axons of the input, and how many those are.
+def chip_run(program: Program, rows: int) -> ChipRun:
+    """How a chip runs windows of so many input rows of a program.
 
-    A layer's bias is the weight of an axon that spikes in every timestep; here each such layer has
-    one of its own behind those of the input, so that the input holds all that the host injects.
+    Raises ConfigError where the chip would have to hold a layer.
     """
-    biased = [layer.name for layer in program.layers if layer.bias.any()]
-    if not biased:
-        return program, 0
-    layers = []
-    for layer in program.layers:
-        rows = np.zeros((len(biased), layer.size), np.int64)
-        if layer.name in biased:
-            rows[biased.index(layer.name)] = layer.bias
-        layers.append(_with_input_rows(layer, program, rows))
-    width = program.width + len(biased)
-    return replace(program, width=width, layers=tuple(layers), inputs=()), len(biased)
+    if program.clock == "gated" and any(layer.start for layer in program.layers):
+        raise ConfigError(
+            f"--to program: clock 'gated' updates each layer once in a row and holds it meanwhile, "
+            f"which the tools of {program.chip.name} cannot do. Choose --clock free, or pipelined."
+        )
+    timesteps = program.rows(rows)
+    windows = {layer.name: program.window(layer, timesteps) for layer in program.layers}
+    least = 1 if program.chip.delay else 0
+    biased = [layer for layer in program.layers if layer.bias.any()]
+    starts = [max(windows[layer.name].start - least, 0) for layer in biased]
+    layers = [_with_bias_axons(layer, program, biased, least) for layer in program.layers]
+    return ChipRun(
+        program=replace(
+            program,
+            width=program.width + len(biased),
+            layers=tuple(replace(layer, start=0) for layer in layers),
+            clock="pipelined",
+            inputs=(),
+        ),
+        timesteps=timesteps,
+        inject=rows,
+        windows=windows,
+        biases=tuple(slice(first, first + rows) for first in starts),
+    )
 
 
-def _with_input_rows(layer: Layer, program: Program, rows: NDArray[np.int64]) -> Layer:
-    """The layer without bias and with more axons of the input, which have these weights (M, N).
-
-    They go to the first synapses from the input, or make some with the chip's delay.
-    """
+def _with_bias_axons(layer: Layer, program: Program, biased: Sequence[Layer], delay: int) -> Layer:
+    """The layer without bias, its input with an axon for each biased layer."""
+    rows = np.zeros((len(biased), layer.size), np.int64)
+    if layer in biased:
+        rows[biased.index(layer)] = layer.bias
     synapses = list(layer.synapses)
     heard = [k for k, each in enumerate(synapses) if each.source == program.input]
-    if not heard and rows.any():
-        delay = synapses[0].delay if program.chip.delay else 0
+    place = next((k for k in heard if synapses[k].delay == delay), None)
+    if place is None and rows.any():
         none = np.zeros((program.width, layer.size), np.int64)
-        synapses.append(replace(synapses[0], source=program.input, weight=none, delay=delay))
-        heard = [len(synapses) - 1]
-    for place in heard:
-        added = rows if place == heard[0] else 0 * rows
-        weight = np.vstack([synapses[place].weight, added])
-        synapses[place] = replace(synapses[place], weight=weight)
+        new = replace(synapses[0], source=program.input, weight=none, delay=delay)
+        place = len(synapses)
+        heard, synapses = [*heard, place], [*synapses, new]
+    for k in heard:
+        weight = np.vstack([synapses[k].weight, rows if k == place else 0 * rows])
+        synapses[k] = replace(synapses[k], weight=weight)
     return replace(layer, bias=np.zeros_like(layer.bias), synapses=tuple(synapses))
 
 
 def program_text(
-    program: Program,
-    clock: str,
-    step: ControlStep | None,
-    placement: CoreMapping | None,
-    host: Mapping[str, Any],
-    origin: str,
+    run: ChipRun, clock: str, placement: CoreMapping | None, host: Mapping[str, Any], origin: str
 ) -> str:
     """The text of program.json.
 
-    program: with biases as axons.
-    step: None where there is no codec, so that only rasters can be played.
+    clock: of the program as it was compiled.
     host: codec and readout, as `host_record` has them; why there is none, under "missing".
     """
+    program = run.program
+    reads = sorted({(window.start, window.stop) for window in run.windows.values()})
     return as_rows(
         {
             "made_by": MARK,
@@ -199,7 +216,12 @@ def program_text(
             "source": origin,
             "tool": tool_of(program.chip.name).name,
             "clock": clock,
-            "control_step": None if step is None else step.record(),
+            "control_step": {
+                "timesteps": run.timesteps,
+                "inject": [0, run.inject],
+                "read": [reads[0][0], reads[-1][1]],
+                "bias_axons": [[each.start, each.stop] for each in run.biases],
+            },
             **program_record(program),
             "placement": [] if placement is None else list(_placed(placement)),
             "host": dict(host),
@@ -216,7 +238,7 @@ def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source
     """
     events = np.argwhere(raster)
     counts = raster[tuple(events.T)]
-    ran = trace(program, raster[None])
+    ran = Interpreter(program, 1).run(raster[None])
     return as_rows(
         {
             "made_by": MARK,
@@ -244,21 +266,57 @@ def _recorded(program: Program, layer: LayerTrace) -> dict[str, Any]:
     return {name: found[name] for name in QUANTITIES if name in found}
 
 
-def host_record(program: Program, codec: Codec | None, bias_axons: int) -> dict[str, Any]:
+def host_record(program: Program, codec: Codec | None, run: ChipRun) -> dict[str, Any]:
     """What the host does: the codec, and what it makes of what it reads.
 
-    An output starts with `bias`, and each tap adds (what it reads times `scale`) @ `weight` from
-    element `first` on. Under "missing" is why a loop cannot be closed, where it cannot.
+    An output of row t starts with `bias`, and each tap adds (what it reads after timestep from + t,
+    times `scale`) @ `weight` from element `first` on. Under "missing" is why a loop cannot be
+    closed, where it cannot.
+
+    program: as it was compiled.
     """
-    common = {"bias_axons": bias_axons}
-    missing = _missing(program, codec)
+    missing = missing_of(program, codec)
     if codec is None or missing:
-        return {**common, "missing": missing}
+        return {"missing": missing}
     taps, bias = _taps(program)
-    return {**common, "codec": _plain(codec.to_record()), "bias": bias, "taps": taps}
+    found = [{**tap, "from": run.windows[tap["layer"]].start} for tap in taps]
+    return {"codec": _plain(codec.to_record()), "bias": bias, "taps": found}
 
 
-def _missing(program: Program, codec: Codec | None) -> str:
+class KitPlayer:
+    """A codec acting through a chip run, as host.py does through a tool.
+
+    rows: (timesteps, M) that were injected in each control step.
+    """
+
+    def __init__(self, compiled: Program, codec: Codec, run: ChipRun) -> None:
+        self._codec, self._run = codec, run
+        taps, bias = _taps(compiled)
+        self._taps, self._bias = taps, np.array(bias)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._state = self._codec.encoder.start(seed)
+        self._chip = Interpreter(self._run.program, 1)
+        self.rows: list[NDArray[np.uint8]] = []
+
+    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """The action for an observation."""
+        run = self._run
+        self.rows.append(run.rows(self._codec.encode(observation[None], self._state)[0]))
+        found = self._chip.run(self.rows[-1][None])
+        output = np.zeros((1, run.inject, len(self._bias))) + self._bias
+        for tap in self._taps:
+            seen = getattr(found[tap["layer"]], tap["reads"])[:, run.windows[tap["layer"]]]
+            read = seen.astype(np.float64) * tap["scale"]
+            part = read if tap["weight"] is None else read @ np.array(tap["weight"])
+            output[:, :, tap["first"] : tap["first"] + part.shape[2]] += part
+        return np.asarray(self._codec.decode(output)[0])
+
+
+def missing_of(program: Program, codec: Codec | None) -> str:
+    """Why host.py cannot close the loop; empty where it can."""
     if codec is None:
         return "the file has no codec, so observations cannot become spikes"
     if codec.encoder.random:

@@ -109,18 +109,21 @@ class Codec:
             raise SystemExit(f"the loop cannot be closed here: {host['missing']}")
         self.codec, self.taps, self.bias = host["codec"], host["taps"], np.array(host["bias"])
         self.kind = self.codec["encoder"]["kind"]
-        self.width = program["input"]["width"]
-        self.bias_axons = host["bias_axons"]
+        self.width, self.clock = program["input"]["width"], program["control_step"]
         self.sent = 0
 
     def encode(self, observation):
-        """Rows (T, M) of one observation (obs,)."""
+        """What is injected for one observation (obs,): rows (T, M), one in each timestep."""
         normal, encoder = self.codec["normaliser"], self.codec["encoder"]
         x = (np.asarray(observation, float) - normal["mean"]) / normal["std"]
         x = np.clip(x, -normal["clip"], normal["clip"])
-        steps = self.codec["timesteps"]
-        rows = [row.ravel() for row in getattr(self, f"_{self.kind}")(x, encoder, steps)]
-        return np.hstack([np.array(rows, np.int64), np.ones((steps, self.bias_axons), np.int64)])
+        rows = np.zeros((self.clock["timesteps"], self.width), np.int64)
+        spikes = getattr(self, f"_{self.kind}")(x, encoder, self.codec["timesteps"])
+        for t, row in enumerate(spikes):
+            rows[t, : row.size] = row.ravel()
+        for axon, (first, last) in enumerate(self.clock["bias_axons"]):
+            rows[first:last, axon - len(self.clock["bias_axons"])] = 1
+        return rows
 
     def _delta(self, x, encoder, steps):
         """Signed events of what has moved since the last event."""
@@ -152,13 +155,16 @@ class Codec:
         for t in range(steps):
             yield (n * (t + 1) + 128) // 256 - (n * t + 128) // 256
 
-    def decode(self, found, first, last):
-        """The action of what the chip did in the timesteps from first to last."""
+    def decode(self, found):
+        """The action of what the chip did in the timesteps of a control step."""
         outputs = []
-        for t in range(first, last):
+        for t in range(self.codec["timesteps"]):
             output = self.bias.copy()
             for tap in self.taps:
-                read = np.asarray(found[tap["layer"]][tap["reads"]][t], float) * tap["scale"]
+                read = (
+                    np.asarray(found[tap["layer"]][tap["reads"]][tap["from"] + t], float)
+                    * tap["scale"]
+                )
                 part = read if tap["weight"] is None else read @ np.array(tap["weight"])
                 output[tap["first"] : tap["first"] + len(part)] += part
             outputs.append(output)
@@ -170,7 +176,7 @@ class Codec:
 
 def close_loop(program, chip, env_name, steps, path):
     """Drive the environment through the chip; compare with the episode of episode.npz."""
-    codec, clock = Codec(program), program["control_step"]
+    codec = Codec(program)
     with np.load(HERE / "episode.npz", allow_pickle=False) as file:
         episode = dict(file)
     steps = min(steps or len(episode["action"]), len(episode["action"]))
@@ -186,9 +192,7 @@ def close_loop(program, chip, env_name, steps, path):
     actions, rewards = [], []
     for step in range(steps):
         seen = episode["observation"][step] if env is None else observation
-        rows = np.zeros((clock["timesteps"], codec.width), np.int64)
-        rows[: clock["inject"][1]] = codec.encode(seen)
-        actions.append(codec.decode(chip.run(rows), *clock["read"]))
+        actions.append(codec.decode(chip.run(codec.encode(seen))))
         if env is not None:
             observation, reward, terminated, truncated, _ = env.step(actions[-1])
             rewards.append(float(reward))

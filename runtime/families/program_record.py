@@ -107,7 +107,8 @@ def program_in(fields: Fields, work: Work) -> Program:
             state="kept",
             source="the program",
         )
-        return Program(chip, convention, name, width, tuple(layers), output, None)
+        found = tuple(layers)
+        return Program(chip, convention, name, width, found, output, None, clock="pipelined")
     except (ConventionError, RuleError) as error:
         raise fields.wrong("layers", f"make no program ({error})", "Export it again.") from error
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -21,6 +21,7 @@ from spikedeploy.commands.options import (
 if TYPE_CHECKING:
     from spikedeploy.exporters.check import CheckedFile
 
+ChipClock = Literal["gated", "pipelined", "free"]
 Checkpoint = Annotated[
     str | None,
     typer.Option(
@@ -73,6 +74,13 @@ def export(
             show_default="as the policy says",
         ),
     ] = None,
+    clock: Annotated[
+        ChipClock | None,
+        typer.Option(
+            help="How the chip's layers advance; program only.",
+            show_default="the network's own, else free",
+        ),
+    ] = None,
     prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
     raster: Annotated[
         Path | None,
@@ -113,11 +121,11 @@ def export(
         _export_for(run, to, output, for_, nir_compat, observations, options, force, json)
         return
     if to == "program":
-        played = {"raster": raster, "env": env, "options": given}
+        played = {"raster": raster, "env": env, "clock": clock, "options": given}
         _export_program(run, chip or "loihi1", output, observations, played, force, json)
         return
-    if raster is not None or env is not None:
-        raise typer.BadParameter("--input and --env go with --to program")
+    if any(value is not None for value in (raster, env, clock)):
+        raise typer.BadParameter("--input, --env and --clock go with --to program")
     if to == "xylo":
         _export_xylo(run, chip, output, observations, given, force, json)
         return

@@ -20,31 +20,32 @@ from spikedeploy.exporters.to_program import (
     MARK,
     PROGRAM,
     README,
+    ChipRun,
     ChipTool,
-    ControlStep,
+    KitPlayer,
+    chip_run,
     expected_text,
     host_record,
+    missing_of,
     program_text,
     script,
     tool_of,
-    with_bias_axons,
 )
 from spikedeploy.files import write_text
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import clock_on, compile_program
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.design_rules.rule import design
-from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.traces.trace_file import Verdict
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.export_c import nir_file, world_of
-
-_CLOCK = "pipelined"
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ def export_program(
     steps: int = 1000,
     raster: Path | None = None,
     env: str | None = None,
+    clock: Clock | None = None,
     options: Mapping[str, Any] | None = None,
     force: bool = False,
 ) -> WrittenKit:
@@ -108,6 +110,7 @@ def export_program(
     steps: control steps of the episode from which the input comes; timesteps of a raster.
     raster: file with input spikes in chip timesteps, instead of an episode.
     env: in which the episode is played; None is what the policy names, of ours.
+    clock: as of compile_program; None is the network's own, or free.
     options: of artifact.load, such as reset.
     force: whether files that no earlier export wrote are replaced.
     """
@@ -118,22 +121,23 @@ def export_program(
     inputs = (file, policy, raster)
     check_output_folder("-o", folder, names, inputs, force, _written_before)
     artifact, on = load(file, **(options or {})), _chip(chip_name)
-    compiled = compile_program(artifact, on, stagger=False)
-    program, bias_axons = with_bias_axons(compiled)
+    compiled = compile_program(artifact, on, clock=clock or _clock_of(artifact, on))
     if raster is not None:
-        played, episode, source = _given(artifact, raster, steps), None, f"the raster {raster.name}"
+        given = _given(artifact, raster, steps)
+        run = chip_run(compiled, len(given))
+        rows, episode, source = run.rows(given), None, f"the raster {raster.name}"
     else:
-        played, episode, source = _episode(policy, artifact, on, steps, env)
-    host = host_record(compiled, artifact.codec, bias_axons)
-    control = _control_step(artifact) if artifact.codec is not None else None
+        run = _in_control_steps(policy, artifact, compiled)
+        rows, episode, source = _episode(policy, artifact, compiled, run, steps, env)
+    _check_delays(run.program, tool)
+    host = host_record(compiled, None if raster is not None else artifact.codec, run)
     named = zoo.called(str(file))
     origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
-    text = program_text(program, _CLOCK, control, _placement(artifact, on), host, origin)
-    rows = np.hstack([played, np.ones((len(played), bias_axons), np.uint8)])
+    text = program_text(run, compiled.clock, _placement(artifact, on), host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
     written = {
         PROGRAM: text,
-        EXPECTED: expected_text(program, rows, text, said),
+        EXPECTED: expected_text(run.program, rows, text, said),
         HOST: script(HOST),
         tool.script: script(tool.script),
         README: _readme(tool, folder, origin, chip_name, source, episode, host),
@@ -149,7 +153,7 @@ def export_program(
         raise TypeError(f"what was written is not what was compiled: {verdict.difference}")
     kept = tuple(name for name in names if name != EPISODE or episode is not None)
     missing = [f"no closed loop: {host['missing']}"] if "missing" in host else []
-    return WrittenKit(folder, kept, tool, verdict, source, (*program.remarks, *missing))
+    return WrittenKit(folder, kept, tool, verdict, source, (*compiled.remarks, *missing))
 
 
 def _written_before(folder: Path) -> bool:
@@ -162,18 +166,38 @@ def _chip(name: str) -> Chip:
     return chip(name, delay=1) if name == "loihi1-nengo" else chip(name)
 
 
-def _control_step(artifact: Artifact) -> ControlStep:
-    """The chip timesteps of a control step; refused where a tool could not keep its clock."""
+def _clock_of(artifact: Artifact, on: Chip) -> Clock:
+    """The clock of the kit: tools hold no layer, so that a gated network runs free if it can."""
+    wanted = clock_on(artifact.convention, on)
+    return "free" if wanted == "gated" and "free" in on.clocks else wanted
+
+
+def _in_control_steps(policy: str, artifact: Artifact, compiled: Program) -> ChipRun:
+    """The chip timesteps of a control step; refused where a chip that runs on has none."""
     if artifact.codec is None:
-        raise TypeError("an artifact without a codec has no control steps")
-    timesteps = artifact.codec.timesteps
+        raise ConfigError(
+            f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
+            "--input spikes.npy."
+        )
     if artifact.convention.state == "reset":
         raise ConfigError(
             f"--to program: the policy resets all states before each of its inferences of "
-            f"{timesteps} timesteps, which a chip that runs on does not do. Give a raster with "
-            "--input, or export a policy that keeps its states."
+            f"{artifact.codec.timesteps} timesteps, which a chip that runs on does not do. Give a "
+            "raster with --input, or export a policy that keeps its states."
         )
-    return ControlStep(timesteps, timesteps, timesteps)
+    return chip_run(compiled, artifact.codec.timesteps)
+
+
+def _check_delays(program: Program, tool: ChipTool) -> None:
+    """Refuse delays that the tool has not."""
+    for layer in program.layers:
+        for synapses in layer.synapses:
+            if tool.delay and synapses.delay != tool.delay:
+                raise ConfigError(
+                    f"--to program: layers {synapses.source!r} -> {layer.name!r}: a delay of "
+                    f"{synapses.delay} timesteps; {tool.name} delivers after {tool.delay}. Choose "
+                    "--clock pipelined, or a chip of another tool."
+                )
 
 
 def _placement(artifact: Artifact, on: Chip) -> CoreMapping | None:
@@ -196,35 +220,32 @@ def _given(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:
 
 
 def _episode(
-    policy: str, artifact: Artifact, on: Chip, steps: int, named: str | None
-) -> tuple[NDArray[np.uint8], Rollout, str]:
+    policy: str,
+    artifact: Artifact,
+    compiled: Program,
+    run: ChipRun,
+    steps: int,
+    named: str | None,
+) -> tuple[NDArray[np.uint8], Rollout | None, str]:
     """Input (T, M) of the policy's first control steps in its environment, and that episode."""
-    if artifact.codec is None:
-        raise ConfigError(
-            f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
-            "--input spikes.npy."
-        )
-    _control_step(artifact)
+    if artifact.codec is None or (missing := missing_of(compiled, artifact.codec)):
+        raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
     where = named or world_of(policy, artifact)
     if not where:
         raise ConfigError(
             f"--to program: {policy} names no environment of ours. Name one with --env, or give a "
             "raster: --input spikes.npy."
         )
-    controller = SpikingController(artifact, on, "none", stagger=False)
-    env, rows = make_env(where, {}), []
+    player, env = KitPlayer(compiled, artifact.codec, run), make_env(where, {})
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
-        controller.reset(VALIDATION[0])
         while not recorder.over and recorder.steps < steps:
-            action = controller.act(recorder.observation)
-            rows.append(controller.encoded[0].astype(np.uint8))
-            recorder.step(action)
+            recorder.step(player.act(recorder.observation))
         played = recorder.rollout()
     finally:
         env.close()
     source = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
-    return np.concatenate(rows), played, source
+    return np.concatenate(player.rows), played, source
 
 
 def _write_episode(path: Path, episode: Rollout) -> None:
