@@ -8,8 +8,8 @@ and are replayed here, and the tests that compare with it run; `spikedeploy inte
 A line for each says what came of it; a tool that cannot be installed is named with the reason.
 Exits with 1 where a comparison fails.
 
-sinabs and samna are never installed here, and rockpool without what it depends on: importing samna
-runs an installer.
+samna is never installed here, and rockpool and sinabs without what they depend on: importing samna
+runs an installer. `import sinabs` leaves it unloaded.
 """
 
 import argparse
@@ -51,6 +51,7 @@ class Peer:
 
     tests: what pytest runs in its environment.
     traces: module of benchmarks/traces that records its golden traces again.
+    kits: whether the kits of `export --to program` run in it (benchmarks/kits.py).
     options: of pip, beside the requirements of the extra of its name.
     python: its version of Python, where it needs another; it then shares nothing with ours.
     """
@@ -58,6 +59,7 @@ class Peer:
     name: str
     tests: tuple[str, ...] = ()
     traces: str | None = None
+    kits: bool = False
     options: tuple[str, ...] = ()
     python: str | None = None
 
@@ -69,7 +71,12 @@ PEERS = (
     Peer("nengo", (PRESETS, "-k", "nengo")),
     Peer("neurobench", (f"{METRICS}/test_neurobench_peer.py",)),
     Peer("sanafe", (f"{METRICS}/test_sanafe.py",), traces="sanafe"),
-    Peer("xylosim", (f"{FAMILIES}/test_xylosim.py",), traces="xylosim"),
+    Peer("xylosim", (f"{FAMILIES}/test_xylosim.py",), traces="xylosim", kits=True),
+    Peer(
+        "sinabs",
+        kits=True,
+        options=("--no-deps", "sinabs==3.1.3", "nirtorch==2.6", "pbr"),
+    ),
     Peer(
         "rockpool",
         (f"{FAMILIES}/test_rockpool_quantisers.py", INTEROP, "-k", "rockpool"),
@@ -81,9 +88,9 @@ PEERS = (
         Peer(f"nir=={release}", (INTEROP, "-k", f"nir-{release}"), options=(f"nir=={release}",))
         for release in ("1.0.1", "1.0.4", "1.0.5", "1.0.6", "1.0.7")
     ),
-    Peer("nengo-loihi", traces="nengo_loihi"),
+    Peer("nengo-loihi", traces="nengo_loihi", kits=True),
     Peer("brian2-loihi", traces="brian2_loihi"),
-    Peer("lava", traces="lava", python="3.10"),
+    Peer("lava", traces="lava", kits=True, python="3.10"),
 )
 
 
@@ -172,6 +179,8 @@ def compared(peer: Peer, python: Path, home: Path) -> Iterator[tuple[bool, str]]
         yield recorded(peer.traces, python, home)
     if peer.traces in SOURCES:
         yield replayed(peer.traces, python, home)
+    if peer.kits:
+        yield kits_run(peer.name, python, home)
     if peer.tests:
         yield tested(peer.tests, python, home)
 
@@ -200,6 +209,16 @@ def replayed(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     numbers = sum(verdict.compared for verdict in verdicts)
     text = f"random networks: {len(verdicts) - len(bad)} equal, {numbers:,} numbers"
     return not bad and bool(verdicts), text + (f"; {len(bad)} different" if bad else "")
+
+
+def kits_run(tool: str, python: Path, home: Path) -> tuple[bool, str]:
+    """Kits of the tool's chips, written by us and run by the tool alone."""
+    script, folder = ROOT / "benchmarks" / "kits.py", home / "kits"
+    words = [str(script), tool, "--python", str(python), "--folder", str(folder)]
+    done = run([sys.executable, *words], home / "kits.log")
+    lines = done.stdout.splitlines() or [f"did not run, see {home / 'kits.log'}"]
+    bad = [line for line in lines if line.startswith("✗")]
+    return done.returncode == 0, "; ".join(["kits: " + lines[-1], *bad])
 
 
 def tested(tests: tuple[str, ...], python: Path, home: Path) -> tuple[bool, str]:

@@ -13,6 +13,8 @@ raster       input spikes of a policy in torch, drawn with the generator of the 
 parity       a written file against its policy: NIR spike by spike, ONNX action by action
 check        one line of a parity report, and its counters
 importers/   the same network in the scaling that another tool's import accepts; takes no torch
+to_program   a compiled program as plain files, and what is expected of a chip; takes no torch
+kit/         beside it: scripts for the chips' tools, copied as they are, and imported by nothing
 to_xylo      a compiled program as a specification for Rockpool, beside the table
 c/           a compiled program as C99 for microcontrollers, beside the table: it takes no torch
 """

@@ -150,6 +150,16 @@ class Fields:
                 raise self.wrong(name, f"is {_short(value)}", "Write a finite number.")
         return found
 
+    def floats(self, name: str, size: int) -> NDArray[np.float64]:
+        """(size,) finite numbers."""
+        found = self._taken(name)
+        if not isinstance(found, list) or len(found) != size:
+            raise self.wrong(name, f"is {_short(found)}", f"Write a list of {size} numbers.")
+        if not all(type(each) in (int, float) and -_HUGE < each < _HUGE for each in found):
+            raise self.wrong(name, f"holds {_short(found)}", "Write finite numbers.")
+        self._count(name, found)
+        return np.array(found, np.float64)
+
     def array(self, *names: str, axes: int, least: int, most: int) -> Integers:
         """Whole numbers within a range, of at most so many axes."""
         name = self.name(*names)

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -42,6 +43,8 @@ _READERS = {
     "xylo-a3": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
     "xylo-imu": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
 }
+# of an exported program, on any of the chips that it can be exported for
+_OF_PROGRAMS = "spikedeploy.runtime.families.program_traces:program_trace"
 # those that are replayed in a way of their own: event by event, or with an earlier reset
 _VERDICTS = {
     "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbar_traces:crossbar_verdict",
@@ -103,6 +106,13 @@ def trace_in(fields: Fields, stem: str) -> TraceFile:
     module, attribute = _READERS[chip].split(":")
     reader: Reader = getattr(import_module(module), attribute)
     return reader(fields, chip)
+
+
+def program_trace_in(fields: Fields, folder: Path) -> TraceFile:
+    """The trace in the fields of a file in that folder, where the file of its program lies too."""
+    module, attribute = _OF_PROGRAMS.split(":")
+    found: TraceFile = getattr(import_module(module), attribute)(fields, folder)
+    return found
 
 
 def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index: str) -> Integers:

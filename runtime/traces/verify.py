@@ -16,6 +16,7 @@ from spikedeploy.runtime.traces.trace_file import (
     Verdict,
     maker,
     own_verdict,
+    program_trace_in,
     trace_in,
 )
 
@@ -25,11 +26,17 @@ _BLIND = "membranes at spikes, of which the board's probe shows something else"
 def verify(path: Path) -> Verdict:
     """Replay a trace file by the specification of the arithmetic."""
     fields = read_json(path)
+    if fields.name("program") is not None:
+        return _verdict(program_trace_in(fields, path.parent))
     if (chip := maker(fields, path.stem)) == MAKER:
         return energy_verdict(fields)
     if (verdict := own_verdict(fields, chip)) is not None:
         return verdict
-    recorded = trace_in(fields, path.stem)
+    return _verdict(trace_in(fields, path.stem))
+
+
+def _verdict(recorded: TraceFile) -> Verdict:
+    """What comes of a trace that is replayed by the interpreter."""
     ran = trace(recorded.program, recorded.raster)
     found = {name: _quantities(layer) for name, layer in ran.items()}
     masks = _masks(recorded, found)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -21,6 +21,7 @@ from spikedeploy.commands.options import (
 if TYPE_CHECKING:
     from spikedeploy.exporters.check import CheckedFile
 
+ChipClock = Literal["gated", "pipelined", "free"]
 Checkpoint = Annotated[
     str | None,
     typer.Option(
@@ -41,8 +42,8 @@ def export(
     to: Annotated[
         str | None,
         typer.Option(
-            help="Format: nir, c or xylo for spiking policies, onnx for float ones, or for one "
-            "step of a spiking one; c of small float ones, in 8-bit weights; or card.",
+            help="Format: nir, c, program or xylo for spiking policies, onnx for float ones, or "
+            "for one step of a spiking one; c of small float ones, in 8-bit weights; or card.",
             show_default="as -o ends, else as the policy is",
         ),
     ] = None,
@@ -51,7 +52,7 @@ def export(
         typer.Option(
             "-o",
             "--output",
-            help="File to write; for c the folder.",
+            help="File to write; for c and program the folder.",
             show_default="in the run folder",
         ),
     ] = None,
@@ -61,11 +62,35 @@ def export(
     chip: Annotated[
         str | None,
         typer.Option(
-            help="Chip whose integers are written; c and xylo.",
+            help="Chip whose integers are written; c, program and xylo.",
             show_default="loihi1; xylo needs one",
         ),
     ] = None,
+    env: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENV",
+            help="Environment of the recorded episode; program only.",
+            show_default="as the policy says",
+        ),
+    ] = None,
+    clock: Annotated[
+        ChipClock | None,
+        typer.Option(
+            help="How the chip's layers advance; program only.",
+            show_default="the network's own, else free",
+        ),
+    ] = None,
     prefix: Annotated[str, typer.Option(help="What names begin with; c only.")] = "policy",
+    raster: Annotated[
+        Path | None,
+        typer.Option(
+            "--input",
+            metavar="RASTER",
+            help="Input spikes (T, M), .npy, in chip timesteps; program only.",
+            show_default="of an episode",
+        ),
+    ] = None,
     state: Annotated[
         States | None,
         typer.Option(
@@ -95,12 +120,18 @@ def export(
         options = {**given, "state": state}
         _export_for(run, to, output, for_, nir_compat, observations, options, force, json)
         return
+    if to == "program":
+        played = {"raster": raster, "env": env, "clock": clock, "options": given}
+        _export_program(run, chip or "loihi1", output, observations, played, force, json)
+        return
+    if any(value is not None for value in (raster, env, clock)):
+        raise typer.BadParameter("--input, --env and --clock go with --to program")
     if to == "xylo":
         _export_xylo(run, chip, output, observations, given, force, json)
         return
     if any(value is not None for value in given.values()):
         raise typer.BadParameter(
-            "--from, --dt and --reset go with --for, --nir-compat or --to xylo"
+            "--from, --dt and --reset go with --for, --nir-compat, --to program or --to xylo"
         )
     if to == "c":
         _export_c(run, chip, output, observations, prefix, force, json)
@@ -140,6 +171,27 @@ def _export_c(
         written = export_int8.export_int8(file, policy, chip, folder, observations, prefix, force)
     else:
         written = shipping.export_c(policy, chip or "loihi1", folder, observations, prefix, force)
+    if json:
+        print_json(written.record())
+        return
+    for line in written.lines():
+        typer.echo(line)
+
+
+def _export_program(
+    policy: str,
+    chip: str,
+    folder: Path | None,
+    steps: int,
+    played: Mapping[str, Any],
+    force: bool,
+    json: bool,
+) -> None:
+    """Write the kit of a chip, and say what to type next."""
+    from spikedeploy.console import print_json
+    from spikedeploy.shipping import export_program as shipping
+
+    written = shipping.export_program(policy, chip, folder, steps, force=force, **played)
     if json:
         print_json(written.record())
         return

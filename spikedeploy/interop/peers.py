@@ -41,7 +41,9 @@ PEERS = (
     OtherTool("snntorch", "snnTorch", importer=True),
     OtherTool("spikingjelly", "SpikingJelly", importer=True),
     OtherTool("rockpool", "Rockpool", importer=True),
-    OtherTool("sinabs", "sinabs", missing="not imported: its import runs an installer"),
+    OtherTool(
+        "sinabs", "sinabs", missing="not opened here: it asks for an older `nir`, and for samna"
+    ),
     OtherTool("snn-mlir", "snn-mlir check"),
     *(OtherTool(f"nir=={release}", f"nir {release}") for release in _RELEASES),
 )

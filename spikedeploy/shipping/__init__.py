@@ -6,6 +6,7 @@ export_run           a run's policy as a file, compared with the policy on recor
 export_c             a policy as C of a chip, with what it takes
 export_onnx          a .nir file as one step in ONNX
 export_nir           a network for another tool's import, compared with the given one
+export_program       a policy as the kit of a chip: its integers, what is expected, a script
 export_xylo          a network as a Xylo's specification, compared with the emulated chip
 exported_run         a run folder as its exported file, written where it is missing or old
 training_films       films of a run while it is trained

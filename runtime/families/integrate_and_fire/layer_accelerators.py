@@ -107,8 +107,8 @@ SPECK2F = Chip(
         "delay": f"a spike is passed on at once; {_TIMELESS}",
         "delay_max": "by definition: recurrent connections take one timestep",
     },
-    evidence="sinabs' IAF rule restated in a test; not run against sinabs or a board; that "
-    "membranes saturate is assumed",
+    evidence="equal to sinabs' layers, `./spike test --peers sinabs`; not run against a board; "
+    "that membranes saturate is assumed",
 )
 
 

@@ -85,7 +85,7 @@ def test_the_page_says_what_came_of_each_case(file):
     assert "; from `--like` 15 do" in text
     assert "**equal**, 25 compared" in text
     assert "Releases: norse 1.1.0." in text
-    assert "Not imported: its import runs an installer." in text
+    assert "Not opened here: it asks for an older `nir`, and for samna." in text
 
 
 def test_the_page_counts_the_files_of_which_a_tool_computes_every_spike(file):

@@ -1,0 +1,207 @@
+"""What the host of this kit does; every run_*.py uses it. NumPy only.
+
+A chip of run_*.py is a class with `run(rows)`: rows (T, M) of input spikes in, and out for each
+layer {"current" | "membrane" | "spikes": (T, N)} after each timestep; states go on from call to
+call. Whatever it cannot measure it leaves out. `stop()` lets go of the chip.
+"""
+
+import argparse
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+PARTS = 256  # of a step of a delta encoder
+
+
+def main(make_chip, tool, options=()):
+    """Run expected.json's input on a chip, or close the loop; print what differs, if anything.
+
+    make_chip(program, arguments) builds the chip; options are (flag, help) of its own.
+    """
+    parser = argparse.ArgumentParser(description=f"Run this kit's program with {tool}.")
+    parser.add_argument(
+        "--loop",
+        metavar="ENV",
+        nargs="?",
+        const="recorded",
+        help="close the loop: a gymnasium id or module:Class; without one, "
+        "the recorded observations of episode.npz",
+    )
+    parser.add_argument("--steps", type=int, help="control steps, or timesteps of the raster")
+    for flag, text in options:
+        parser.add_argument(flag, action="store_true", help=text)
+    arguments = parser.parse_args()
+    text = (HERE / "program.json").read_bytes()
+    program = json.loads(text)
+    expected = json.loads((HERE / "expected.json").read_text("utf-8"))
+    if expected["program_sha256"] != hashlib.sha256(text).hexdigest():
+        raise SystemExit("expected.json is of another program.json; export both again")
+    try:
+        chip, name = make_chip(program, arguments), tool.replace(" ", "-")
+    except ImportError as error:
+        raise SystemExit(
+            f"{error}: what the board needs is not here; README.md names it"
+        ) from error
+    try:
+        if arguments.loop:
+            path = HERE / f"loop_{name}.npz"
+            return close_loop(program, chip, arguments.loop, arguments.steps, path)
+        return play(program, expected, chip, arguments.steps, tool, HERE / f"{name}.json")
+    finally:
+        chip.stop()
+
+
+def play(program, expected, chip, steps, tool, path):
+    """Run expected.json's input on the chip, and write what it did like expected.json."""
+    steps = min(steps or expected["timesteps"], expected["timesteps"])
+    events = np.array(expected["input_events"], np.int64).reshape(-1, 2)
+    events = events[events[:, 0] < steps]
+    rows = np.zeros((steps, program["input"]["width"]), np.int64)
+    np.add.at(rows, tuple(events.T), 1)
+    found = chip.run(rows)
+    recorded = {
+        layer: {
+            quantity: np.asarray(table).astype(np.int64).tolist()
+            for quantity, table in tables.items()
+        }
+        for layer, tables in found.items()
+    }
+    trace = {
+        **expected,
+        "source": f"{tool}, run_*.py of the kit",
+        "timesteps": steps,
+        "input_events": events.tolist(),
+        "recorded": recorded,
+    }
+    path.write_text(json.dumps(trace), "utf-8")
+    print(f"wrote {path.name}; compare: spikedeploy verify {path.name}")
+    return report(recorded, expected["recorded"], steps)
+
+
+def report(recorded, expected, steps):
+    """Print the first difference from what is expected; return the exit code."""
+    first, count = None, 0
+    for layer, tables in recorded.items():
+        for quantity in (q for q in expected[layer] if q in tables):
+            ours, theirs = np.array(expected[layer][quantity][:steps]), np.array(tables[quantity])
+            count += ours.size
+            wrong = np.argwhere(ours != theirs)
+            if len(wrong) and (first is None or wrong[0][0] < first[0]):
+                t, n = wrong[0]
+                first = (
+                    t,
+                    f"timestep {t}, {layer}, neuron {n}, {quantity}: "
+                    f"expected {ours[t, n]}, found {theirs[t, n]}",
+                )
+    print(f"differs: {first[1]}" if first else f"equal: {count:,} numbers of {steps} timesteps")
+    return 1 if first or not count else 0
+
+
+class Codec:
+    """Observation to rows of spikes, and what the chip did to an action."""
+
+    def __init__(self, program):
+        host = program["host"]
+        if "missing" in host:
+            raise SystemExit(f"the loop cannot be closed here: {host['missing']}")
+        self.codec, self.taps, self.bias = host["codec"], host["taps"], np.array(host["bias"])
+        self.kind = self.codec["encoder"]["kind"]
+        self.width, self.clock = program["input"]["width"], program["control_step"]
+        self.sent = 0
+
+    def encode(self, observation):
+        """What is injected for one observation (obs,): rows (T, M), one in each timestep."""
+        normal, encoder = self.codec["normaliser"], self.codec["encoder"]
+        x = (np.asarray(observation, float) - normal["mean"]) / normal["std"]
+        x = np.clip(x, -normal["clip"], normal["clip"])
+        rows = np.zeros((self.clock["timesteps"], self.width), np.int64)
+        spikes = getattr(self, f"_{self.kind}")(x, encoder, self.codec["timesteps"])
+        for t, row in enumerate(spikes):
+            rows[t, : row.size] = row.ravel()
+        for axon, (first, last) in enumerate(self.clock["bias_axons"]):
+            rows[first:last, axon - len(self.clock["bias_axons"])] = 1
+        return rows
+
+    def _delta(self, x, encoder, steps):
+        """Signed events of what has moved since the last event."""
+        step = np.array([np.inf if s is None else s for s in encoder["step"]])
+        parts = np.rint(np.clip(x / step * PARTS, -(2.0**30), 2.0**30)).astype(np.int64)
+        k = np.arange(1, encoder["most"] + 1)
+        for _ in range(steps):
+            apart = parts - PARTS * self.sent
+            n = np.minimum((np.abs(apart) + PARTS // 2) >> 8, encoder["most"])
+            n = np.where(np.abs(apart) > encoder["threshold"], np.sign(apart) * n, 0)
+            signed = (n[:, None] * [1, -1])[:, :, None]
+            yield signed >= k if encoder["code"] == "unary" else signed == k
+            self.sent = self.sent + n
+
+    def _population(self, x, encoder, steps):
+        """Integrate-and-fire neurons with Gaussian receptive fields."""
+        drive = np.exp(-0.5 * ((x[:, None] - encoder["mean"]) / np.array(encoder["std"])) ** 2)
+        v, spikes = drive.copy(), np.zeros(drive.shape, bool)
+        for t in range(steps):
+            if t:
+                v = v - encoder["threshold"] * spikes + drive
+            spikes = v > encoder["threshold"]
+            yield spikes
+
+    def _rate(self, x, encoder, steps):
+        """Carries of an 8-bit accumulator that starts at 128."""
+        low, high = np.array(encoder["low"]), np.array(encoder["high"])
+        n = np.rint(np.clip((x - low) / (high - low), 0, 1) * 256).astype(np.int64)
+        for t in range(steps):
+            yield (n * (t + 1) + 128) // 256 - (n * t + 128) // 256
+
+    def decode(self, found):
+        """The action of what the chip did in the timesteps of a control step."""
+        outputs = []
+        for t in range(self.codec["timesteps"]):
+            output = self.bias.copy()
+            for tap in self.taps:
+                read = (
+                    np.asarray(found[tap["layer"]][tap["reads"]][tap["from"] + t], float)
+                    * tap["scale"]
+                )
+                part = read if tap["weight"] is None else read @ np.array(tap["weight"])
+                output[tap["first"] : tap["first"] + len(part)] += part
+            outputs.append(output)
+        scores = np.add.reduce(outputs) / len(outputs)
+        if self.codec["squash"] == "argmax":
+            return np.int64(scores.argmax())
+        return np.tanh(scores) if self.codec["squash"] == "tanh" else scores
+
+
+def close_loop(program, chip, env_name, steps, path):
+    """Drive the environment through the chip; compare with the episode of episode.npz."""
+    codec = Codec(program)
+    with np.load(HERE / "episode.npz", allow_pickle=False) as file:
+        episode = dict(file)
+    steps = min(steps or len(episode["action"]), len(episode["action"]))
+    env = None
+    if env_name != "recorded":
+        import gymnasium
+
+        name, _, short = env_name.partition(":")
+        if name == "spikedeploy":
+            from spikedeploy.envs import make
+        env = make(short) if name == "spikedeploy" else gymnasium.make(env_name)
+        observation, _ = env.reset(seed=int(episode["seed"]))
+    actions, rewards = [], []
+    for step in range(steps):
+        seen = episode["observation"][step] if env is None else observation
+        actions.append(codec.decode(chip.run(codec.encode(seen))))
+        if env is not None:
+            observation, reward, terminated, truncated, _ = env.step(actions[-1])
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+    np.savez(path, action=np.array(actions), reward=np.array(rewards))
+    apart = np.abs(np.array(actions, float) - episode["action"][: len(actions)])
+    print(f"wrote {path.name}: {len(actions)} actions, at most {apart.max():.3g} from expected")
+    if env is not None:
+        total, wanted = sum(rewards), float(episode["reward"][: len(rewards)].sum())
+        print(f"return {total:.6f}, expected {wanted:.6f}")
+    return 0 if apart.max() < 1e-9 else 1

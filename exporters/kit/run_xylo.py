@@ -1,0 +1,174 @@
+"""Run this kit's program on a Xylo dev kit by Rockpool and samna, or by xylosim.
+
+    python run_xylo.py --sim            SynSense's simulator 0.1.3; no Rockpool, no samna
+    python run_xylo.py                  the dev kit, by "rockpool[xylo]"; never run by us
+    python run_xylo.py [--sim] --loop [ENV]   the closed loop; without ENV on recorded observations
+
+All layers but the last are Xylo's one population of hidden neurons. Input events act in their
+timestep, hidden spikes in the next.
+"""
+
+import sys
+
+import numpy as np
+from host import main
+
+
+def specification(program):
+    """Rockpool's names for the program, and the first hidden neuron of each layer."""
+    *hidden, output = program["layers"]
+    width, size = program["input"]["width"], sum(layer["neurons"] for layer in hidden)
+    currents = max(len(layer["dash_syn"]) for layer in hidden)
+    first, place = {}, 0
+    for layer in hidden:
+        first[layer["name"]], place = place, place + layer["neurons"]
+    weights = {
+        "in": np.zeros((width, size, currents), int),
+        "rec": np.zeros((size, size, currents), int),
+        "out": np.zeros((size, output["neurons"], 1), int),
+    }
+    shifts = {"in": set(), "rec": set(), "out": set()}
+    for layer in program["layers"]:
+        for synapses in layer["synapses"]:
+            outer = synapses["source"] == program["input"]["name"]
+            matrix = "out" if layer is output else "in" if outer else "rec"
+            if outer and layer is output:
+                sys.exit("Xylo's inputs reach hidden neurons alone, and these reach the output")
+            if synapses["delay"] != (0 if outer else 1):
+                sys.exit(f"a delay of {synapses['delay']} timesteps is not Xylo's")
+            m = 0 if outer else first[synapses["source"]]
+            n = 0 if layer is output else first[layer["name"]]
+            part = np.array(synapses["weights"])
+            rows, columns = slice(m, m + part.shape[0]), slice(n, n + part.shape[1])
+            weights[matrix][rows, columns, synapses["current"]] += part
+            shifts[matrix].add(synapses["exponent"])
+    if any(len(each) > 1 for each in shifts.values()):
+        sys.exit("the weights of one of Xylo's matrices have different exponents")
+    found = {f"weights_{name}": matrix for name, matrix in weights.items()}
+    found |= {f"weight_shift_{name}": max(each, default=0) for name, each in shifts.items()}
+    for end, layers in (("", hidden), ("_out", [output])):
+        for name in ("dash_mem", "threshold", "bias"):
+            found[name + end] = np.concatenate([layer[name] for layer in layers])
+        found["dash_syn" + end] = np.concatenate([layer["dash_syn"][0] for layer in layers])
+    seconds = [(layer["dash_syn"] + [[0] * layer["neurons"]])[1] for layer in hidden]
+    found["dash_syn_2"] = np.concatenate(seconds)
+    return found, first
+
+
+def split(program, first, hidden, output):
+    """Tables of the hidden population (quantity -> (T, N)) layer by layer, and the output's."""
+    found = {}
+    for layer in program["layers"][:-1]:
+        own = slice(first[layer["name"]], first[layer["name"]] + layer["neurons"])
+        found[layer["name"]] = {name: np.array(rows)[:, own] for name, rows in hidden.items()}
+    found[program["output"]] = {name: np.array(rows) for name, rows in output.items()}
+    return found
+
+
+class XylosimChip:
+    """The program in xylosim."""
+
+    def __init__(self, program, arguments):
+        from xylosim.v2 import XyloLayer, XyloSynapse
+
+        self.program = program
+        spec, self.first = specification(program)
+
+        def listed(matrix):
+            """Of each presynaptic neuron the synapses that are not 0."""
+            return [[XyloSynapse(int(n), int(k), int(row[n, k])) for n, k in np.argwhere(row)]
+                    for row in matrix]  # fmt: skip
+
+        # xylosim holds bare pointers to its synapses: they have to outlive it
+        self.synapses = {name: listed(spec[f"weights_{name}"]) for name in ("in", "rec", "out")}
+        self.layer = XyloLayer(
+            synapses_in=self.synapses["in"],
+            synapses_rec=self.synapses["rec"],
+            synapses_out=self.synapses["out"],
+            aliases=[[] for _ in spec["threshold"]],
+            threshold=spec["threshold"].tolist(),
+            threshold_out=spec["threshold_out"].tolist(),
+            has_bias=bool(spec["bias"].any() or spec["bias_out"].any()),
+            bias=spec["bias"].tolist(),
+            bias_out=spec["bias_out"].tolist(),
+            weight_shift_inp=spec["weight_shift_in"],
+            weight_shift_rec=spec["weight_shift_rec"],
+            weight_shift_out=spec["weight_shift_out"],
+            dash_mem=spec["dash_mem"].tolist(),
+            dash_mem_out=spec["dash_mem_out"].tolist(),
+            dash_syns=np.stack([spec["dash_syn"], spec["dash_syn_2"]], axis=1).tolist(),
+            dash_syns_out=spec["dash_syn_out"][:, None].tolist(),
+            name="kit",
+        )
+        self.ran = 0
+
+    def run(self, rows):
+        """Events (T, M) in, states and spikes after each timestep out."""
+        self.layer.evolve(rows.tolist())
+        x, new = self.layer, slice(-len(rows), None)
+        hidden = {
+            "current": np.array(x.rec_i_syn).T[new],
+            "membrane": np.array(x.rec_v_mem).T[new],
+            "spikes": np.array(x.rec_recurrent_spikes)[new],
+        }
+        if len(self.program["layers"][0]["dash_syn"]) > 1:
+            hidden["current 2"] = np.array(x.rec_i_syn2).T[new]
+        output = {
+            "current": np.array(x.rec_i_syn_out).T[new],
+            "membrane": np.array(x.rec_v_mem_out).T[new],
+            "spikes": np.array(x.rec_out_spikes)[new],
+        }
+        return split(self.program, self.first, hidden, output)
+
+    def stop(self):
+        """Nothing to let go of."""
+
+
+MODULES = {"xylo-a2": "syns61201", "xylo-a3": "syns65302", "xylo-imu": "syns63300"}
+
+
+class XyloBoard:
+    """The program on a dev kit, by Rockpool's XyloSamna."""
+
+    def __init__(self, program, arguments):
+        # importing these imports samna, which on its first import installs itself
+        from importlib import import_module
+
+        from rockpool.devices.xylo.helper import find_xylo_hdks
+
+        module = import_module(f"rockpool.devices.xylo.{MODULES[program['chip']]}")
+        kits, _, versions = find_xylo_hdks()
+        if not kits:
+            sys.exit("no Xylo dev kit was found; with --sim, xylosim runs the program")
+        self.program = program
+        spec, self.first = specification(program)
+        spec["weights_out"] = spec["weights_out"][:, :, 0]
+        spec["bias_hidden"], bias_out = spec.pop("bias"), spec["bias_out"]
+        if not (spec["bias_hidden"].any() or bias_out.any()):
+            del spec["bias_hidden"], spec["bias_out"]  # what is given switches biases on
+        config, valid, message = module.config_from_specification(**spec)
+        if not valid:
+            sys.exit(f"samna refuses the configuration: {message}")
+        print(f"running on {versions[0]}")
+        self.board = module.XyloSamna(kits[0], config, dt=program["dt"])
+
+    def run(self, rows):
+        """Events (T, M) in, what the dev kit records out; its states go on."""
+        spikes, _, seen = self.board(rows, record=True)
+        size = sum(layer["neurons"] for layer in self.program["layers"][:-1])
+        hidden = {"current": seen["Isyn"], "membrane": seen["Vmem"], "spikes": seen["Spikes"]}
+        hidden = {name: np.array(rows)[:, :size] for name, rows in hidden.items()}
+        output = {"current": seen["Isyn_out"], "membrane": seen["Vmem_out"], "spikes": spikes}
+        return split(self.program, self.first, hidden, output)
+
+    def stop(self):
+        """Nothing to let go of: samna closes the dev kit as the script ends."""
+
+
+if __name__ == "__main__":
+
+    def chip(program, arguments):
+        """The simulator or the dev kit."""
+        return (XylosimChip if arguments.sim else XyloBoard)(program, arguments)
+
+    sys.exit(main(chip, "xylo", [("--sim", "run xylosim instead of a dev kit")]))

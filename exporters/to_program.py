@@ -1,0 +1,391 @@
+"""A compiled program as the files of a kit: its integers, an input, and what is expected of it.
+
+program.json    the integers, the clock, the placement on cores, and what the host does
+expected.json   input events, and currents, membranes and spikes after every chip timestep, as
+                `spikedeploy verify` reads them
+README.md       what to type
+host.py and a script for the chip's own tool, which read these files: exporters/kit/, verbatim
+"""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.program import Program, Readout
+from spikedeploy.runtime.design_rules.mapping import CoreMapping
+from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.program_record import program_record
+from spikedeploy.runtime.traces.trace_file import QUANTITIES
+
+MARK = "spikedeploy export --to program"
+PROGRAM, EXPECTED, EPISODE, README, HOST = (
+    "program.json",
+    "expected.json",
+    "episode.npz",
+    "README.md",
+    "host.py",
+)
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class ChipTool:
+    """The tool of a chip for which the kit has a script.
+
+    script: its name in exporters/kit/.
+    name: of the tool.
+    install: what installs it, for a terminal.
+    offline: what runs without a board; empty where nothing does.
+    page: of docs/.
+    delay: [timesteps] from a spike to its arrival, where it has only one; 0 where any.
+    """
+
+    script: str
+    name: str
+    install: str
+    offline: str
+    page: str
+    delay: int = 0
+
+
+_LAVA = ChipTool(
+    "run_lava.py",
+    "lava",
+    "python3.10 -m venv lava && lava/bin/pip install lava-nc==0.10.0",
+    "lava's simulator of fixed-point neurons (Loihi1SimCfg, Loihi2SimCfg)",
+    "board-loihi.md",
+)
+_NENGO = ChipTool(
+    "run_nengo_loihi.py",
+    "nengo-loihi",
+    "python3 -m venv nengo && nengo/bin/pip install nengo-loihi==1.1.0 nengo==4.1.0",
+    "nengo-loihi's emulator (target sim)",
+    "board-loihi.md",
+    delay=1,
+)
+_XYLO = ChipTool(
+    "run_xylo.py",
+    "rockpool",
+    "python3 -m venv xylo && xylo/bin/pip install xylosim==0.1.3 numpy",
+    "xylosim, SynSense's simulator (--sim)",
+    "board-xylo.md",
+)
+TOOLS = {
+    "loihi1": _LAVA,
+    "loihi2": _LAVA,
+    "loihi1-nengo": _NENGO,
+    "xylo-a2": _XYLO,
+    "xylo-a3": _XYLO,
+    "xylo-imu": _XYLO,
+    "speck2f": ChipTool(
+        "run_sinabs.py",
+        "sinabs",
+        "python3 -m venv speck && speck/bin/pip install --no-deps sinabs==3.1.3 nirtorch==2.6 pbr "
+        "&& speck/bin/pip install 'torch<2.14' nir==1.0.8 numpy",
+        "sinabs' layers, which need no samna",
+        "board-speck.md",
+    ),
+    "spinnaker2": ChipTool(
+        "run_spinnaker2.py",
+        "py-spinnaker2",
+        "python3 -m venv s2 && s2/bin/pip install git+https://gitlab.com/spinnaker2/py-spinnaker2",
+        "its Brian2 back-end (--sim); not run by us: the package is not on PyPI",
+        "board-spinnaker2.md",
+    ),
+}
+
+
+def tool_of(chip_name: str) -> ChipTool:
+    """The tool of a chip; ConfigError where the kit has no script for it."""
+    if chip_name not in TOOLS:
+        raise ConfigError(
+            f"--to program: there is no script for {chip_name}; there is one for each of "
+            f"{', '.join(TOOLS)}. Choose one of them with --chip."
+        )
+    return TOOLS[chip_name]
+
+
+def script(name: str) -> str:
+    """The text of a file in exporters/kit/."""
+    return (files("spikedeploy.exporters") / "kit" / name).read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True, eq=False)
+class ChipRun:
+    """A program as a chip runs it: all neurons update in each timestep, from the first on.
+
+    program: with biases as weights of axons of the input, behind those that it had: all that the
+        host injects. Delays are those from a spike to its arrival; no layer waits to start.
+    timesteps: of a control step, or of the run of a raster.
+    inject: the host's rows go into so many of them, from the first on.
+    windows: for each layer the timesteps after which the host reads it.
+    biases: for each axon of a bias the timesteps in which it spikes.
+    """
+
+    program: Program
+    timesteps: int
+    inject: int
+    windows: Mapping[str, slice]
+    biases: tuple[slice, ...]
+
+    def rows(self, spikes: NDArray[Any]) -> NDArray[np.uint8]:
+        """What the host injects (timesteps, M) for the spikes (inject, M) of the input."""
+        raster = np.zeros((self.timesteps, self.program.width), np.uint8)
+        width = spikes.shape[1]
+        raster[: len(spikes), :width] = spikes
+        for axon, timesteps in enumerate(self.biases, start=width):
+            raster[timesteps, axon] = 1
+        return raster
+
+
+def chip_run(program: Program, rows: int) -> ChipRun:
+    """How a chip runs windows of so many input rows of a program.
+
+    Raises ConfigError where the chip would have to hold a layer.
+    """
+    if program.clock == "gated" and any(layer.start for layer in program.layers):
+        raise ConfigError(
+            f"--to program: clock 'gated' updates each layer once in a row and holds it meanwhile, "
+            f"which the tools of {program.chip.name} cannot do. Choose --clock free, or pipelined."
+        )
+    timesteps = program.rows(rows)
+    windows = {layer.name: program.window(layer, timesteps) for layer in program.layers}
+    least = 1 if program.chip.delay else 0
+    biased = [layer for layer in program.layers if layer.bias.any()]
+    starts = [max(windows[layer.name].start - least, 0) for layer in biased]
+    layers = [_with_bias_axons(layer, program, biased, least) for layer in program.layers]
+    return ChipRun(
+        program=replace(
+            program,
+            width=program.width + len(biased),
+            layers=tuple(replace(layer, start=0) for layer in layers),
+            clock="pipelined",
+            inputs=(),
+        ),
+        timesteps=timesteps,
+        inject=rows,
+        windows=windows,
+        biases=tuple(slice(first, first + rows) for first in starts),
+    )
+
+
+def _with_bias_axons(layer: Layer, program: Program, biased: Sequence[Layer], delay: int) -> Layer:
+    """The layer without bias, its input with an axon for each biased layer."""
+    rows = np.zeros((len(biased), layer.size), np.int64)
+    if layer in biased:
+        rows[biased.index(layer)] = layer.bias
+    synapses = list(layer.synapses)
+    heard = [k for k, each in enumerate(synapses) if each.source == program.input]
+    place = next((k for k in heard if synapses[k].delay == delay), None)
+    if place is None and rows.any():
+        none = np.zeros((program.width, layer.size), np.int64)
+        new = replace(synapses[0], source=program.input, weight=none, delay=delay)
+        place = len(synapses)
+        heard, synapses = [*heard, place], [*synapses, new]
+    for k in heard:
+        weight = np.vstack([synapses[k].weight, rows if k == place else 0 * rows])
+        synapses[k] = replace(synapses[k], weight=weight)
+    return replace(layer, bias=np.zeros_like(layer.bias), synapses=tuple(synapses))
+
+
+def program_text(
+    run: ChipRun, clock: str, placement: CoreMapping | None, host: Mapping[str, Any], origin: str
+) -> str:
+    """The text of program.json.
+
+    clock: of the program as it was compiled.
+    host: codec and readout, as `host_record` has them; why there is none, under "missing".
+    """
+    program = run.program
+    reads = sorted({(window.start, window.stop) for window in run.windows.values()})
+    return as_rows(
+        {
+            "made_by": MARK,
+            "format": _FORMAT,
+            "source": origin,
+            "tool": tool_of(program.chip.name).name,
+            "clock": clock,
+            "control_step": {
+                "timesteps": run.timesteps,
+                "inject": [0, run.inject],
+                "read": [reads[0][0], reads[-1][1]],
+                "bias_axons": [[each.start, each.stop] for each in run.biases],
+            },
+            **program_record(program),
+            "placement": [] if placement is None else list(_placed(placement)),
+            "host": dict(host),
+            "remarks": list(program.remarks),
+        }
+    )
+
+
+def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source: str) -> str:
+    """The text of expected.json.
+
+    raster: (T, M) of the whole run in chip timesteps, axons of biases included.
+    text: of program.json.
+    """
+    events = np.argwhere(raster)
+    counts = raster[tuple(events.T)]
+    ran = Interpreter(program, 1).run(raster[None])
+    return as_rows(
+        {
+            "made_by": MARK,
+            "chip": program.chip.name,
+            "source": source,
+            "program": PROGRAM,
+            "program_sha256": hashlib.sha256(text.encode()).hexdigest(),
+            "timesteps": len(raster),
+            "input_events": np.repeat(events, counts, axis=0).tolist(),
+            "recorded": {name: _recorded(program, layer) for name, layer in ran.items()},
+        }
+    )
+
+
+def _recorded(program: Program, layer: LayerTrace) -> dict[str, Any]:
+    """What a layer did, by quantity: (T, N); floats are left out, which no tool rounds alike."""
+    found: dict[str, Any] = {"spikes": layer.spikes[0].astype(np.int64).tolist()}
+    states = program.chip.arithmetic.state_bits
+    if layer.membrane.dtype.kind != "f":
+        found["membrane"] = layer.membrane[0].tolist()
+        currents = layer.current[0]
+        each = [currents] if currents.ndim == 2 else list(currents.swapaxes(0, 1))
+        if len(states) > 1:
+            found |= {name: rows.tolist() for name, rows in zip(QUANTITIES, each, strict=False)}
+    return {name: found[name] for name in QUANTITIES if name in found}
+
+
+def host_record(program: Program, codec: Codec | None, run: ChipRun) -> dict[str, Any]:
+    """What the host does: the codec, and what it makes of what it reads.
+
+    An output of row t starts with `bias`, and each tap adds (what it reads after timestep from + t,
+    times `scale`) @ `weight` from element `first` on. Under "missing" is why a loop cannot be
+    closed, where it cannot.
+
+    program: as it was compiled.
+    """
+    missing = missing_of(program, codec)
+    if codec is None or missing:
+        return {"missing": missing}
+    taps, bias = _taps(program)
+    found = [{**tap, "from": run.windows[tap["layer"]].start} for tap in taps]
+    return {"codec": _plain(codec.to_record()), "bias": bias, "taps": found}
+
+
+class KitPlayer:
+    """A codec acting through a chip run, as host.py does through a tool.
+
+    rows: (timesteps, M) that were injected in each control step.
+    """
+
+    def __init__(self, compiled: Program, codec: Codec, run: ChipRun) -> None:
+        self._codec, self._run = codec, run
+        taps, bias = _taps(compiled)
+        self._taps, self._bias = taps, np.array(bias)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._state = self._codec.encoder.start(seed)
+        self._chip = Interpreter(self._run.program, 1)
+        self.rows: list[NDArray[np.uint8]] = []
+
+    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """The action for an observation."""
+        run = self._run
+        self.rows.append(run.rows(self._codec.encode(observation[None], self._state)[0]))
+        found = self._chip.run(self.rows[-1][None])
+        output = np.zeros((1, run.inject, len(self._bias))) + self._bias
+        for tap in self._taps:
+            seen = getattr(found[tap["layer"]], tap["reads"])[:, run.windows[tap["layer"]]]
+            read = seen.astype(np.float64) * tap["scale"]
+            part = read if tap["weight"] is None else read @ np.array(tap["weight"])
+            output[:, :, tap["first"] : tap["first"] + part.shape[2]] += part
+        return np.asarray(self._codec.decode(output)[0])
+
+
+def missing_of(program: Program, codec: Codec | None) -> str:
+    """Why host.py cannot close the loop; empty where it can."""
+    if codec is None:
+        return "the file has no codec, so observations cannot become spikes"
+    if codec.encoder.random:
+        return "its encoder draws random numbers, which host.py does not"
+    if program.host:
+        return "its host integrates readouts in float64, which host.py does not"
+    if program.readout is not None and program.readout.lag:
+        return "its readout is late, which host.py does not know"
+    if any(tap.lag for outlet in program.outlets for tap in outlet.taps):
+        return "its readouts are late, which host.py does not know"
+    return ""
+
+
+def _taps(program: Program) -> tuple[list[dict[str, Any]], list[float]]:
+    """What the host adds up, in the order in which it does, and what it starts with."""
+    if not program.outlets:
+        size = program.layer(program.output).size
+        readout = program.readout or Readout(np.eye(size), np.zeros(size), 0)
+        weight = None if program.readout is None else readout.weight
+        return [_tap(program, program.output, weight, 0)], readout.bias.tolist()
+    taps: list[dict[str, Any]] = []
+    bias: list[float] = []
+    for outlet in program.outlets:
+        taps += [_tap(program, tap.layer, tap.weight, len(bias)) for tap in outlet.taps]
+        bias += outlet.bias.tolist()
+    return taps, bias
+
+
+def _tap(
+    program: Program, name: str, weight: NDArray[np.float64] | None, first: int
+) -> dict[str, Any]:
+    layer = program.layer(name)
+    scale = np.broadcast_to(np.asarray(layer.scale, np.float64), (layer.size,))
+    return {
+        "layer": name,
+        "reads": "spikes" if layer.spiking else "membrane",
+        "scale": [1.0] * layer.size if layer.spiking else scale.tolist(),
+        "weight": None if weight is None else weight.tolist(),
+        "first": first,
+    }
+
+
+def _placed(mapping: CoreMapping) -> Iterator[dict[str, Any]]:
+    """Which neurons of each node are on which core; nothing where the chip has no cores."""
+    for each in mapping.placements:
+        if each.cores and each.first is not None:
+            edges = [min(k * each.block, each.neurons) for k in range(each.cores + 1)]
+            yield {
+                "node": each.name,
+                "kind": each.kind,
+                "cores": [
+                    {"core": each.first + k, "neurons": [edges[k], edges[k + 1]]}
+                    for k in range(each.cores)
+                ],
+            }
+
+
+def _plain(record: object) -> Any:  # noqa: ANN401
+    """A metadata tree as JSON has it: arrays as lists, infinity as null."""
+    if isinstance(record, Mapping):
+        return {name: _plain(value) for name, value in record.items()}
+    if isinstance(record, np.ndarray | np.generic):
+        return _plain(record.tolist())
+    if isinstance(record, list | tuple):
+        return [_plain(each) for each in record]
+    return None if isinstance(record, float) and math.isinf(record) else record
+
+
+def as_rows(record: Mapping[str, Any]) -> str:
+    """JSON in which each list of numbers stands on one line."""
+    text = json.dumps(record, indent=1, allow_nan=False)
+    return re.sub(r"\[[\s\d.,e+\-]*\]", lambda found: "".join(found[0].split()), text) + "\n"

@@ -1,0 +1,297 @@
+"""A policy as the kit of a chip: its integers, an input, what is expected, a script of its tool."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import zoo
+from spikedeploy.emulation.rasters import read_inputs
+from spikedeploy.envs import archive
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.exporters.to_program import (
+    EPISODE,
+    EXPECTED,
+    HOST,
+    MARK,
+    PROGRAM,
+    README,
+    ChipRun,
+    ChipTool,
+    KitPlayer,
+    chip_run,
+    expected_text,
+    host_record,
+    missing_of,
+    program_text,
+    script,
+    tool_of,
+)
+from spikedeploy.files import write_text
+from spikedeploy.make_env import make_env
+from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.compiler.compile import clock_on, compile_program
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Clock
+from spikedeploy.runtime.design_rules.mapping import CoreMapping
+from spikedeploy.runtime.design_rules.rule import design
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.traces.trace_file import Verdict
+from spikedeploy.runtime.traces.verify import verify
+from spikedeploy.seeds import VALIDATION
+from spikedeploy.shipping.export_c import nir_file, world_of
+
+
+@dataclass(frozen=True)
+class WrittenKit:
+    """A kit.
+
+    folder: with the files.
+    names: of the files.
+    tool: of the chip.
+    verdict: on expected.json, as `verify` reads it back.
+    recorded: where its input comes from, in words.
+    remarks: sentences on what is not as in the file, and what the kit cannot do.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    tool: ChipTool
+    verdict: Verdict
+    recorded: str
+    remarks: tuple[str, ...]
+
+    def record(self) -> dict[str, Any]:
+        """All of it as data."""
+        return {
+            "path": str(self.folder),
+            "files": list(self.names),
+            "tool": self.tool.name,
+            "passed": self.verdict.equal,
+            "compared": self.verdict.compared,
+            "timesteps": self.verdict.steps,
+            "recorded": self.recorded,
+            "remarks": list(self.remarks),
+        }
+
+    def lines(self) -> list[str]:
+        """All of it for a terminal."""
+        found = self.verdict
+        return [
+            *self.remarks,
+            f"{EXPECTED}: {found.compared:,} numbers of {found.steps} chip timesteps, "
+            f"{self.recorded}",
+            f"wrote {self.folder}: {', '.join(self.names)}",
+            f"next: {self.folder}/{README}",
+        ]
+
+
+def export_program(
+    policy: str,
+    chip_name: str,
+    folder: Path | None,
+    steps: int = 1000,
+    raster: Path | None = None,
+    env: str | None = None,
+    clock: Clock | None = None,
+    options: Mapping[str, Any] | None = None,
+    force: bool = False,
+) -> WrittenKit:
+    """Write the kit of a policy, or of a network without a codec, for a chip.
+
+    policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
+    folder: to write to.
+    steps: control steps of the episode from which the input comes; timesteps of a raster.
+    raster: file with input spikes in chip timesteps, instead of an episode.
+    env: in which the episode is played; None is what the policy names, of ours.
+    clock: as of compile_program; None is the network's own, or free.
+    options: of artifact.load, such as reset.
+    force: whether files that no earlier export wrote are replaced.
+    """
+    if folder is None:
+        raise ConfigError("--to program writes a folder: name it, as in -o kit")
+    tool, file = tool_of(chip_name), nir_file(policy, "program")
+    names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
+    inputs = (file, policy, raster)
+    check_output_folder("-o", folder, names, inputs, force, _written_before)
+    artifact, on = load(file, **(options or {})), _chip(chip_name)
+    compiled = compile_program(artifact, on, clock=clock or _clock_of(artifact, on))
+    if raster is not None:
+        given = _given(artifact, raster, steps)
+        run = chip_run(compiled, len(given))
+        rows, episode, source = run.rows(given), None, f"the raster {raster.name}"
+    else:
+        run = _in_control_steps(policy, artifact, compiled)
+        rows, episode, source = _episode(policy, artifact, compiled, run, steps, env)
+    _check_delays(run.program, tool)
+    host = host_record(compiled, None if raster is not None else artifact.codec, run)
+    named = zoo.called(str(file))
+    origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
+    text = program_text(run, compiled.clock, _placement(artifact, on), host, origin)
+    said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
+    written = {
+        PROGRAM: text,
+        EXPECTED: expected_text(run.program, rows, text, said),
+        HOST: script(HOST),
+        tool.script: script(tool.script),
+        README: _readme(tool, folder, origin, chip_name, source, episode, host),
+    }
+    for name, content in written.items():
+        write_text(folder / name, content)
+    if episode is not None:
+        _write_episode(folder / EPISODE, episode)
+    else:
+        (folder / EPISODE).unlink(missing_ok=True)
+    verdict = verify(folder / EXPECTED)
+    if not verdict.equal:
+        raise TypeError(f"what was written is not what was compiled: {verdict.difference}")
+    kept = tuple(name for name in names if name != EPISODE or episode is not None)
+    missing = [f"no closed loop: {host['missing']}"] if "missing" in host else []
+    return WrittenKit(folder, kept, tool, verdict, source, (*compiled.remarks, *missing))
+
+
+def _written_before(folder: Path) -> bool:
+    """Whether the folder has an earlier export."""
+    return marked(folder / PROGRAM, MARK)
+
+
+def _chip(name: str) -> Chip:
+    """The chip; nengo-loihi's whole emulator delivers one timestep later, as its synapses do."""
+    return chip(name, delay=1) if name == "loihi1-nengo" else chip(name)
+
+
+def _clock_of(artifact: Artifact, on: Chip) -> Clock:
+    """The clock of the kit: tools hold no layer, so that a gated network runs free if it can."""
+    wanted = clock_on(artifact.convention, on)
+    return "free" if wanted == "gated" and "free" in on.clocks else wanted
+
+
+def _in_control_steps(policy: str, artifact: Artifact, compiled: Program) -> ChipRun:
+    """The chip timesteps of a control step; refused where a chip that runs on has none."""
+    if artifact.codec is None:
+        raise ConfigError(
+            f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
+            "--input spikes.npy."
+        )
+    if artifact.convention.state == "reset":
+        raise ConfigError(
+            f"--to program: the policy resets all states before each of its inferences of "
+            f"{artifact.codec.timesteps} timesteps, which a chip that runs on does not do. Give a "
+            "raster with --input, or export a policy that keeps its states."
+        )
+    return chip_run(compiled, artifact.codec.timesteps)
+
+
+def _check_delays(program: Program, tool: ChipTool) -> None:
+    """Refuse delays that the tool has not."""
+    for layer in program.layers:
+        for synapses in layer.synapses:
+            if tool.delay and synapses.delay != tool.delay:
+                raise ConfigError(
+                    f"--to program: layers {synapses.source!r} -> {layer.name!r}: a delay of "
+                    f"{synapses.delay} timesteps; {tool.name} delivers after {tool.delay}. Choose "
+                    "--clock pipelined, or a chip of another tool."
+                )
+
+
+def _placement(artifact: Artifact, on: Chip) -> CoreMapping | None:
+    return design(artifact, on, on.limits).mapping if on.limits is not None else None
+
+
+def _given(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:
+    """(T, M) of the raster in a file, the first timesteps."""
+    found = read_inputs(path, artifact)
+    if not isinstance(found, np.ndarray):
+        raise ConfigError(f"--input {path}: --to program takes one raster (T, M), as .npy.")
+    rows = found.reshape(len(found), -1)[:most]
+    width = sum(int(np.prod(node.input_type["input"])) for node in artifact.graph.inputs.values())
+    if rows.shape[1] != width or rows.dtype.kind not in "bu" or not len(rows):
+        raise ConfigError(
+            f"--input {path}: it has shape {found.shape} of {found.dtype}; the network takes "
+            f"(T, {width}) spikes. Give a raster of this network."
+        )
+    return rows.astype(np.uint8)
+
+
+def _episode(
+    policy: str,
+    artifact: Artifact,
+    compiled: Program,
+    run: ChipRun,
+    steps: int,
+    named: str | None,
+) -> tuple[NDArray[np.uint8], Rollout | None, str]:
+    """Input (T, M) of the policy's first control steps in its environment, and that episode."""
+    if artifact.codec is None or (missing := missing_of(compiled, artifact.codec)):
+        raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
+    where = named or world_of(policy, artifact)
+    if not where:
+        raise ConfigError(
+            f"--to program: {policy} names no environment of ours. Name one with --env, or give a "
+            "raster: --input spikes.npy."
+        )
+    player, env = KitPlayer(compiled, artifact.codec, run), make_env(where, {})
+    try:
+        recorder = EpisodeRecorder(env, VALIDATION[0])
+        while not recorder.over and recorder.steps < steps:
+            recorder.step(player.act(recorder.observation))
+        played = recorder.rollout()
+    finally:
+        env.close()
+    source = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
+    return np.concatenate(player.rows), played, source
+
+
+def _write_episode(path: Path, episode: Rollout) -> None:
+    """What a closed loop is compared with: observations, actions and rewards; the seed."""
+    archive.write(
+        path,
+        {
+            "observation": episode.observation,
+            "action": episode.action,
+            "reward": episode.reward,
+            "seed": np.array(episode.seed),
+        },
+    )
+
+
+def _readme(
+    tool: ChipTool,
+    folder: Path,
+    origin: str,
+    chip_name: str,
+    source: str,
+    episode: Rollout | None,
+    host: Mapping[str, Any],
+) -> str:
+    short = "" if episode is None else episode.env_id
+    loop = Template(script("loop.md")).substitute(
+        script=tool.script, env=short, name=tool.name, python=_python(tool)
+    )
+    closed = loop if episode is not None else f"No loop: {host.get('missing', 'a raster')}."
+    return Template(script(README)).substitute(
+        origin=origin,
+        chip=chip_name,
+        tool=tool.name,
+        install=tool.install,
+        offline=tool.offline,
+        script=tool.script,
+        python=_python(tool),
+        flags=" --sim" if "--sim" in tool.offline else "",
+        board="" if "--sim" in tool.offline else " --board",
+        source=source,
+        loop=closed,
+        name=tool.name,
+        page=tool.page,
+    )
+
+
+def _python(tool: ChipTool) -> str:
+    """The interpreter of the environment that `install` makes."""
+    return f"{tool.install.split(' -m venv ')[1].split()[0]}/bin/python"

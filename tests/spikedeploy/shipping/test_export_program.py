@@ -1,0 +1,426 @@
+"""`export --to program`: integers, input and expectations as plain files, and scripts."""
+
+import ast
+import hashlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from shutil import copytree
+
+import numpy as np
+import pytest
+
+from benchmarks import kits
+from spikedeploy.exporters import to_program
+from spikedeploy.exporters.to_program import TOOLS, chip_run
+from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.interpreter import Interpreter
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.families.program_record import program_in
+from spikedeploy.runtime.traces.fields import read_json
+from spikedeploy.runtime.traces.verify import verify
+from spikedeploy.runtime.traces.work import Work
+from spikedeploy.shipping.export_program import export_program
+from tests.networks import popsan
+from tests.paths import ROOT
+
+SCRIPTS = ROOT / "exporters" / "kit"
+LIBRARIES = {
+    "host.py": {"numpy", "gymnasium", "spikedeploy"},  # these two for --loop ENV alone
+    "run_lava.py": {"numpy", "lava"},
+    "run_nengo_loihi.py": {"numpy", "nengo_loihi"},
+    "run_xylo.py": {"numpy", "xylosim", "rockpool"},
+    "run_sinabs.py": {"numpy", "sinabs", "torch"},
+    "run_spinnaker2.py": {"numpy", "spinnaker2"},
+}
+CLOCKS = {"loihi1": "pipelined", "loihi1-nengo": "pipelined"}
+NETWORKS = {
+    "loihi1": "hexapod/sparse",
+    "loihi1-nengo": "kart-steer/sparse",
+    "loihi2": "examples/net.nir",
+    "xylo-a2": kits.xylo_policy,
+    "speck2f": kits.speck_policy,
+    "spinnaker2": "examples/net.nir",
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Kit and network file of a chip, written once."""
+
+    @cache
+    def made(chip_name, steps):
+        folder = tmp_path_factory.mktemp("kit")
+        network, env, raster = NETWORKS[chip_name], None, None
+        if callable(network):
+            file, env = folder / "net.nir", "CartPole-v1"
+            save(network(), file)
+        elif network.startswith("examples"):
+            file, raster = ROOT / network, ROOT / "examples" / "raster.npy"
+        else:
+            file = ROOT / "spikedeploy" / "zoo" / f"{network}.nir"
+        clock = CLOCKS.get(chip_name)
+        kit = export_program(str(file), chip_name, folder / "kit", steps, raster, env, clock)
+        return kit, file
+
+    return made
+
+
+@pytest.fixture
+def kit_of(written, tmp_path):
+    """A copy of the kit of a chip, and the network's file."""
+
+    def copied(chip_name, steps=12):
+        kit, file = written(chip_name, steps)
+        return replace(kit, folder=copytree(kit.folder, tmp_path / "kit")), file
+
+    return copied
+
+
+def read_back(folder):
+    fields = read_json(folder / "program.json")
+    return program_in(fields, Work(fields, 1))
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_files_hold_exactly_the_integers_of_the_program(name, kit_of):
+    kit, file = kit_of(name)
+    options = {"delay": 1} if name == "loihi1-nengo" else {}
+    on = chip(name, **options)
+    clock = CLOCKS.get(name, "gated" if name == "speck2f" else "free")
+    compiled = compile_program(load(file), on, clock=clock)
+    program = chip_run(compiled, 1).program
+    found = read_back(kit.folder)
+    assert (found.input, found.width, found.output) == (
+        program.input,
+        program.width,
+        program.output,
+    )
+    assert [layer.name for layer in found.layers] == [layer.name for layer in program.layers]
+    for ours, theirs in zip(program.layers, found.layers, strict=True):
+        for field in ("threshold", "voltage_bias", "current_decay", "membrane_decay"):
+            np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), field)
+        assert ours.spiking == theirs.spiking
+        for one, other in zip(ours.synapses, theirs.synapses, strict=True):
+            np.testing.assert_array_equal(one.weight, other.weight)
+            assert (one.source, one.delay, one.shift, one.current) == (
+                other.source, other.delay, other.shift, other.current,
+            )  # fmt: skip
+    assert verify(kit.folder / "expected.json").equal
+
+
+def test_weights_beyond_eight_bits_have_an_exponent_and_every_mantissa_fits(kit_of):
+    kit, _ = kit_of("loihi1")
+    record = json.loads((kit.folder / "program.json").read_text())
+    synapses = [each for layer in record["layers"] for each in layer["synapses"]]
+    assert {each["exponent"] for each in synapses} == {0, 1, 3}
+    assert all(np.abs(each["weights"]).max() <= 255 for each in synapses)
+    placed = {each["node"]: each["cores"] for each in record["placement"]}
+    assert placed["readout"][0]["neurons"] == [0, 18]
+    assert (record["clock"], record["control_step"]["timesteps"]) == ("pipelined", 1)
+
+
+def test_verify_names_the_first_number_that_a_tool_has_otherwise(command, kit_of):
+    kit, _ = kit_of("loihi1")
+    trace = json.loads((kit.folder / "expected.json").read_text())
+    trace["recorded"]["readout"]["membrane"][5][2] += 1
+    del trace["recorded"]["lif1"]["current"]  # what a tool cannot measure is left out
+    (kit.folder / "lava.json").write_text(json.dumps(trace))
+    code, out, _ = command("verify", str(kit.folder / "lava.json"))
+    assert code == 1
+    assert "step 5, readout, neuron 2, membrane: expected" in out
+
+
+def _without_program(folder):
+    (folder / "program.json").unlink()
+    return "its program program.json cannot be read"
+
+
+def _other_program(folder):
+    path = folder / "program.json"
+    path.write_text(path.read_text().replace('"decay_v"', '"decay_v" ', 1))
+    return "was recorded of another"
+
+
+def _damaged(change, message):
+    """Damage of the program, whose digest the trace then has."""
+
+    def damage(folder):
+        record = json.loads((folder / "program.json").read_text())
+        change(record)
+        text = json.dumps(record)
+        (folder / "program.json").write_text(text)
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        _edit(folder, program_sha256=digest)
+        return message
+
+    return damage
+
+
+def _edit(folder, **fields):
+    path = folder / "expected.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **fields}))
+
+
+def _edited(message, **fields):
+    def damage(folder):
+        _edit(folder, **fields)
+        return message
+
+    return damage
+
+
+def _layer(record, **fields):
+    record["layers"][0].update(fields)
+
+
+DAMAGE = {
+    "no program": _without_program,
+    "another program": _other_program,
+    "chip": _damaged(lambda r: r.update(chip="loihi9"), "chip is 'loihi9'"),
+    "output": _damaged(lambda r: r.update(output="x"), "output is 'x'. Name one of the layers"),
+    "dt": _damaged(lambda r: r.update(dt=-1), "make no program (dt must be"),
+    "decay": _damaged(lambda r: _layer(r, decay_v=[5000] * 8), "decay_v holds 5000"),
+    "size": _damaged(lambda r: _layer(r, vth=[1, 2]), "vth has 2 values"),
+    "weights": _damaged(
+        lambda r: r["layers"][0]["synapses"][0].update(weights=[[1]]), "weights has shape (1, 1)"
+    ),
+    "source": _damaged(lambda r: r["layers"][0]["synapses"][0].update(source="?"), "source is '?'"),
+    "delay": _damaged(lambda r: r["layers"][1]["synapses"][0].update(delay=-1), "delay holds -1"),
+    "no such file": _edited("program is '../x.json'", program="../x.json"),
+    "events": _edited("input_events leave the raster", input_events=[[0, 462]]),
+    "twice": _edited("input_events repeat one 2 times", input_events=[[0, 1], [0, 1]]),
+    "rows": _edited("membrane has shape (1, 1)", recorded={"lif1": {"membrane": [[0]]}}),
+    "nothing": _edited("there is nothing to compare", recorded={}),
+    "quantity": _edited("is of no known quantity, 'x'", recorded={"lif1": {"x": [[0]]}}),
+    "long": _edited("timesteps holds", timesteps=1 << 30),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_damaged_folder_is_one_sentence(name, command, kit_of):
+    kit, _ = kit_of("loihi1")
+    message = DAMAGE[name](kit.folder)
+    code, out, err = command("verify", str(kit.folder / "expected.json"))
+    assert (code, message in out + err) == (2, True), out + err
+    assert "Traceback" not in out + err
+
+
+@pytest.mark.parametrize("clock", ["pipelined", "free"])
+def test_what_is_expected_is_what_our_controller_does_in_that_clock(clock, tmp_path):
+    kit = export_program("hexapod/sparse", "loihi1", tmp_path / "kit", 40, clock=clock)
+    record = json.loads((kit.folder / "program.json").read_text())
+    per_step = {"pipelined": 1, "free": 3}[clock]
+    assert (record["clock"], record["control_step"]["timesteps"]) == (clock, per_step)
+    artifact = load(ROOT / "spikedeploy/zoo/hexapod/sparse.nir")
+    controller = SpikingController(artifact, chip("loihi1"), "none", clock=clock)
+    with np.load(kit.folder / "episode.npz") as episode:
+        for observation, action in zip(episode["observation"], episode["action"], strict=False):
+            np.testing.assert_array_equal(controller.act(observation), action)
+    assert kit.verdict.steps == 40 * per_step
+
+
+def test_a_bias_is_an_axon_that_spikes_in_the_window_of_its_layer(tmp_path):
+    artifact = popsan()  # biases are weights of an axon; one window from reset
+    rows = (np.random.default_rng(0).random((5, 30)) < 0.3).astype(np.uint8)
+    save(artifact, tmp_path / "net.nir")
+    np.save(tmp_path / "rows.npy", rows)
+    file, raster = str(tmp_path / "net.nir"), tmp_path / "rows.npy"
+    kit = export_program(file, "loihi1", tmp_path / "kit", 5, raster)
+    step = json.loads((kit.folder / "program.json").read_text())["control_step"]
+    assert (step["timesteps"], step["inject"]) == (8, [0, 5])
+    assert step["bias_axons"] == [[0, 5], [1, 6], [2, 7]]
+    machine = Machine(compile_program(artifact, chip("loihi1")), 1, trace=True)
+    machine.infer(rows[None])
+    expected = json.loads((kit.folder / "expected.json").read_text())["recorded"]
+    for late, name in enumerate(expected, start=1):
+        window = np.array(expected[name]["spikes"])[late : late + 5]
+        np.testing.assert_array_equal(window, machine.recordings[name].spikes[0])
+    assert any(np.any(each["spikes"]) for each in expected.values())
+
+
+REFUSED = {
+    "a chip without a script": (("--chip", "odin"), "there is no script for odin"),
+    "no folder": ((), "--to program writes a folder"),
+    "no codec": (("examples/net.nir",), "has no codec, so no episode can be played"),
+    "states that are reset": (("hexapod/popsan",), "resets all states before each"),
+    "a reset": (("--chip", "speck2f"), "rule primitive"),
+    "a clock that holds layers": (("--clock", "gated"), "clock 'gated' updates each layer once"),
+    "delays that a tool has not": (("--chip", "loihi1-nengo"), "nengo-loihi delivers after 1"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_no_kit_can_hold_is_refused_and_nothing_is_written(name, command, here):
+    words, message = REFUSED[name]
+    policy = next((w for w in words if "/" in w), "hexapod/sparse")
+    policy = str(ROOT / policy) if policy.startswith("examples") else policy
+    more = [w for w in words if "/" not in w]
+    output = [] if name == "no folder" else ["-o", "kit"]
+    code, _, err = command("export", policy, "--to", "program", *more, *output)
+    assert (code != 0, message in err) == (True, True), err
+    assert "Traceback" not in err
+    assert not (here / "kit").exists()
+
+
+def test_files_of_others_are_not_replaced_and_a_failed_export_leaves_the_last_whole(
+    command, here, monkeypatch
+):
+    words = ("export", "hexapod/sparse", "--to", "program", "-o", "kit", "--observations", "3")
+    (here / "kit").mkdir()
+    (here / "kit" / "README.md").write_text("mine")
+    assert command(*words)[0] == 2
+    assert (here / "kit" / "README.md").read_text() == "mine"
+    assert command(*words, "--force")[0] == 0
+    before = {path.name: path.read_bytes() for path in (here / "kit").iterdir()}
+
+    def breaks(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", breaks)
+    assert command(*words[:-1], "5")[0] != 0
+    monkeypatch.undo()
+    assert {path.name: path.read_bytes() for path in (here / "kit").iterdir()} == before
+    os.chdir(here)
+    assert command(*words)[0] == 0
+
+
+def test_options_of_other_formats_are_refused(command, here):
+    code, _, err = command("export", "hexapod/sparse", "--to", "c", "--input", "x.npy", "-o", "c")
+    assert (code, "--input, --env and --clock go with --to program" in err) == (2, True)
+
+
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_a_script_is_short_and_imports_numpy_and_its_tool_alone(name):
+    text = (SCRIPTS / name).read_text("utf-8")
+    assert len(text.splitlines()) <= (220 if name == "host.py" else 180)
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module.partition(".")[0])
+    assert found - set(sys.stdlib_module_names) - {"host"} <= LIBRARIES[name]
+    assert {tool.script for tool in TOOLS.values()} | {"host.py"} == set(LIBRARIES)
+
+
+def test_the_scripts_of_a_kit_are_those_of_the_package(kit_of):
+    kit, _ = kit_of("xylo-a2")
+    for name in ("host.py", "run_xylo.py"):
+        assert (kit.folder / name).read_bytes() == (SCRIPTS / name).read_bytes()
+    readme = (kit.folder / "README.md").read_text()
+    assert "run_xylo.py --sim" in readme
+    assert "$" not in readme.replace("```sh", "")
+
+
+def host_in(folder):
+    """The kit's own host.py, imported from its folder."""
+    spec = importlib.util.spec_from_file_location("kit_host", folder / "host.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+ENCODERS = {
+    "delta": DeltaEncoder(np.array([0.1, 0.5, np.inf])),
+    "delta one-hot": DeltaEncoder(np.array([0.1, 0.5, 2.0]), 4, "one-hot", 200),
+    "population": PopulationEncoder(np.linspace(-2, 2, 12).reshape(3, 4), np.full((3, 4), 0.4)),
+    "rate": RateEncoder(np.full(3, -1.0), np.full(3, 1.5)),
+}
+
+
+@pytest.mark.parametrize("name", ENCODERS)
+def test_the_hosts_encoder_sends_the_spikes_of_ours(name, kit_of):
+    rng = np.random.default_rng(0)
+    normaliser = Normaliser(rng.normal(size=3), rng.uniform(0.5, 2, 3), 2.5)
+    codec = Codec(normaliser, ENCODERS[name], 5, "tanh")
+    kit, _ = kit_of("speck2f", steps=2)
+    record = json.loads((kit.folder / "program.json").read_text())
+    record["host"]["codec"] = to_program._plain(codec.to_record())
+    record["input"]["width"] = codec.encoder.width
+    record["control_step"] = {"timesteps": 7, "bias_axons": []}
+    host = host_in(kit.folder).Codec(record)
+    state = codec.encoder.start(0)
+    seen = np.cumsum(rng.normal(0, 0.4, (40, 3)), axis=0)
+    for observation in seen:
+        ours = codec.encode(observation[None], state)[0]
+        np.testing.assert_array_equal(host.encode(observation)[:5], ours)
+
+
+class OwnChip:
+    """The kit's program on our interpreter, as a script's chip."""
+
+    def __init__(self, folder):
+        self.run_on = Interpreter(replace(read_back(folder)), 1)
+
+    def run(self, rows):
+        traces = self.run_on.run(rows[None].astype(np.uint8))
+        return {
+            name: {"membrane": found.membrane[0], "spikes": found.spikes[0]}
+            for name, found in traces.items()
+        }
+
+    def stop(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("name", "env"), [("loihi1", "spikedeploy:hexapod"), ("speck2f", "CartPole-v1")]
+)
+@pytest.mark.parametrize("loop", ["recorded", "env"])
+def test_the_hosts_loop_gives_the_actions_and_the_return_that_are_expected(
+    name, env, loop, kit_of, monkeypatch, capsys
+):
+    kit, _ = kit_of(name)
+    monkeypatch.setattr(sys, "argv", ["run", "--loop", *([env] if loop == "env" else [])])
+    code = host_in(kit.folder).main(lambda *_: OwnChip(kit.folder), "ours")
+    out = capsys.readouterr().out
+    assert (code, "at most 0 from expected" in out) == (0, True), out
+    with np.load(kit.folder / "loop_ours.npz") as file, np.load(kit.folder / "episode.npz") as seen:
+        np.testing.assert_array_equal(file["action"], seen["action"])
+        if loop == "env":
+            np.testing.assert_array_equal(file["reward"], seen["reward"])
+
+
+def test_a_chip_that_does_something_else_is_found_by_the_host_and_by_verify(
+    kit_of, monkeypatch, capsys, command
+):
+    kit, _ = kit_of("loihi1")
+
+    class Wrong(OwnChip):
+        def run(self, rows):
+            found = super().run(rows)
+            found["readout"]["membrane"][7, 1] -= 1
+            return found
+
+    monkeypatch.setattr(sys, "argv", ["run"])
+    assert host_in(kit.folder).main(lambda *_: Wrong(kit.folder), "ours") == 1
+    assert "differs: timestep 7, readout, neuron 1, membrane" in capsys.readouterr().out
+    assert command("verify", str(kit.folder / "ours.json"))[0] == 1
+
+
+def test_nengo_loihis_emulator_runs_the_kit_and_closes_the_loop(kit_of):
+    pytest.importorskip("nengo_loihi")
+    kit, _ = kit_of("loihi1-nengo", steps=30)
+    for words in ((), ("--loop",)):
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", "run_nengo_loihi.py", *words],
+            cwd=kit.folder, capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert verify(kit.folder / "nengo-loihi.json").equal
