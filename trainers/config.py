@@ -116,6 +116,36 @@ class SpikingMlpConfig(_Section):
         return len(self.hidden)
 
 
+class ChipSnnConfig(_Section):
+    """Layers of a chip's neurons, trained in its integers; see policies.chip_snn.
+
+    chip: name of a datasheet, with options as on the command line
+    outputs: neurons of the last layer, whose rates are read out; an 8th is what every chip has
+    coding, populations, reach: as in SpikingMlpConfig
+    alpha, beta: decay factors where the chip leaves a choice; None for 0.5 and 0.9375
+    limit: largest weight [thresholds]
+    """
+
+    kind: Literal["chip-snn"] = "chip-snn"
+    chip: str = ""
+    hidden: tuple[Width, ...] = Field(default=(64,), min_length=1)
+    outputs: Positive = 8
+    coding: Literal["regular", "population"] = "population"
+    populations: Positive = 4
+    reach: Rate = 2.0
+    timesteps: Positive = 16
+    alpha: Share | None = None
+    beta: Share | None = None
+    limit: Rate = 0.5
+    surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
+    surrogate_width: Rate | None = None
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers without the encoder; the last one codes the actions."""
+        return len(self.hidden) + 1
+
+
 class DeltaSnnConfig(_Section):
     """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
 
@@ -179,7 +209,13 @@ class PrunedMlpConfig(_Section):
 
 
 PolicyConfig = Annotated[
-    MlpConfig | PopsanConfig | SpikingMlpConfig | DeltaSnnConfig | DeltaMlpConfig | PrunedMlpConfig,
+    MlpConfig
+    | PopsanConfig
+    | SpikingMlpConfig
+    | ChipSnnConfig
+    | DeltaSnnConfig
+    | DeltaMlpConfig
+    | PrunedMlpConfig,
     Field(discriminator="kind"),
 ]
 

@@ -1,0 +1,296 @@
+"""Spiking multilayer perceptron in the integers of a chip, whose forward pass is the chip's own.
+
+    observation -> code -> hidden layers -> output neurons -> affine map of their rates -> action
+
+In each forward pass the weights become a NIR graph, the compiler makes it the chip's program, and
+the interpreter runs it: quantisation, saturation, resets and the order of events are what they are
+on the chip. The backward pass goes through the same difference equations in float, at the
+membranes and spikes that the chip had, with a surrogate for the derivative of a spike, and passes
+straight through the rounding of weights (Esser et al. 2016; Wu et al. 2018).
+
+All neurons are without bias and start each inference at 0, so that a layer that no spike has
+reached yet, or that waits for the next inference, stays at 0 however often the chip updates it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
+from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder
+from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
+from spikedeploy.trainers.policies.policy import Head
+from spikedeploy.trainers.policies.spiking_mlp import Coding, SpikingMlpPolicy
+
+THRESHOLD = 1.0  # of every neuron; the compiler scales it with the weights
+_OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
+_SPREAD = 0.5  # of initial types of axons: the smaller weight over the larger one
+
+
+class ChipSnnPolicy(SpikingMlpPolicy):
+    """Layers of a chip's neurons, of which the last codes the actions, for the host to read.
+
+    target: the datasheet of the chip
+    layers: nn.Linear without bias into each layer, the outputs' included
+    readout: nn.Linear from the rates of the output neurons [spikes / timestep] to `Latent.mean`
+    limit: largest magnitude of a weight [thresholds]; beyond it weights are clipped
+    alpha, beta: decay factors of current and membrane in a timestep; 0 is no current, 1 no leak
+    types: of axons, each with one weight of each neuron; 0 where every synapse has its own
+    """
+
+    kind = "chip-snn"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        chip: str,
+        hidden: Sequence[int] = (64,),
+        outputs: int = 8,
+        coding: Coding = "population",
+        populations: int = 4,
+        reach: float = 2.0,
+        timesteps: int = 16,
+        alpha: float | None = None,
+        beta: float | None = None,
+        limit: float = 0.5,
+        surrogate: str = "atan",
+        surrogate_width: float | None = None,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        target = _datasheet(chip)
+        wanted = (0.5 if alpha is None else alpha, 0.9375 if beta is None else beta)
+        decays = _decay_factors(target, *wanted)
+        super().__init__(
+            observations,
+            actions,
+            hidden=(*hidden, outputs),
+            coding=coding,
+            populations=populations,
+            timesteps=timesteps,
+            beta=decays[1],
+            threshold=THRESHOLD,
+            surrogate=surrogate,
+            surrogate_width=surrogate_width,
+            clip=clip,
+            head=head,
+            reach=reach,
+        )
+        self.target, self.alpha, self.limit = target, decays[0], limit
+        if isinstance(self.encoder, TorchPopulationEncoder):
+            # few fields: wide enough that no number between two of them is unseen
+            spacing = 2 * reach / max(populations - 1, 1)
+            nn.init.constant_(self.encoder.log_std, math.log(_OVERLAP * spacing))
+        self._given = {"chip": chip, "alpha": alpha, "beta": beta}
+        arithmetic = target.arithmetic
+        self.types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
+        self.signed_axons = bool(target.limits and target.limits.axon_signs)
+        self.layers = nn.ModuleList(
+            nn.Linear(layer.in_features, layer.out_features, bias=False)
+            for layer in self.layers
+            if isinstance(layer, nn.Linear)
+        )
+        for layer in self.layers:
+            nn.init.uniform_(layer.get_parameter("weight"), -limit, limit)
+        self.type_weights = nn.ParameterList(
+            nn.Parameter(_type_weights(layer.out_features, self.types, limit))
+            for layer in self.layers
+            if isinstance(layer, nn.Linear) and self.types
+        )
+        self._compiled: tuple[bytes, Program] | None = None
+
+    def weights(self) -> list[Tensor]:
+        """Return the weights (N, M) of each layer as they are deployed, before rounding.
+
+        Gradients pass straight through what makes them fit the chip.
+        """
+        return [self._fitting(number) for number in range(len(self.layers))]
+
+    def _fitting(self, number: int) -> Tensor:
+        latent = self.layers[number].get_parameter("weight")
+        if self.types:
+            # W[n, m] = g[n, type of m] where the latent weight is above 0: a connected crosspoint
+            connected = latent + ((latent > 0).to(latent.dtype) - latent).detach()
+            of_type = torch.arange(latent.shape[1]) % self.types
+            weight = self.type_weights[number]
+            clipped = weight + (weight.clamp(-self.limit, self.limit) - weight).detach()
+            crossbar: Tensor = connected * clipped[:, of_type]
+            return crossbar
+        fitting = latent.detach().clamp(-self.limit, self.limit)
+        if self.signed_axons:
+            # sources excite or inhibit, one after another
+            sign = 1.0 - 2.0 * (torch.arange(latent.shape[1]) % 2)
+            fitting = sign * (sign * fitting).relu()
+        return latent + (fitting - latent.detach())
+
+    def program(self) -> Program:
+        """Return the chip's program of the present weights."""
+        # imported here: it needs this class
+        from spikedeploy.trainers.policies.chip_graph import chip_artifact
+
+        # fused optimisers do not count versions of tensors, so their numbers are compared
+        held = b"".join(p.detach().numpy().tobytes() for p in self._compiled_parameters())
+        if self._compiled is None or self._compiled[0] != held:
+            program = compile_program(chip_artifact(self), self.target, limits=False)
+            self._compiled = held, program
+        return self._compiled[1]
+
+    def _compiled_parameters(self) -> list[nn.Parameter]:
+        """Return what the program depends on: encoder and readout are the host's."""
+        return [*self.layers.parameters(), *self.type_weights.parameters()]
+
+    def spikes(self, raster: Tensor) -> list[Tensor]:
+        """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
+        program = self.program()
+        arrived = np.ascontiguousarray(raster.detach().numpy().swapaxes(0, 1)).astype(np.uint8)
+        traces = trace(program, arrived)
+        if not torch.is_grad_enabled():
+            return [_tensor(traces[layer.name].spikes, raster) for layer in program.layers]
+        derivative = surrogate(self.surrogate, self.surrogate_width)
+        found, presynaptic = [], raster
+        for layer, lags, weight in zip(program.layers, program.lags, self.weights(), strict=True):
+            drive = _late(presynaptic, lags[0]) @ weight.T
+            recorded = traces[layer.name]
+            spikes = _tensor(recorded.spikes, raster)
+            membrane = self._before_reset(layer, recorded, drive.detach())
+            constants = self.alpha, self.beta, self._several(layer), self._subtracts
+            presynaptic = _Recorded.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
+            found.append(presynaptic)
+        return found
+
+    @property
+    def _subtracts(self) -> bool:
+        return self.program().convention.reset == "subtract"
+
+    def _several(self, layer: Layer) -> bool:
+        """Return whether a neuron of the layer may spike several times in a timestep."""
+        arithmetic = self.target.arithmetic
+        last = layer.name == self.program().output
+        most = getattr(arithmetic, "output_spikes_max", 1) if last else arithmetic.spikes_max
+        is_xylo = isinstance(arithmetic, XyloRegisters)
+        return (most if is_xylo else arithmetic.spikes_max) > 1
+
+    def _before_reset(self, layer: Layer, recorded: LayerTrace, drive: Tensor) -> Tensor:
+        """Return the membranes (T, B, N) at which the chip's neurons spiked [thresholds].
+
+        Where the chip does not tell, they are what arrived on top of the membrane before.
+        """
+        program = self.program()
+        units = self.target.arithmetic.before_reset(
+            layer, program.convention, recorded.current, recorded.membrane, recorded.spikes
+        )
+        before = _tensor(units * layer.scale, drive)
+        if bool(before.isnan().any()):
+            after = _tensor(recorded.membrane * layer.scale, drive)
+            told = self.beta * _late(after, 1) + drive
+            before = torch.where(before.isnan(), told, before)
+        return before
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        found = {**super().spec(), **self._given, "limit": self.limit}
+        found |= {"hidden": list(self.hidden[:-1]), "outputs": self.hidden[-1]}
+        del found["threshold"]
+        return found
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ChipSnnPolicy":
+        """Return a copy with the same weights; it compiles its own program."""
+        from spikedeploy.trainers.policies import build
+
+        copy = build(self.spec())
+        copy.load_state_dict(self.state_dict())
+        copy.to(self.readout.weight.dtype)
+        memo[id(self)] = copy
+        assert isinstance(copy, ChipSnnPolicy)
+        return copy
+
+
+class _Recorded(torch.autograd.Function):
+    """The spikes of a layer, and the gradient of the difference equations at what was recorded."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        membrane: Tensor,
+        spikes: Tensor,
+        constants: tuple[float, float, bool, bool],
+        derivative: Surrogate,
+    ) -> Tensor:
+        ctx.save_for_backward(membrane, spikes)
+        ctx.constants = constants, derivative
+        return spikes
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        membrane, spikes = ctx.saved_tensors
+        (alpha, beta, several, subtracts), derivative = ctx.constants
+        slope = derivative(membrane - THRESHOLD)
+        if several:  # spikes = floor(V / threshold): on average one more for each threshold
+            slope = torch.where(membrane > THRESHOLD, torch.ones_like(slope), slope)
+        # dV'/dV = 1 where the threshold is taken off, 0 where a spike sets it to 0
+        passed = torch.ones_like(spikes) if subtracts else (spikes == 0).to(spikes.dtype)
+        result = slope * upstream
+        to_current = torch.zeros_like(result[0])
+        to_membrane = torch.zeros_like(result[0])
+        for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
+            # V = beta V' + I ; I = alpha I + x
+            g.add_(to_membrane * share)
+            to_membrane = g * beta
+            if alpha:
+                g.add_(to_current, alpha=alpha)
+                to_current = g.clone()
+        return result, None, None, None, None
+
+
+def _datasheet(name: str) -> Chip:
+    if not name:
+        raise ConfigError(
+            "a policy of kind 'chip-snn' is trained for one chip: name it, as in --for xylo-a2"
+        )
+    return chip(name)
+
+
+def _decay_factors(target: Chip, alpha: float, beta: float) -> tuple[float, float]:
+    """Return the decay factors of current and membrane that the chip's neurons have.
+
+    alpha, beta: what is wanted where the chip leaves a choice
+    """
+    leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
+    has_current = isinstance(target.arithmetic, XyloRegisters)
+    return alpha if has_current else 0.0, beta if leaks else 1.0
+
+
+def _type_weights(neurons: int, types: int, limit: float) -> Tensor:
+    """Return initial weights (N, types): excitatory, inhibitory, and both again but smaller."""
+    if not types:
+        return torch.zeros(neurons, 0)
+    sign = 1.0 - 2.0 * (torch.arange(types) % 2)
+    size = limit * _SPREAD ** torch.div(torch.arange(types), 2, rounding_mode="floor")
+    return (sign * size).repeat(neurons, 1) * torch.empty(neurons, types).uniform_(0.8, 1.0)
+
+
+def _late(rows: Tensor, lag: int) -> Tensor:
+    """Return rows (T, B, N) as they arrive `lag` timesteps later, zeros first."""
+    if not lag:
+        return rows
+    return torch.cat([torch.zeros_like(rows[:lag]), rows[:-lag]])
+
+
+def _tensor(values: NDArray[Any], like: Tensor) -> Tensor:
+    """Return (B, T, N) as a tensor (T, B, N) of the other's type."""
+    return torch.from_numpy(np.ascontiguousarray(values.swapaxes(0, 1))).to(like.dtype)
