@@ -63,18 +63,18 @@ _DISTILL: Settings = {
 # a chip's integers are computed by the interpreter, so batches are small and updates few
 _FOR_CHIP: Settings = {
     "env": {"name": "", "count": 8},
-    "iterations": 6,
-    "states": 4_000,
-    "updates": 3_000,
-    "batch": 128,
+    "iterations": 4,
+    "states": 2_000,
+    "updates": 1_200,
+    "batch": 64,
     "learning_rate": 5e-3,
     "noise": 0.3,
     "rate_penalty": 0.0,
     "input_penalty": 0.0,
     "sharpness": 3.0,
-    "normaliser": {"finish": 12_000, "clip": 2.0},
+    "normaliser": {"finish": 8_000, "clip": 2.0},
     "precision": "float32",
-    "validation": {"every": 250, "episodes": 20},
+    "validation": {"every": 300, "episodes": 20},
 }
 
 _FLOAT: Settings = {"kind": "mlp", "hidden": [64, 64]}

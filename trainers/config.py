@@ -121,22 +121,23 @@ class ChipSnnConfig(_Section):
 
     chip: name of a datasheet, with options as on the command line
     outputs: neurons of the last layer, whose rates are read out; an 8th is what every chip has
-    coding, populations, reach: as in SpikingMlpConfig
+    coding, reach: as in SpikingMlpConfig
+    populations: likewise; None for as many as the inputs of the chip allow, at most 8
     alpha, beta: decay factors where the chip leaves a choice; None for 0.5 and 0.9375
-    limit: largest weight [thresholds]
+    limit: largest weight [thresholds]; None for at most 0.5
     """
 
     kind: Literal["chip-snn"] = "chip-snn"
     chip: str = ""
-    hidden: tuple[Width, ...] = Field(default=(64,), min_length=1)
+    hidden: tuple[Width, ...] = Field(default=(32,), min_length=1)
     outputs: Positive = 8
     coding: Literal["regular", "population"] = "population"
-    populations: Positive = 4
+    populations: Positive | None = None
     reach: Rate = 2.0
-    timesteps: Positive = 16
+    timesteps: Positive = 8
     alpha: Share | None = None
     beta: Share | None = None
-    limit: Rate = 0.5
+    limit: Rate | None = None
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
     surrogate_width: Rate | None = None
 

@@ -36,6 +36,8 @@ from spikedeploy.trainers.policies.spiking_mlp import Coding, SpikingMlpPolicy
 
 THRESHOLD = 1.0  # of every neuron; the compiler scales it with the weights
 _OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
+_FIELDS = 8  # of an observation, unless the chip has too few inputs
+_LARGEST = 0.5  # weight [thresholds]
 _SPREAD = 0.5  # of initial types of axons: the smaller weight over the larger one
 
 
@@ -57,15 +59,15 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         observations: int,
         actions: int,
         chip: str,
-        hidden: Sequence[int] = (64,),
+        hidden: Sequence[int] = (32,),
         outputs: int = 8,
         coding: Coding = "population",
-        populations: int = 4,
+        populations: int | None = None,
         reach: float = 2.0,
-        timesteps: int = 16,
+        timesteps: int = 8,
         alpha: float | None = None,
         beta: float | None = None,
-        limit: float = 0.5,
+        limit: float | None = None,
         surrogate: str = "atan",
         surrogate_width: float | None = None,
         clip: float = 4.0,
@@ -74,12 +76,14 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         target = _datasheet(chip)
         wanted = (0.5 if alpha is None else alpha, 0.9375 if beta is None else beta)
         decays = _decay_factors(target, *wanted)
+        if coding == "population":
+            populations = _populations(target, observations, populations)
         super().__init__(
             observations,
             actions,
             hidden=(*hidden, outputs),
             coding=coding,
-            populations=populations,
+            populations=populations or 1,
             timesteps=timesteps,
             beta=decays[1],
             threshold=THRESHOLD,
@@ -89,10 +93,11 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             head=head,
             reach=reach,
         )
-        self.target, self.alpha, self.limit = target, decays[0], limit
+        self.target, self.alpha = target, decays[0]
+        self.limit = limit = _limit(target) if limit is None else limit
         if isinstance(self.encoder, TorchPopulationEncoder):
             # few fields: wide enough that no number between two of them is unseen
-            spacing = 2 * reach / max(populations - 1, 1)
+            spacing = 2 * reach / max(self.populations - 1, 1)
             nn.init.constant_(self.encoder.log_std, math.log(_OVERLAP * spacing))
         self._given = {"chip": chip, "alpha": alpha, "beta": beta}
         arithmetic = target.arithmetic
@@ -104,7 +109,11 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             if isinstance(layer, nn.Linear)
         )
         for layer in self.layers:
-            nn.init.uniform_(layer.get_parameter("weight"), -limit, limit)
+            weight = layer.get_parameter("weight")
+            nn.init.uniform_(weight, -limit, limit)
+            if self.signed_axons:
+                with torch.no_grad():
+                    weight.abs_().mul_(_axon_signs(weight))
         self.type_weights = nn.ParameterList(
             nn.Parameter(_type_weights(layer.out_features, self.types, limit))
             for layer in self.layers
@@ -123,16 +132,19 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         latent = self.layers[number].get_parameter("weight")
         if self.types:
             # W[n, m] = g[n, type of m] where the latent weight is above 0: a connected crosspoint
-            connected = latent + ((latent > 0).to(latent.dtype) - latent).detach()
-            of_type = torch.arange(latent.shape[1]) % self.types
+            number_of_axon = torch.arange(latent.shape[1])
+            # the first of each type reaches all neurons, so that whoever puts axons together again
+            # by their weights, as design rules do, finds these types and no others
+            present = (latent > 0) | (number_of_axon < self.types)
+            connected = latent + (present.to(latent.dtype) - latent).detach()
+            of_type = number_of_axon % self.types
             weight = self.type_weights[number]
             clipped = weight + (weight.clamp(-self.limit, self.limit) - weight).detach()
             crossbar: Tensor = connected * clipped[:, of_type]
             return crossbar
         fitting = latent.detach().clamp(-self.limit, self.limit)
         if self.signed_axons:
-            # sources excite or inhibit, one after another
-            sign = 1.0 - 2.0 * (torch.arange(latent.shape[1]) % 2)
+            sign = _axon_signs(latent)
             fitting = sign * (sign * fitting).relu()
         return latent + (fitting - latent.detach())
 
@@ -201,7 +213,12 @@ class ChipSnnPolicy(SpikingMlpPolicy):
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
-        found = {**super().spec(), **self._given, "limit": self.limit}
+        found = {
+            **super().spec(),
+            **self._given,
+            "limit": self.limit,
+            "populations": self.populations,
+        }
         found |= {"hidden": list(self.hidden[:-1]), "outputs": self.hidden[-1]}
         del found["threshold"]
         return found
@@ -273,6 +290,37 @@ def _decay_factors(target: Chip, alpha: float, beta: float) -> tuple[float, floa
     leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
     has_current = isinstance(target.arithmetic, XyloRegisters)
     return alpha if has_current else 0.0, beta if leaks else 1.0
+
+
+def _populations(target: Chip, observations: int, wanted: int | None) -> int:
+    """Return the neurons of the population code for each observation.
+
+    wanted: None for as many as the inputs of the chip allow, at most 8; an even number where
+        axons have signs, so that each observation has axons of both
+    """
+    inputs = target.limits.inputs if target.limits else None
+    most = _FIELDS if inputs is None else min(_FIELDS, inputs // observations)
+    if target.limits and target.limits.axon_signs:
+        most -= most % 2
+    if most < 2 and wanted is None:
+        raise ConfigError(
+            f"{target.name} has {inputs} inputs, too few for two neurons of a population code for "
+            f"each of {observations} observations. Choose --set policy.coding=regular, or another "
+            "chip."
+        )
+    return wanted or most
+
+
+def _limit(target: Chip) -> float:
+    """Return the largest weight [thresholds], at most 0.5: the threshold is then a whole number."""
+    most = getattr(target.arithmetic, "weight_range", (0, 1))[1]
+    # 7/16 of 3 bits, 15/32 of 5 bits with the sign, 127/256 of 8
+    return float(most / 2.0 ** math.ceil(math.log2(most / _LARGEST)))
+
+
+def _axon_signs(weight: Tensor) -> Tensor:
+    """Return 1 or -1 for each source (M,): they excite and inhibit by turns."""
+    return 1.0 - 2.0 * (torch.arange(weight.shape[1]) % 2)
 
 
 def _type_weights(neurons: int, types: int, limit: float) -> Tensor:
