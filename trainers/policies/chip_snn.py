@@ -136,17 +136,17 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             # the first of each type reaches all neurons, so that whoever puts axons together again
             # by their weights, as design rules do, finds these types and no others
             present = (latent > 0) | (number_of_axon < self.types)
-            connected = latent + (present.to(latent.dtype) - latent).detach()
+            connected = _passing(present.to(latent.dtype), latent)
             of_type = number_of_axon % self.types
             weight = self.type_weights[number]
-            clipped = weight + (weight.clamp(-self.limit, self.limit) - weight).detach()
+            clipped = _passing(weight.clamp(-self.limit, self.limit), weight)
             crossbar: Tensor = connected * clipped[:, of_type]
             return crossbar
         fitting = latent.detach().clamp(-self.limit, self.limit)
         if self.signed_axons:
             sign = _axon_signs(latent)
             fitting = sign * (sign * fitting).relu()
-        return latent + (fitting - latent.detach())
+        return _passing(fitting, latent)
 
     def program(self) -> Program:
         """Return the chip's program of the present weights."""
@@ -316,6 +316,12 @@ def _limit(target: Chip) -> float:
     most = getattr(target.arithmetic, "weight_range", (0, 1))[1]
     # 7/16 of 3 bits, 15/32 of 5 bits with the sign, 127/256 of 8
     return float(most / 2.0 ** math.ceil(math.log2(most / _LARGEST)))
+
+
+def _passing(value: Tensor, gradient_to: Tensor) -> Tensor:
+    """Return the value exactly; its gradient passes straight on to another tensor."""
+    # x - x is 0, so that no rounding is added
+    return value.detach() + (gradient_to - gradient_to.detach())
 
 
 def _axon_signs(weight: Tensor) -> Tensor:

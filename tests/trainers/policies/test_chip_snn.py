@@ -1,4 +1,4 @@
-"""A policy in the integers of a chip: its forward pass is the chip's, its gradient that of floats."""
+"""A policy in the integers of a chip: the forward pass is the chip's, the gradient of floats."""
 
 import copy
 
@@ -102,7 +102,10 @@ def test_axons_of_odin_excite_or_inhibit():
 
 def test_a_neuron_of_truenorth_has_one_weight_for_each_of_four_types():
     for seed in range(5):
-        for layer in policy("truenorth", hidden=(40, 40), seed=seed).program().layers:
+        student = policy("truenorth", hidden=(40, 40), seed=seed)
+        for weight in student.weights():
+            assert all(len(np.unique(row[row != 0])) == 4 for row in weight.detach().numpy())
+        for layer in student.program().layers:
             assert axon_types(layer.synapses[0].weight) == 4
 
 
@@ -171,7 +174,7 @@ def test_it_learns_which_way_to_turn_within_few_updates(name):
 
 
 def test_a_chip_with_too_few_inputs_is_refused_in_a_sentence():
-    with pytest.raises(ConfigError, match="xylo-a2 has 16 inputs, too few for .* 28 observations"):
+    with pytest.raises(ConfigError, match=r"xylo-a2 has 16 inputs, too few for .* 28 observations"):
         from_config(ChipSnnConfig(chip="xylo-a2"), 28, 4)
     assert from_config(ChipSnnConfig(chip="xylo-a2", coding="regular"), 16, 4).target.name
     with pytest.raises(ConfigError, match="name it, as in --for xylo-a2"):
