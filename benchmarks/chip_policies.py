@@ -1,7 +1,7 @@
 """A policy for every chip: trains what is not shipped yet, and makes the table of chips and tasks.
 
-    python benchmarks/chip_policies.py train [--only CartPole-v1/xylo-a2] [--again]
-    python benchmarks/chip_policies.py table [--episodes 100]
+    python -m benchmarks.chip_policies train [--only CartPole-v1/xylo-a2] [--again]
+    python -m benchmarks.chip_policies table [--episodes 100]
 
 `train` imitates the task's float teacher in the integers of each chip (recipe `for-chip`) and puts
 file and card into spikedeploy/zoo/chips; a teacher that is not shipped is trained first. `table`
@@ -9,8 +9,6 @@ plays each shipped file on its chip, compiled with all design rules, on seeds fr
 no training saw, and its teacher in float on the same; it writes results/chips.csv and .md. Rows of
 files that have not changed stay.
 """
-
-import prepare  # isort: skip  # noqa: F401 - before all others
 
 import argparse
 import csv
@@ -79,28 +77,36 @@ def pairs(only: str | None) -> Iterator[tuple[str, str]]:
 
 def train_all(only: str | None, again: bool, runs: Path) -> None:
     """Train and ship what is missing, one after another."""
-    from spikedeploy.trainers.train import train
-
     for task, name in pairs(only):
         file = zoo.FOR_CHIPS / task / f"{name}.nir"
         if file.is_file() and not again:
             continue
         settings = [*TASKS[task].settings, *FURTHER.get(name, ())]
         settings += [f'policy.chip="{name}"', f'teacher="{_teacher(task, runs)}"']
-        run = train("for-chip", env=task, overrides=settings, runs=runs, quiet=True)
+        run = _trained("for-chip", task, runs, settings)
         print(f"{task}/{name}: {run}", flush=True)
         _ship(run, file)
 
 
 def _teacher(task: str, runs: Path) -> str:
     """The name of the task's shipped teacher, which is trained if there is none."""
-    from spikedeploy.trainers.train import train
-
     if (name := zoo.teacher(task)) is not None:
         return name
-    run = train(TASKS[task].recipe, env=task, runs=runs, quiet=True)
+    run = _trained(TASKS[task].recipe, task, runs)
     _ship(run, zoo.FOR_CHIPS / task / f"{zoo.TEACHER}.onnx")
     return str(zoo.teacher(task))
+
+
+def _trained(recipe: str, task: str, runs: Path, settings: Sequence[str] = ()) -> Path:
+    """The run folder of a training that came to its end."""
+    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.train import train
+
+    stopped = Interrupt()
+    run = train(recipe, env=task, overrides=settings, runs=runs, quiet=True, interrupt=stopped)
+    if stopped.share is not None:
+        raise SystemExit(stopped.exit_code)
+    return run
 
 
 def _ship(run: Path, file: Path) -> None:
@@ -255,7 +261,7 @@ def _head(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
     lines = [
         "# A policy for every chip",
         "",
-        "`python benchmarks/chip_policies.py train`, then `table`. Each policy was trained in the "
+        "`python -m benchmarks.chip_policies train`, then `table`. Each policy was trained in the "
         "integers of its chip to imitate the float teacher (one training, seed 0; the checkpoint "
         "by validation episodes on seeds from 5,000 on) and is played on the emulated chip, "
         "compiled with all design rules, on seeds from 10,000 on. A share is the return over the "
@@ -308,7 +314,7 @@ def _details(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
     ]
     for task, name in sorted(rows, key=_place):
         row = rows[task, name]
-        earned = stratified([row["scores"]], np.random.default_rng(0)).text(",.1f")
+        earned = stratified([row["scores"]], np.random.default_rng(0)).mean.text(",.1f")
         counts = [str(row.get(key) or "–") for key in ("inputs", "neurons", "timesteps")]
         rates = [
             f"{float(row[key]):,.0f}" if row.get(key) else "–"

@@ -10,7 +10,9 @@ from spikedeploy.exporters.parity import check as parity
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.compiler.compile import check, compile_program
+from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.integrate_and_fire.quantise import axon_types
 from spikedeploy.runtime.metadata import Provenance
@@ -75,13 +77,31 @@ def test_the_file_keeps_the_design_rules_of_its_chip(name, tmp_path):
     compile_program(stated, chip(name))
 
 
-def test_layers_that_wait_for_their_first_spikes_may_as_well_be_updated(name):
-    # neither biases nor states: from rest, an update without input changes nothing
-    program = policy(name).program()
-    for layer in program.layers:
-        assert not layer.bias.any()
-        assert not layer.voltage_bias.any()
-        assert (layer.threshold > 0).all()
+def test_it_does_the_same_where_all_neurons_advance_in_every_timestep(name):
+    # as chips without gated clocks: T timesteps of input, and as many more as the layers are late
+    student = policy(name, hidden=(16,), timesteps=8)
+    program = student.program()
+    raster = student.encode(torch.randn(8, 3)).detach().numpy().swapaxes(0, 1)
+    expected, timesteps = trace(program, raster.astype(np.uint8)), raster.shape[1]
+    states = {layer.name: LayerState.zero(layer, len(raster)) for layer in program.layers}
+    spikes = {name: [] for name in program.sizes}
+    for step in range(program.steps(timesteps)):
+        within = step < timesteps
+        spikes[program.input].append(raster[:, step] if within else np.zeros_like(raster[:, 0]))
+        for layer in program.layers:
+            (synapses,) = layer.synapses
+            sent, due = spikes[synapses.source], step - synapses.delay
+            size = program.sizes[synapses.source]
+            arriving = sent[due] if due >= 0 else np.zeros((len(raster), size))
+            states_of = states[layer.name]
+            found = student.target.arithmetic.update(
+                program, layer, [arriving.astype(np.int64)], states_of
+            )
+            spikes[layer.name].append(found.spikes)
+    last = program.layers[-1]
+    seen = np.stack(spikes[last.name][last.start : last.start + timesteps], axis=1)
+    np.testing.assert_array_equal(seen, expected[last.name].spikes)
+    assert seen.any()
 
 
 def test_a_weight_that_was_changed_in_place_is_compiled_anew(name):
