@@ -1,7 +1,7 @@
 """A policy for every chip: trains what is not shipped yet, and makes the table of chips and tasks.
 
-    python -m benchmarks.chip_policies train [--only CartPole-v1/xylo-a2] [--again]
-    python -m benchmarks.chip_policies table [--episodes 100]
+    python benchmarks/chip_policies.py train [--only CartPole-v1/xylo-a2] [--again]
+    python benchmarks/chip_policies.py table [--episodes 100]
 
 `train` imitates the task's float teacher in the integers of each chip (recipe `for-chip`) and puts
 file and card into spikedeploy/zoo/chips; a teacher that is not shipped is trained first. `table`
@@ -40,7 +40,7 @@ WANTED = 0.95  # of the teacher
 
 
 @dataclass(frozen=True)
-class Task:
+class ChipTask:
     """A task of the table.
 
     recipe    of a teacher, where none is shipped
@@ -51,10 +51,10 @@ class Task:
     settings: tuple[str, ...] = ()
 
 
-TASKS: Mapping[str, Task] = {
-    "CartPole-v1": Task("ppo-mlp"),
-    "Pendulum-v1": Task("sac-mlp", ("policy.timesteps=16",)),
-    "kart-gazebo": Task("", ("validation.episodes=20",)),
+TASKS: Mapping[str, ChipTask] = {
+    "CartPole-v1": ChipTask("ppo-mlp"),
+    "Pendulum-v1": ChipTask("sac-mlp", ("policy.timesteps=16",)),
+    "kart-gazebo": ChipTask("", ("validation.episodes=20",)),
 }
 # where a chip needs more than the recipe has: its binary crosspoints hold little each
 FURTHER: Mapping[str, tuple[str, ...]] = {"truenorth": ("policy.hidden=[64]",)}
@@ -261,7 +261,7 @@ def _head(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
     lines = [
         "# A policy for every chip",
         "",
-        "`python -m benchmarks.chip_policies train`, then `table`. Each policy was trained in the "
+        "`python benchmarks/chip_policies.py train`, then `table`. Each policy was trained in the "
         "integers of its chip to imitate the float teacher (one training, seed 0; the checkpoint "
         "by validation episodes on seeds from 5,000 on) and is played on the emulated chip, "
         "compiled with all design rules, on seeds from 10,000 on. A share is the return over the "

@@ -29,7 +29,7 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.policies.chip_graph import chip_artifact, codec_of
+from spikedeploy.trainers.policies.chip_graph import codec_of
 from spikedeploy.trainers.policies.delta_graph import delta_artifact
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
@@ -62,7 +62,7 @@ def artifact(
     """Return the policy as an artifact, every number in float64."""
     if isinstance(policy, ChipSnnPolicy):
         _only_reset(policy, state)
-        return chip_artifact(deepcopy(policy).double(), origin, dt)
+        return deepcopy(policy).double().artifact(origin, dt)
     if isinstance(policy, DeltaSnnPolicy):
         if state == "reset":
             raise ConfigError(

@@ -16,12 +16,14 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import nir
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -29,12 +31,20 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.chip_graph import (
+    DT,
+    THRESHOLD,
+    ChipNeurons,
+    array,
+    chip_artifact,
+    codec_of,
+)
 from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
 from spikedeploy.trainers.policies.policy import Head
 from spikedeploy.trainers.policies.spiking_mlp import Coding, SpikingMlpPolicy
 
-THRESHOLD = 1.0  # of every neuron; the compiler scales it with the weights
 _OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
 _FIELDS = 8  # of an observation, unless the chip has too few inputs
 _LARGEST = 0.5  # weight [thresholds]
@@ -148,15 +158,19 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             fitting = sign * (sign * fitting).relu()
         return _passing(fitting, latent)
 
+    def artifact(self, origin: Provenance | None = None, dt: float = DT) -> Artifact:
+        """Return the policy as an artifact, every number in float64."""
+        neurons = ChipNeurons(self.target, self.alpha, self.beta, dt)
+        readout = nir.Affine(array(self.readout.weight), array(self.readout.bias))
+        weights = [array(weight) for weight in self.weights()]
+        return chip_artifact(neurons, weights, readout, codec_of(self), origin)
+
     def program(self) -> Program:
         """Return the chip's program of the present weights."""
-        # imported here: it needs this class
-        from spikedeploy.trainers.policies.chip_graph import chip_artifact
-
         # fused optimisers do not count versions of tensors, so their numbers are compared
         held = b"".join(p.detach().numpy().tobytes() for p in self._compiled_parameters())
         if self._compiled is None or self._compiled[0] != held:
-            program = compile_program(chip_artifact(self), self.target, limits=False)
+            program = compile_program(self.artifact(), self.target, limits=False)
             self._compiled = held, program
         return self._compiled[1]
 
