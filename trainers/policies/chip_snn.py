@@ -193,7 +193,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             spikes = _tensor(recorded.spikes, raster)
             membrane = self._before_reset(layer, recorded, drive.detach())
             constants = self.alpha, self.beta, self._several(layer), self._subtracts
-            presynaptic = _Recorded.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
+            presynaptic = _SpikesOfChip.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
             found.append(presynaptic)
         return found
 
@@ -239,17 +239,16 @@ class ChipSnnPolicy(SpikingMlpPolicy):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "ChipSnnPolicy":
         """Return a copy with the same weights; it compiles its own program."""
-        from spikedeploy.trainers.policies import build
-
-        copy = build(self.spec())
+        settings = self.spec()
+        del settings["kind"]
+        copy = ChipSnnPolicy(**settings)
         copy.load_state_dict(self.state_dict())
         copy.to(self.readout.weight.dtype)
         memo[id(self)] = copy
-        assert isinstance(copy, ChipSnnPolicy)
         return copy
 
 
-class _Recorded(torch.autograd.Function):
+class _SpikesOfChip(torch.autograd.Function):
     """The spikes of a layer, and the gradient of the difference equations at what was recorded."""
 
     @staticmethod

@@ -18,7 +18,7 @@ from spikedeploy.runtime.families.integrate_and_fire.quantise import axon_types
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import ChipSnnConfig
 from spikedeploy.trainers.policies import ChipSnnPolicy, build, from_config
-from spikedeploy.trainers.policies.chip_snn import _Recorded
+from spikedeploy.trainers.policies.chip_snn import _SpikesOfChip
 from spikedeploy.trainers.policies.neurons import surrogate
 from spikedeploy.trainers.train import train
 
@@ -149,7 +149,7 @@ def test_the_gradient_is_that_of_the_difference_equations(subtracts, alpha, beta
     (torch.stack(spikes) * upstream).sum().backward()
     expected, drive.grad = drive.grad, None
     told = torch.stack(membranes), torch.stack(spikes).detach()
-    found = _Recorded.apply(drive, *told, (alpha, beta, False, subtracts), derivative)
+    found = _SpikesOfChip.apply(drive, *told, (alpha, beta, False, subtracts), derivative)
     (found * upstream).sum().backward()
     torch.testing.assert_close(drive.grad, expected)
 
