@@ -56,8 +56,18 @@ TASKS: Mapping[str, ChipTask] = {
     "Pendulum-v1": ChipTask("sac-mlp", ("policy.timesteps=16",)),
     "kart-gazebo": ChipTask("", ("validation.episodes=20",)),
 }
-# where a chip needs more than the recipe has: its binary crosspoints hold little each
-FURTHER: Mapping[str, tuple[str, ...]] = {"truenorth": ("policy.hidden=[64]",)}
+# where a chip needs more than the recipe has: binary crosspoints hold little each; with 3 bits and
+# a reset to 0 that loses what is left, thresholds are larger and updates are more
+FURTHER: Mapping[str, tuple[str, ...]] = {
+    "truenorth": ("policy.hidden=[64]",),
+    "odin": (
+        "policy.limit=0.21875",
+        "policy.surrogate_width=4",
+        "learning_rate=0.01",
+        "updates=2400",
+        "validation.every=400",
+    ),
+}
 # tasks whose observations do not fit the inputs of a chip
 LEFT_OUT = {("kart-gazebo", "xylo-a2"): "28 observations, 16 inputs"}
 

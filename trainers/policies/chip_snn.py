@@ -180,6 +180,8 @@ class ChipSnnPolicy(SpikingMlpPolicy):
 
     def spikes(self, raster: Tensor) -> list[Tensor]:
         """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
+        if torch.is_grad_enabled():
+            self._project()
         program = self.program()
         arrived = np.ascontiguousarray(raster.detach().numpy().swapaxes(0, 1)).astype(np.uint8)
         traces = trace(program, arrived)
@@ -196,6 +198,16 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             presynaptic = _SpikesOfChip.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
             found.append(presynaptic)
         return found
+
+    @torch.no_grad()
+    def _project(self) -> None:
+        """Bring weights that an update gave another sign than their source's back to 0.
+
+        Further away they would be 0 for many updates more.
+        """
+        if self.signed_axons:
+            for number, layer in enumerate(self.layers):
+                layer.get_parameter("weight").copy_(self._fitting(number))
 
     @property
     def _subtracts(self) -> bool:
