@@ -9,6 +9,7 @@ popsan.py       population-coded spiking actor
 spiking_mlp.py  spiking multilayer perceptron with a linear readout
 chip_snn.py     the same in the integers of a chip, from code to output neurons
 chip_graph.py   its NIR graph, convention and codec
+event_kernel.py chips that look at every event, compiled
 delta_snn.py    event-driven: delta code, a layer of LIF neurons, leaky integrator readout
 delta_mlp.py    delta network: the same with a layer of sigma-delta ReLU neurons
 delta_graph.py  NIR graphs and codecs of both

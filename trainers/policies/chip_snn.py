@@ -28,7 +28,7 @@ from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
+from spikedeploy.runtime.emulator.interpreter import LayerTrace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
 from spikedeploy.runtime.metadata import Provenance
@@ -41,6 +41,7 @@ from spikedeploy.trainers.policies.chip_graph import (
     codec_of,
 )
 from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder
+from spikedeploy.trainers.policies.event_kernel import recorded
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
 from spikedeploy.trainers.policies.policy import Head
 from spikedeploy.trainers.policies.spiking_mlp import Coding, SpikingMlpPolicy
@@ -170,7 +171,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         # fused optimisers do not count versions of tensors, so their numbers are compared
         held = b"".join(p.detach().numpy().tobytes() for p in self._compiled_parameters())
         if self._compiled is None or self._compiled[0] != held:
-            program = compile_program(self.artifact(), self.target, limits=False)
+            program = compile_program(self.artifact(), self.target, clock="gated", limits=False)
             self._compiled = held, program
         return self._compiled[1]
 
@@ -184,16 +185,16 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             self._project()
         program = self.program()
         arrived = np.ascontiguousarray(raster.detach().numpy().swapaxes(0, 1)).astype(np.uint8)
-        traces = trace(program, arrived)
+        traces = recorded(program, arrived)
         if not torch.is_grad_enabled():
             return [_tensor(traces[layer.name].spikes, raster) for layer in program.layers]
         derivative = surrogate(self.surrogate, self.surrogate_width)
         found, presynaptic = [], raster
         for layer, lags, weight in zip(program.layers, program.lags, self.weights(), strict=True):
             drive = _late(presynaptic, lags[0]) @ weight.T
-            recorded = traces[layer.name]
-            spikes = _tensor(recorded.spikes, raster)
-            membrane = self._before_reset(layer, recorded, drive.detach())
+            done = traces[layer.name]
+            spikes = _tensor(done.spikes, raster)
+            membrane = self._before_reset(layer, done, drive.detach())
             constants = self.alpha, self.beta, self._several(layer), self._subtracts
             presynaptic = _SpikesOfChip.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
             found.append(presynaptic)

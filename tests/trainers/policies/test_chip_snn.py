@@ -19,6 +19,7 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import ChipSnnConfig
 from spikedeploy.trainers.policies import ChipSnnPolicy, build, from_config
 from spikedeploy.trainers.policies.chip_snn import _SpikesOfChip
+from spikedeploy.trainers.policies.event_kernel import _computes, recorded
 from spikedeploy.trainers.policies.neurons import surrogate
 from spikedeploy.trainers.train import train
 
@@ -59,6 +60,20 @@ def test_the_spikes_that_gradients_flow_through_are_those_of_the_chip(name):
     for one, other in zip(found, student.spikes(raster), strict=True):
         assert torch.equal(one, other)
         assert other.requires_grad
+
+
+@pytest.mark.parametrize("name", ["odin", "tinyodin"])
+def test_the_compiled_loops_equal_the_interpreter(name):
+    pytest.importorskip("numba")
+    for seed in range(3):
+        program = policy(name, seed=seed, hidden=(12,), timesteps=9, limit=0.9).program()
+        raster = np.random.default_rng(seed).integers(0, 2, (20, 9, program.width), np.uint8)
+        fast, slow = recorded(program, raster), trace(program, raster)
+        for layer in program.layers:
+            np.testing.assert_array_equal(fast[layer.name].spikes, slow[layer.name].spikes)
+            np.testing.assert_array_equal(fast[layer.name].membrane, slow[layer.name].membrane)
+        assert fast["lif2"].spikes.max() > 1  # several in a timestep
+    assert not _computes(policy("spiker").program())
 
 
 def test_every_weight_and_every_field_of_the_code_has_a_gradient(name):
