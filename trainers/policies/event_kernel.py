@@ -1,4 +1,4 @@
-"""Neurons that look at their threshold after every event, as compiled loops where Numba is installed.
+"""Neurons that look at their threshold after every event, as loops that Numba compiles.
 
 They compute what `runtime.families.integrate_and_fire.neurons.update` computes with NumPy, for
 chains of layers without biases whose spikes reset to 0 (ODIN, tinyODIN), with the same integers:
