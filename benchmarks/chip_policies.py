@@ -282,8 +282,13 @@ def _head(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
     for name in CHIPS:
         cells = [_cell(rows, task, name) for task in tasks]
         lines.append(f"| `{name}` | {' | '.join(cells)} |")
-    known = [n for n in _every_chip() if n not in CHIPS]
-    lines += ["", f"Arithmetic only, without a policy here: {', '.join(f'`{n}`' for n in known)}."]
+    known = ", ".join(f"`{n}`" for n in _every_chip() if n not in CHIPS)
+    lines += [
+        "",
+        f"Not trained for here: {known}. `loihi1` has the policies of other pages; `xylo-a3` and "
+        "`xylo-imu` compute as `xylo-a2`, and `check` accepts its files for them; the others are "
+        "arithmetic only.",
+    ]
     return lines
 
 
