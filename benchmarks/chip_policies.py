@@ -268,7 +268,8 @@ def _head(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
     lines = [
         "# A policy for every chip",
         "",
-        "`python benchmarks/chip_policies.py train`, then `table`. Each policy was trained in the "
+        "Written by `python benchmarks/chip_policies.py table`, after `python "
+        "benchmarks/chip_policies.py train`. Each policy was trained in the "
         "integers of its chip to imitate the float teacher (one training, seed 0; the checkpoint "
         "by validation episodes on seeds from 5,000 on) and is played on the emulated chip, "
         "compiled with all design rules, on seeds from 10,000 on. A share is the return over the "
@@ -300,7 +301,7 @@ def _every_chip() -> list[str]:
 
 def _cell(rows: Mapping[tuple[str, str], Mapping[str, Any]], task: str, name: str) -> str:
     if (task, name) not in rows:
-        return "arithmetic only"
+        return "not trained"
     share = _share(rows, task, name)
     low, high = share.ci95
     mark = "✓" if low >= WANTED else "≈" if high >= WANTED else "✗"

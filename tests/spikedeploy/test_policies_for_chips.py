@@ -74,7 +74,7 @@ def test_the_table_names_the_teacher_that_is_shipped_and_chips_without_a_policy(
     }
     page = chip_policies.page(rows)
     assert "| `odin` | 99.0% [99.0%, 99.0%] ✓ |" in page
-    assert "| `spiker` | arithmetic only |" in page
+    assert "| `spiker` | not trained |" in page
     assert "| Pendulum-v1 | `odin` | -115.0" in page
     assert "`loihi1-nengo`" in page
 
