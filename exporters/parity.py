@@ -4,6 +4,9 @@ A NIR file must spike equally, in float64:
 
     torch policy  =  NumPy float of the file  =  its program on the chip `ideal`
 
+A policy that was trained in the integers of a chip must instead spike as the file does on that
+chip, compiled with all design rules; how far its float twin is from that is reported.
+
 In float32, which training uses, a few membranes fall on the other side of a threshold; their number
 is reported, not checked. A random encoder uses the same generator on both sides. Each observation
 is an inference of its own, before which states and levels of a code are 0. An ONNX file is
@@ -36,7 +39,12 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationEr
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import session
-from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PopsanPolicy
+from spikedeploy.trainers.policies import (
+    ChipSnnPolicy,
+    DeltaSnnPolicy,
+    Policy,
+    PopsanPolicy,
+)
 from spikedeploy.trainers.policies.delta_graph import event_channels, hidden_node, live_neurons
 
 _FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
@@ -85,6 +93,8 @@ class _ImplementationPair:
 
 def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
+    if isinstance(policy, ChipSnnPolicy):
+        return _chip_checks(policy, path, observations)
     if isinstance(policy, DeltaSnnPolicy):
         return _episode_checks(policy, path, observations)
     if not isinstance(policy, SpikingPolicy):
@@ -108,6 +118,33 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
         *to_numpy.checks("torch = NumPy, float64"),
         *to_ideal.checks("NumPy = compiled for `ideal`, float64"),
         _report(to_single),
+    ]
+
+
+def _chip_checks(
+    policy: ChipSnnPolicy, path: Path, observations: NDArray[np.float64]
+) -> list[ParityCheck]:
+    """Return the checks of a policy in the integers of a chip, on observations (n, obs)."""
+    stated = load(path)
+    codec = _codec(stated, path)
+    graph, program = FloatGraph(stated), compiled(stated, policy.target)
+    double, single = deepcopy(policy).double(), deepcopy(policy).float()
+    to_chip, to_single, to_float = (
+        _ImplementationPair(),
+        _ImplementationPair(),
+        _ImplementationPair(),
+    )
+    for batch in batches(observations):
+        raster = codec.encode(batch)
+        by_machine = _decoded(codec, _by_machine(program, raster))
+        to_chip.add(_by_torch(double, torch.from_numpy(batch)), by_machine)
+        to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_machine)
+        to_float.add(_decoded(codec, _by_numpy(graph, raster)), by_machine)
+    chip_name = policy.target.name
+    return [
+        *to_chip.checks(f"torch = compiled for `{chip_name}`, integers"),
+        _report(to_single, f"torch with a float32 encoder against `{chip_name}`"),
+        _report(to_float, f"NumPy float64 of the file against `{chip_name}`"),
     ]
 
 
@@ -150,12 +187,14 @@ def _by_steps(policy: DeltaSnnPolicy, observations: NDArray[np.float64]) -> _Pol
     return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
 
 
-def _report(pair: _ImplementationPair) -> ParityCheck:
-    """Report the difference of float32, for information only."""
+def _report(
+    pair: _ImplementationPair, name: str = "torch float32 against NumPy float64"
+) -> ParityCheck:
+    """Report a difference, as that of float32, for information only."""
     detail = f"{pair.spikes}; largest difference of an action {pair.actions.largest:.1e}"
     if pair.choices.compared:
         detail += f"; choices: {pair.choices}"
-    return ParityCheck("for information: torch float32 against NumPy float64", True, detail)
+    return ParityCheck(f"for information: {name}", True, detail)
 
 
 def _codec(stated: Artifact, path: Path) -> Codec:

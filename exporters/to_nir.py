@@ -19,25 +19,18 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from spikedeploy.runtime.artifact.artifact import Artifact, save
-from spikedeploy.runtime.codec.codec import (
-    Codec,
-    Encoder,
-    Normaliser,
-    PopulationEncoder,
-    RateEncoder,
-)
 from spikedeploy.runtime.convention import Convention, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies import (
+    ChipSnnPolicy,
     DeltaSnnPolicy,
     Policy,
     PopsanPolicy,
     SpikingMlpPolicy,
 )
+from spikedeploy.trainers.policies.chip_graph import codec_of
 from spikedeploy.trainers.policies.delta_graph import delta_artifact
-from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder as TrainedPopulations
-from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TrainedRates
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 
@@ -67,6 +60,9 @@ def artifact(
     policy: Policy, origin: Provenance, dt: float = _DT, state: State | None = None
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
+    if isinstance(policy, ChipSnnPolicy):
+        _only_reset(policy, state)
+        return deepcopy(policy).double().artifact(origin, dt)
     if isinstance(policy, DeltaSnnPolicy):
         if state == "reset":
             raise ConfigError(
@@ -79,7 +75,15 @@ def artifact(
     convention = Convention(dt=dt, source="as trained")
     if state is not None and state != convention.state:
         convention = convention.with_options({"state": state})
-    return Artifact(_graph(precise, dt), _codec(precise), convention, origin)
+    return Artifact(_graph(precise, dt), codec_of(precise), convention, origin)
+
+
+def _only_reset(policy: Policy, state: State | None) -> None:
+    if state == "kept":
+        raise ConfigError(
+            f"state kept: a policy of kind {policy.kind!r} was trained from states of 0 in each "
+            "inference; leave the option out"
+        )
 
 
 def _spiking(policy: Policy) -> SpikingPolicy:
@@ -137,24 +141,6 @@ def _readout(policy: SpikingPolicy) -> nir.Affine:
     weight = np.zeros((actions, actions, populations))
     weight[np.arange(actions), np.arange(actions)] = _array(policy.decoder_weight)
     return nir.Affine(weight.reshape(actions, -1), _array(policy.decoder_bias))
-
-
-def _codec(policy: SpikingPolicy) -> Codec:
-    normalizer = policy.normalizer
-    return Codec(
-        Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
-        _encoder(policy.encoder),
-        policy.timesteps,
-        "argmax" if policy.head == "discrete" else "tanh",
-    )
-
-
-def _encoder(encoder: nn.Module) -> Encoder:
-    if isinstance(encoder, TrainedRates):
-        return RateEncoder(_array(encoder.low), _array(encoder.high), encoder.mode)
-    if isinstance(encoder, TrainedPopulations):
-        return PopulationEncoder(_array(encoder.mean), _array(encoder.std), encoder.threshold)
-    raise ConfigError(f"{type(encoder).__name__} has no form in a file; add it to {__name__}")
 
 
 def _below_one(name: str, decay: float) -> float:

@@ -60,6 +60,23 @@ _DISTILL: Settings = {
     "validation": {"every": 500, "episodes": 10},
 }
 
+# a chip's integers are computed by the interpreter, so batches are small and updates few
+_FOR_CHIP: Settings = {
+    "env": {"name": "", "count": 8},
+    "iterations": 4,
+    "states": 2_000,
+    "updates": 1_200,
+    "batch": 64,
+    "learning_rate": 5e-3,
+    "noise": 0.3,
+    "rate_penalty": 0.0,
+    "input_penalty": 0.0,
+    "sharpness": 3.0,
+    "normaliser": {"finish": 8_000, "clip": 2.0},
+    "precision": "float32",
+    "validation": {"every": 300, "episodes": 20},
+}
+
 _FLOAT: Settings = {"kind": "mlp", "hidden": [64, 64]}
 
 # episodes that end early are short: windows before their ends show what keeps the robot up
@@ -97,6 +114,13 @@ ANY_ENV_RECIPES: dict[str, Recipe] = {
             "any ENV: 64-64 LIF neurons, from a teacher; see `distill`",
             merged(_DISTILL, {"noise": 0.1}),
             _SPIKING_MLP,
+        ),
+        (
+            "for-chip",
+            "distill",
+            "any ENV: trained in the integers of a chip, from a teacher; see `train --for`",
+            _FOR_CHIP,
+            {"kind": "chip-snn"},
         ),
         (
             "distill-popsan",

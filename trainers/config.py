@@ -116,6 +116,37 @@ class SpikingMlpConfig(_Section):
         return len(self.hidden)
 
 
+class ChipSnnConfig(_Section):
+    """Layers of a chip's neurons, trained in its integers; see policies.chip_snn.
+
+    chip: name of a datasheet, with options as on the command line
+    outputs: neurons of the last layer, whose rates are read out; an 8th is what every chip has
+    coding, reach: as in SpikingMlpConfig
+    populations: likewise; None for as many as the inputs of the chip allow, at most 8
+    alpha, beta: decay factors where the chip leaves a choice; None for 0.5 and 0.9375
+    limit: largest weight [thresholds]; None for at most 0.5
+    """
+
+    kind: Literal["chip-snn"] = "chip-snn"
+    chip: str = ""
+    hidden: tuple[Width, ...] = Field(default=(32,), min_length=1)
+    outputs: Positive = 8
+    coding: Literal["regular", "population"] = "population"
+    populations: Positive | None = None
+    reach: Rate = 2.0
+    timesteps: Positive = 8
+    alpha: Share | None = None
+    beta: Share | None = None
+    limit: Rate | None = None
+    surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
+    surrogate_width: Rate | None = None
+
+    @property
+    def spiking_layers(self) -> int:
+        """Number of spiking layers without the encoder; the last one codes the actions."""
+        return len(self.hidden) + 1
+
+
 class DeltaSnnConfig(_Section):
     """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
 
@@ -179,7 +210,13 @@ class PrunedMlpConfig(_Section):
 
 
 PolicyConfig = Annotated[
-    MlpConfig | PopsanConfig | SpikingMlpConfig | DeltaSnnConfig | DeltaMlpConfig | PrunedMlpConfig,
+    MlpConfig
+    | PopsanConfig
+    | SpikingMlpConfig
+    | ChipSnnConfig
+    | DeltaSnnConfig
+    | DeltaMlpConfig
+    | PrunedMlpConfig,
     Field(discriminator="kind"),
 ]
 

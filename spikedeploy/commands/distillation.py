@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy.commands.options import Encoders, Json
-from spikedeploy.commands.training import Resume, Runs, TrainingSeed, run_training
+from spikedeploy.commands.training import ForChip, Resume, Runs, TrainingSeed, run_training
 
 
 def distill(
@@ -53,6 +53,7 @@ def distill(
             show_default="none",
         ),
     ] = None,
+    chip: ForChip = None,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set updates=8000."),
@@ -67,7 +68,7 @@ def distill(
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
     from spikedeploy.trainers.distill.plan import earned, student_settings, teacher_options
 
-    recipe, settings = student_settings(teacher, size, encoder, timesteps, budget is not None)
+    recipe, settings = student_settings(teacher, size, encoder, timesteps, budget is not None, chip)
     run_training(
         recipe if resume is None else None,
         json,

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Callable
 from contextlib import suppress
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,15 @@ TrainingSeed = Annotated[
         max=seeds.TRAINING.stop - 1,
         help="Seed of the training.",
         show_default="0",
+    ),
+]
+ForChip = Annotated[
+    str | None,
+    typer.Option(
+        "--for",
+        metavar="CHIP",
+        help="Train in the integers of this chip, imitating a teacher; recipe for-chip.",
+        show_default="in float",
     ),
 ]
 Resume = Annotated[
@@ -46,6 +56,7 @@ def train(
             show_default="the first argument",
         ),
     ] = None,
+    chip: ForChip = None,
     config: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="TOML file with settings.")
     ] = None,
@@ -90,10 +101,14 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
+    if chip is not None:
+        if what is None or recipe is not None:
+            raise typer.BadParameter("--for goes with an ENV alone: train CartPole-v1 --for odin")
+        recipe = "for-chip"
     settings: dict[str, Any] = {
         "env": what if recipe else None,
         "config_file": config,
-        "overrides": set_ or (),
+        "overrides": [*_for_chip(what, chip, set_ or []), *(set_ or ())],
         "budget": budget,
     }
     if several is not None:
@@ -103,6 +118,25 @@ def train(
     if jobs is not None:
         raise typer.BadParameter("--jobs goes with --seeds")
     run_training(recipe or what, json, seed=seed, resume=resume, runs=runs, films=films, **settings)
+
+
+def _for_chip(env: str | None, chip: str | None, given: list[str]) -> list[str]:
+    """Settings that name the chip, and the shipped teacher of the environment unless one is."""
+    if env is None or chip is None:
+        return []
+    settings = [f"policy.chip={dumps(chip)}"]
+    if not any(each.replace(" ", "").startswith("teacher=") for each in given):
+        from spikedeploy import zoo
+        from spikedeploy.runtime.errors import ConfigError
+
+        teacher = zoo.teacher(env)
+        if teacher is None:
+            raise ConfigError(
+                f"no float teacher of {env} is shipped: give one with --set teacher=PATH, such as "
+                f"the run of `spikedeploy train {env} --recipe ppo-mlp`"
+            )
+        settings.append(f"teacher={dumps(teacher)}")
+    return settings
 
 
 def run_training(

@@ -14,7 +14,7 @@ from spikedeploy.trainers.checksums import check_summed
 from spikedeploy.trainers.versions import own
 
 # kinds of policies that are exported as NIR
-SPIKING = ("popsan", "spiking-mlp", "delta-snn", "delta-mlp")
+SPIKING = ("popsan", "spiking-mlp", "chip-snn", "delta-snn", "delta-mlp")
 
 
 def settings(run: Path) -> dict[str, Any]:

@@ -60,6 +60,7 @@ _POLICIES: Mapping[str, Sequence[str]] = {
         "policy.populations=4..10",
         "policy.threshold=0.3..1.0",
     ),
+    "chip-snn": ("policy.hidden=[16]|[32]|[64]", "policy.timesteps=4|8|16"),
     "spiking-mlp": (
         "policy.hidden=[32,32]|[64,64]|[128,128]",
         "policy.timesteps=4..16",

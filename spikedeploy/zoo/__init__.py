@@ -1,4 +1,8 @@
-"""The zoo: the shipped policies, `spikedeploy/zoo/<env>/<name>`, with a card beside each."""
+"""The zoo: the shipped policies, `spikedeploy/zoo/<env>/<name>`, with a card beside each.
+
+Policies that were trained in the integers of one chip stand apart from line-ups, with the teachers
+that they imitate: `spikedeploy/zoo/chips/<env>/<chip>`.
+"""
 
 import hashlib
 import json
@@ -8,6 +12,8 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
+FOR_CHIPS = FOLDER / "chips"
+TEACHER = "teacher"  # in a folder of policies for chips
 
 
 def policies(env: str | None = None) -> list[Path]:
@@ -23,11 +29,27 @@ def names() -> list[str]:
 def path(name: str) -> Path | None:
     """The file of a shipped policy by name, with or without suffix; None where there is none."""
     wanted = name.removesuffix(".onnx").removesuffix(".nir")
-    return next((p for p in policies() if _name(p) == wanted), None)
+    return next((p for p in (*policies(), *for_chips()) if _name(p) == wanted), None)
+
+
+def for_chips() -> list[Path]:
+    """The files of policies for single chips and of their teachers, ordered by name."""
+    return sorted(p for p in FOR_CHIPS.glob("*/*") if p.suffix in SUFFIXES)
+
+
+def teacher(env: str) -> str | None:
+    """The name of the shipped float policy of an environment that others imitate, if there is one.
+
+    env: short name; the first of those that are no controls.
+    """
+    own = FOR_CHIPS / env / f"{TEACHER}.onnx"
+    if own.is_file():
+        return _name(own)
+    return next((_name(p) for p in policies(env) if card(_name(p)).get("kind") == "ann"), None)
 
 
 def _name(file: Path) -> str:
-    return f"{file.parent.name}/{file.stem}"
+    return file.relative_to(FOLDER).with_suffix("").as_posix()
 
 
 def resolve(reference: str) -> Path | None:

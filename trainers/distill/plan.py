@@ -7,7 +7,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import metrics
 from spikedeploy.trainers.run_folder import RunFolder
 
-_DENSE, _SPARSE = "distill-snn", "distill-sparse"
+_DENSE, _SPARSE, _FOR_CHIP = "distill-snn", "distill-sparse", "for-chip"
 _CODINGS = {"population": "population", "rate": "regular"}
 
 
@@ -17,13 +17,17 @@ def student_settings(
     encoder: str | None,
     timesteps: int | None,
     sparse: bool,
+    chip: str | None = None,
 ) -> tuple[str, list[str]]:
     """Return the recipe and the overrides of a student; what is None stays the recipe's.
 
     size: neurons of the hidden layers, "64,64"
     encoder: "population", "rate" or "delta"
     sparse: whether the student has a budget of operations
+    chip: in whose integers it is trained; None in float
     """
+    if chip is not None and sparse:
+        raise ConfigError("--for and --budget: students in the integers of a chip are not pruned")
     settings = [] if teacher is None else [f"teacher={json.dumps(teacher)}"]
     if size is not None:
         settings.append(f"policy.hidden={_hidden(size, sparse)}")
@@ -39,6 +43,8 @@ def student_settings(
         settings.append(f"policy.coding={_CODINGS[encoder]}")
     if timesteps is not None:
         settings.append(f"policy.timesteps={timesteps}")
+    if chip is not None:
+        return _FOR_CHIP, [*settings, f"policy.chip={json.dumps(chip)}"]
     return _DENSE, settings
 
 

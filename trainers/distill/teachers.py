@@ -88,7 +88,7 @@ def shipped(name: str) -> Path | None:
 def _zoo() -> dict[str, Path]:
     """Files of the shipped policies by name, such as "hexapod/sac"."""
     folder = Path(str(files("spikedeploy"))) / "zoo"
-    found = [path for suffix in _SHIPPED for path in sorted(folder.glob(f"*/*{suffix}"))]
+    found = [path for suffix in _SHIPPED for path in sorted(folder.glob(f"**/*{suffix}"))]
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 

@@ -7,6 +7,9 @@ policy.py       Policy, and what it computes before an action is chosen
 mlp.py          float multilayer perceptron, or a linear map
 popsan.py       population-coded spiking actor
 spiking_mlp.py  spiking multilayer perceptron with a linear readout
+chip_snn.py     the same in the integers of a chip, from code to output neurons
+chip_graph.py   its NIR graph, convention and codec
+event_kernel.py chips that look at every event, compiled
 delta_snn.py    event-driven: delta code, a layer of LIF neurons, leaky integrator readout
 delta_mlp.py    delta network: the same with a layer of sigma-delta ReLU neurons
 delta_graph.py  NIR graphs and codecs of both
@@ -24,6 +27,7 @@ from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig
+from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
 from spikedeploy.trainers.policies.delta_mlp import DeltaMlpPolicy
 from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
 from spikedeploy.trainers.policies.features import Features, features
@@ -35,6 +39,7 @@ from spikedeploy.trainers.policies.spiking_mlp import SpikingMlpPolicy
 from spikedeploy.trainers.resolve import known
 
 __all__ = [
+    "ChipSnnPolicy",
     "DeltaMlpPolicy",
     "DeltaSnnPolicy",
     "Head",
@@ -55,6 +60,7 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
+    "chip-snn": ChipSnnPolicy,
 }
 
 

@@ -23,7 +23,7 @@ _LOW_PRECISION = (torch.bfloat16, torch.float16)
 
 
 @dataclass(frozen=True)
-class _Surrogate:
+class Surrogate:
     """Surrogate derivative of a spike, as a function of membrane minus threshold.
 
     name: key of `SURROGATES`
@@ -64,15 +64,15 @@ _SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
 }
 
 
-def surrogate(name: str, width: float | None = None) -> _Surrogate:
+def surrogate(name: str, width: float | None = None) -> Surrogate:
     """Return a surrogate by name; width None takes that of its paper."""
     if name not in _SURROGATES:
         raise ConfigError(f"unknown surrogate '{name}': known: {', '.join(_SURROGATES)}")
-    return _Surrogate(name, _SURROGATES[name][1] if width is None else width)
+    return Surrogate(name, _SURROGATES[name][1] if width is None else width)
 
 
 def cuba_lif(
-    drive: Tensor, alpha: float, beta: float, threshold: float, gradient: _Surrogate
+    drive: Tensor, alpha: float, beta: float, threshold: float, gradient: Surrogate
 ) -> Tensor:
     """Return the spikes (T, B, N) of a current-based leaky integrate-and-fire layer at rest.
 
@@ -84,7 +84,7 @@ def cuba_lif(
     return spikes
 
 
-def lif(drive: Tensor, beta: float, threshold: float, gradient: _Surrogate) -> Tensor:
+def lif(drive: Tensor, beta: float, threshold: float, gradient: Surrogate) -> Tensor:
     """Return the spikes (T, B, N) of a leaky integrate-and-fire layer at rest; see `cuba_lif`."""
     return cuba_lif(drive, 0.0, beta, threshold, gradient)
 
@@ -97,7 +97,7 @@ class _CubaLif(torch.autograd.Function):
         alpha: float,
         beta: float,
         threshold: float,
-        gradient: _Surrogate,
+        gradient: Surrogate,
     ) -> Tensor:
         state = torch.float32 if drive.dtype in _LOW_PRECISION else drive.dtype
         integrate = lif_kernel.membranes if lif_kernel.usable(drive) else _membranes

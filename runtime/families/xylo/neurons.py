@@ -145,5 +145,7 @@ def _fired(membrane: Numbers, threshold: Numbers, budget: Numbers) -> tuple[Numb
     spikes = 0 * budget
     for _ in range(budget.max()):
         fires = (membrane >= threshold) & (spikes < budget)
+        if not fires.any():
+            break
         spikes, membrane = spikes + fires, membrane - threshold * fires
     return spikes, membrane

@@ -92,6 +92,11 @@ def test_a_budget_asks_for_the_event_driven_student():
     )
     recipe, found = student_settings("a.zip", "16", "delta", 1, sparse=True)
     assert (recipe, found) == ("distill-sparse", ['teacher="a.zip"', "policy.hidden=16"])
+    recipe, found = student_settings("a", "16", None, 4, sparse=False, chip="odin")
+    assert recipe == "for-chip"
+    assert found[1:] == ["policy.hidden=[16]", "policy.timesteps=4", 'policy.chip="odin"']
+    with pytest.raises(ConfigError, match="are not pruned"):
+        student_settings("a", None, None, None, sparse=True, chip="odin")
     _, found = student_settings("a", None, "population", 2, sparse=False)
     assert found[1:] == ["policy.coding=population", "policy.timesteps=2"]
 

@@ -1,0 +1,100 @@
+"""The contract of every policy that was trained for one chip, and of the table of them."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+
+from benchmarks import chip_policies
+from spikedeploy import envs, zoo
+from spikedeploy.commands.training import train
+from spikedeploy.runtime import SpikingController, load
+from spikedeploy.runtime.chips import CHIPS
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import check
+from spikedeploy.runtime.errors import ConfigError
+
+FILES = [file for file in zoo.for_chips() if file.suffix == ".nir"]
+
+
+@pytest.fixture(params=FILES, ids=lambda file: f"{file.parent.name}/{file.stem}")
+def file(request):
+    return request.param
+
+
+def test_the_design_rules_of_its_chip_accept_it(file):
+    found = check(load(file), chip(file.stem))
+    assert found.passed, [each.describe(file.stem) for each in found.rulings if each.failed]
+
+
+def test_it_acts_in_its_environment_on_its_chip(file):
+    world = envs.make(file.parent.name)
+    observation, _ = world.reset(seed=10_000)
+    controller = SpikingController(load(file), chip(file.stem))
+    actions = controller.act_batch(np.stack([observation, -observation]))
+    assert actions.shape[1:] == world.action_space.shape
+    assert controller.ledger.total("spike_out") > 0
+
+
+def test_its_card_says_how_it_was_trained_and_that_it_does_what_was_trained(file):
+    card = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+    assert card["sha256"] == zoo.sha256(file)
+    assert card["config"]["policy"]["chip"] == file.stem
+    assert card["config"]["teacher"] == zoo.teacher(file.parent.name)
+    assert card["seed"] < 5_000
+    checks = [each for each in card["parity"] if "for information" not in each["name"]]
+    assert len(checks) >= 2
+    assert all(each["passed"] for each in checks)
+
+
+def test_at_least_six_chips_beside_loihi1_have_policies_for_two_tasks():
+    tasks = {}
+    for each in FILES:
+        tasks.setdefault(each.stem, set()).add(each.parent.name)
+    assert set(tasks) <= set(CHIPS)
+    assert sum(len(found) >= 2 for name, found in tasks.items() if name != "loihi1") >= 6
+
+
+def test_they_are_found_by_name_and_stand_in_no_line_up(file):
+    name = f"chips/{file.parent.name}/{file.stem}"
+    assert zoo.path(name) == file
+    assert file not in zoo.policies()
+    assert name not in zoo.names()
+
+
+def test_the_table_names_the_teacher_that_is_shipped_and_chips_without_a_policy():
+    assert zoo.teacher("CartPole-v1") == "chips/CartPole-v1/teacher"
+    assert zoo.teacher("hexapod") == "hexapod/sac"
+    assert zoo.teacher("Acrobot-v1") is None
+    rows = {
+        ("Pendulum-v1", "teacher"): {"scores": [-100.0, -110.0]},
+        ("Pendulum-v1", "random"): {"scores": [-1100.0, -1110.0]},
+        ("Pendulum-v1", "odin"): {"scores": [-110.0, -120.0], "sops": "12.3"},
+    }
+    page = chip_policies.page(rows)
+    assert "| `odin` | 99.0% [99.0%, 99.0%] ✓ |" in page
+    assert "| `spiker` | not trained |" in page
+    assert "| Pendulum-v1 | `odin` | -115.0" in page
+    assert "`loihi1-nengo`" in page
+
+
+def test_episodes_side_by_side_earn_what_they_earn_alone():
+    def act(seen):
+        return (seen[:, 2] + seen[:, 3] > 0).astype(int)
+
+    together = chip_policies.play("CartPole-v1", act, [10_000, 10_001])
+    alone = [chip_policies.play("CartPole-v1", act, [seed])[0] for seed in (10_000, 10_001)]
+    assert together == alone
+    assert min(together) > 50
+
+
+@pytest.mark.parametrize("words", [{"what": None}, {"what": "CartPole-v1", "recipe": "ppo-snn"}])
+def test_an_environment_alone_goes_with_for(words):
+    with pytest.raises(typer.BadParameter):
+        train(**{"recipe": None, **words}, chip="odin")
+
+
+def test_without_a_shipped_teacher_one_is_asked_for():
+    with pytest.raises(ConfigError, match=r"no float teacher of Acrobot-v1 is shipped"):
+        train("Acrobot-v1", chip="odin")

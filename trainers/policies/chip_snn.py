@@ -1,0 +1,376 @@
+"""Spiking multilayer perceptron in the integers of a chip, whose forward pass is the chip's own.
+
+    observation -> code -> hidden layers -> output neurons -> affine map of their rates -> action
+
+In each forward pass the weights become a NIR graph, the compiler makes it the chip's program, and
+the interpreter runs it: quantisation, saturation, resets and the order of events are what they are
+on the chip. The backward pass goes through the same difference equations in float, at the
+membranes and spikes that the chip had, with a surrogate for the derivative of a spike, and passes
+straight through the rounding of weights (Esser et al. 2016; Wu et al. 2018).
+
+All neurons are without bias and start each inference at 0, so that a layer that no spike has
+reached yet, or that waits for the next inference, stays at 0 however often the chip updates it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import nir
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.interpreter import LayerTrace
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.chip_graph import (
+    DT,
+    THRESHOLD,
+    ChipNeurons,
+    array,
+    chip_artifact,
+    codec_of,
+)
+from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder
+from spikedeploy.trainers.policies.event_kernel import recorded
+from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
+from spikedeploy.trainers.policies.policy import Head
+from spikedeploy.trainers.policies.spiking_mlp import Coding, SpikingMlpPolicy
+
+_OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
+_FIELDS = 8  # of an observation, unless the chip has too few inputs
+_LARGEST = 0.5  # weight [thresholds]
+_SPREAD = 0.5  # of initial types of axons: the smaller weight over the larger one
+
+
+class ChipSnnPolicy(SpikingMlpPolicy):
+    """Layers of a chip's neurons, of which the last codes the actions, for the host to read.
+
+    target: the datasheet of the chip
+    layers: nn.Linear without bias into each layer, the outputs' included
+    readout: nn.Linear from the rates of the output neurons [spikes / timestep] to `Latent.mean`
+    limit: largest magnitude of a weight [thresholds]; beyond it weights are clipped
+    alpha, beta: decay factors of current and membrane in a timestep; 0 is no current, 1 no leak
+    types: of axons, each with one weight of each neuron; 0 where every synapse has its own
+    """
+
+    kind = "chip-snn"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        chip: str,
+        hidden: Sequence[int] = (32,),
+        outputs: int = 8,
+        coding: Coding = "population",
+        populations: int | None = None,
+        reach: float = 2.0,
+        timesteps: int = 8,
+        alpha: float | None = None,
+        beta: float | None = None,
+        limit: float | None = None,
+        surrogate: str = "atan",
+        surrogate_width: float | None = None,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        target = _datasheet(chip)
+        wanted = (0.5 if alpha is None else alpha, 0.9375 if beta is None else beta)
+        decays = _decay_factors(target, *wanted)
+        if coding == "population":
+            populations = _populations(target, observations, populations)
+        super().__init__(
+            observations,
+            actions,
+            hidden=(*hidden, outputs),
+            coding=coding,
+            populations=populations or 1,
+            timesteps=timesteps,
+            beta=decays[1],
+            threshold=THRESHOLD,
+            surrogate=surrogate,
+            surrogate_width=surrogate_width,
+            clip=clip,
+            head=head,
+            reach=reach,
+        )
+        self.target, self.alpha = target, decays[0]
+        self.limit = limit = _limit(target) if limit is None else limit
+        if isinstance(self.encoder, TorchPopulationEncoder):
+            # few fields: wide enough that no number between two of them is unseen
+            spacing = 2 * reach / max(self.populations - 1, 1)
+            nn.init.constant_(self.encoder.log_std, math.log(_OVERLAP * spacing))
+        self._given = {"chip": chip, "alpha": alpha, "beta": beta}
+        arithmetic = target.arithmetic
+        self.types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
+        self.signed_axons = bool(target.limits and target.limits.axon_signs)
+        self.layers = nn.ModuleList(
+            nn.Linear(layer.in_features, layer.out_features, bias=False)
+            for layer in self.layers
+            if isinstance(layer, nn.Linear)
+        )
+        for layer in self.layers:
+            weight = layer.get_parameter("weight")
+            nn.init.uniform_(weight, -limit, limit)
+            if self.signed_axons:
+                with torch.no_grad():
+                    weight.abs_().mul_(_axon_signs(weight))
+        self.type_weights = nn.ParameterList(
+            nn.Parameter(_type_weights(layer.out_features, self.types, limit))
+            for layer in self.layers
+            if isinstance(layer, nn.Linear) and self.types
+        )
+        self._compiled: tuple[bytes, Program] | None = None
+
+    def weights(self) -> list[Tensor]:
+        """Return the weights (N, M) of each layer as they are deployed, before rounding.
+
+        Gradients pass straight through what makes them fit the chip.
+        """
+        return [self._fitting(number) for number in range(len(self.layers))]
+
+    def _fitting(self, number: int) -> Tensor:
+        latent = self.layers[number].get_parameter("weight")
+        if self.types:
+            # W[n, m] = g[n, type of m] where the latent weight is above 0: a connected crosspoint
+            number_of_axon = torch.arange(latent.shape[1])
+            # the first of each type reaches all neurons, so that whoever puts axons together again
+            # by their weights, as design rules do, finds these types and no others
+            present = (latent > 0) | (number_of_axon < self.types)
+            connected = _passing(present.to(latent.dtype), latent)
+            of_type = number_of_axon % self.types
+            weight = self.type_weights[number]
+            clipped = _passing(weight.clamp(-self.limit, self.limit), weight)
+            crossbar: Tensor = connected * clipped[:, of_type]
+            return crossbar
+        fitting = latent.detach().clamp(-self.limit, self.limit)
+        if self.signed_axons:
+            sign = _axon_signs(latent)
+            fitting = sign * (sign * fitting).relu()
+        return _passing(fitting, latent)
+
+    def artifact(self, origin: Provenance | None = None, dt: float = DT) -> Artifact:
+        """Return the policy as an artifact, every number in float64."""
+        neurons = ChipNeurons(self.target, self.alpha, self.beta, dt)
+        readout = nir.Affine(array(self.readout.weight), array(self.readout.bias))
+        weights = [array(weight) for weight in self.weights()]
+        return chip_artifact(neurons, weights, readout, codec_of(self), origin)
+
+    def program(self) -> Program:
+        """Return the chip's program of the present weights."""
+        # fused optimisers do not count versions of tensors, so their numbers are compared
+        held = b"".join(p.detach().numpy().tobytes() for p in self._compiled_parameters())
+        if self._compiled is None or self._compiled[0] != held:
+            program = compile_program(self.artifact(), self.target, clock="gated", limits=False)
+            self._compiled = held, program
+        return self._compiled[1]
+
+    def _compiled_parameters(self) -> list[nn.Parameter]:
+        """Return what the program depends on: encoder and readout are the host's."""
+        return [*self.layers.parameters(), *self.type_weights.parameters()]
+
+    def spikes(self, raster: Tensor) -> list[Tensor]:
+        """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
+        if torch.is_grad_enabled():
+            self._project()
+        program = self.program()
+        arrived = np.ascontiguousarray(raster.detach().numpy().swapaxes(0, 1)).astype(np.uint8)
+        traces = recorded(program, arrived)
+        if not torch.is_grad_enabled():
+            return [_tensor(traces[layer.name].spikes, raster) for layer in program.layers]
+        derivative = surrogate(self.surrogate, self.surrogate_width)
+        found, presynaptic = [], raster
+        for layer, lags, weight in zip(program.layers, program.lags, self.weights(), strict=True):
+            drive = _late(presynaptic, lags[0]) @ weight.T
+            done = traces[layer.name]
+            spikes = _tensor(done.spikes, raster)
+            membrane = self._before_reset(layer, done, drive.detach())
+            constants = self.alpha, self.beta, self._several(layer), self._subtracts
+            presynaptic = _SpikesOfChip.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
+            found.append(presynaptic)
+        return found
+
+    @torch.no_grad()
+    def _project(self) -> None:
+        """Bring weights that an update gave another sign than their source's back to 0.
+
+        Further away they would be 0 for many updates more.
+        """
+        if self.signed_axons:
+            for number, layer in enumerate(self.layers):
+                layer.get_parameter("weight").copy_(self._fitting(number))
+
+    @property
+    def _subtracts(self) -> bool:
+        return self.program().convention.reset == "subtract"
+
+    def _several(self, layer: Layer) -> bool:
+        """Return whether a neuron of the layer may spike several times in a timestep."""
+        arithmetic = self.target.arithmetic
+        last = layer.name == self.program().output
+        most = getattr(arithmetic, "output_spikes_max", 1) if last else arithmetic.spikes_max
+        is_xylo = isinstance(arithmetic, XyloRegisters)
+        return (most if is_xylo else arithmetic.spikes_max) > 1
+
+    def _before_reset(self, layer: Layer, recorded: LayerTrace, drive: Tensor) -> Tensor:
+        """Return the membranes (T, B, N) at which the chip's neurons spiked [thresholds].
+
+        Where the chip does not tell, they are what arrived on top of the membrane before.
+        """
+        program = self.program()
+        units = self.target.arithmetic.before_reset(
+            layer, program.convention, recorded.current, recorded.membrane, recorded.spikes
+        )
+        before = _tensor(units * layer.scale, drive)
+        if bool(before.isnan().any()):
+            after = _tensor(recorded.membrane * layer.scale, drive)
+            told = self.beta * _late(after, 1) + drive
+            before = torch.where(before.isnan(), told, before)
+        return before
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        found = {
+            **super().spec(),
+            **self._given,
+            "limit": self.limit,
+            "populations": self.populations,
+        }
+        found |= {"hidden": list(self.hidden[:-1]), "outputs": self.hidden[-1]}
+        del found["threshold"]
+        return found
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ChipSnnPolicy":
+        """Return a copy with the same weights; it compiles its own program."""
+        settings = self.spec()
+        del settings["kind"]
+        copy = ChipSnnPolicy(**settings)
+        copy.load_state_dict(self.state_dict())
+        copy.to(self.readout.weight.dtype)
+        memo[id(self)] = copy
+        return copy
+
+
+class _SpikesOfChip(torch.autograd.Function):
+    """The spikes of a layer, and the gradient of the difference equations at what was recorded."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        membrane: Tensor,
+        spikes: Tensor,
+        constants: tuple[float, float, bool, bool],
+        derivative: Surrogate,
+    ) -> Tensor:
+        ctx.save_for_backward(membrane, spikes)
+        ctx.constants = constants, derivative
+        return spikes
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        membrane, spikes = ctx.saved_tensors
+        (alpha, beta, several, subtracts), derivative = ctx.constants
+        slope = derivative(membrane - THRESHOLD)
+        if several:  # spikes = floor(V / threshold): on average one more for each threshold
+            slope = torch.where(membrane > THRESHOLD, torch.ones_like(slope), slope)
+        # dV'/dV = 1 where the threshold is taken off, 0 where a spike sets it to 0
+        passed = torch.ones_like(spikes) if subtracts else (spikes == 0).to(spikes.dtype)
+        result = slope * upstream
+        to_current = torch.zeros_like(result[0])
+        to_membrane = torch.zeros_like(result[0])
+        for g, share in zip(reversed(result.unbind()), reversed(passed.unbind()), strict=True):
+            # V = beta V' + I ; I = alpha I + x
+            g.add_(to_membrane * share)
+            to_membrane = g * beta
+            if alpha:
+                g.add_(to_current, alpha=alpha)
+                to_current = g.clone()
+        return result, None, None, None, None
+
+
+def _datasheet(name: str) -> Chip:
+    if not name:
+        raise ConfigError(
+            "a policy of kind 'chip-snn' is trained for one chip: name it, as in --for xylo-a2"
+        )
+    return chip(name)
+
+
+def _decay_factors(target: Chip, alpha: float, beta: float) -> tuple[float, float]:
+    """Return the decay factors of current and membrane that the chip's neurons have.
+
+    alpha, beta: what is wanted where the chip leaves a choice
+    """
+    leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
+    has_current = isinstance(target.arithmetic, XyloRegisters)
+    return alpha if has_current else 0.0, beta if leaks else 1.0
+
+
+def _populations(target: Chip, observations: int, wanted: int | None) -> int:
+    """Return the neurons of the population code for each observation.
+
+    wanted: None for as many as the inputs of the chip allow, at most 8; an even number where
+        axons have signs, so that each observation has axons of both
+    """
+    inputs = target.limits.inputs if target.limits else None
+    most = _FIELDS if inputs is None else min(_FIELDS, inputs // observations)
+    if target.limits and target.limits.axon_signs:
+        most -= most % 2
+    if most < 2 and wanted is None:
+        raise ConfigError(
+            f"{target.name} has {inputs} inputs, too few for two neurons of a population code for "
+            f"each of {observations} observations. Choose --set policy.coding=regular, or another "
+            "chip."
+        )
+    return wanted or most
+
+
+def _limit(target: Chip) -> float:
+    """Return the largest weight [thresholds], at most 0.5: the threshold is then a whole number."""
+    most = getattr(target.arithmetic, "weight_range", (0, 1))[1]
+    # 7/16 of 3 bits, 15/32 of 5 bits with the sign, 127/256 of 8
+    return float(most / 2.0 ** math.ceil(math.log2(most / _LARGEST)))
+
+
+def _passing(value: Tensor, gradient_to: Tensor) -> Tensor:
+    """Return the value exactly; its gradient passes straight on to another tensor."""
+    # x - x is 0, so that no rounding is added
+    return value.detach() + (gradient_to - gradient_to.detach())
+
+
+def _axon_signs(weight: Tensor) -> Tensor:
+    """Return 1 or -1 for each source (M,): they excite and inhibit by turns."""
+    return 1.0 - 2.0 * (torch.arange(weight.shape[1]) % 2)
+
+
+def _type_weights(neurons: int, types: int, limit: float) -> Tensor:
+    """Return initial weights (N, types): excitatory, inhibitory, and both again but smaller."""
+    if not types:
+        return torch.zeros(neurons, 0)
+    sign = 1.0 - 2.0 * (torch.arange(types) % 2)
+    size = limit * _SPREAD ** torch.div(torch.arange(types), 2, rounding_mode="floor")
+    return (sign * size).repeat(neurons, 1) * torch.empty(neurons, types).uniform_(0.8, 1.0)
+
+
+def _late(rows: Tensor, lag: int) -> Tensor:
+    """Return rows (T, B, N) as they arrive `lag` timesteps later, zeros first."""
+    if not lag:
+        return rows
+    return torch.cat([torch.zeros_like(rows[:lag]), rows[:-lag]])
+
+
+def _tensor(values: NDArray[Any], like: Tensor) -> Tensor:
+    """Return (B, T, N) as a tensor (T, B, N) of the other's type."""
+    return torch.from_numpy(np.ascontiguousarray(values.swapaxes(0, 1))).to(like.dtype)
