@@ -12,6 +12,7 @@ from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
 Table: TypeAlias = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 ABLATION_STEPS = {
+    "clock": "layers that run on (clock free)",
     "weights": "weights rounded",
     "thresholds": "+ thresholds and biases",
     "decays": "+ decays",

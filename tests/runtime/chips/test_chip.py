@@ -41,7 +41,7 @@ def test_a_chip_bears_the_name_of_the_table_and_a_summary(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_number_of_a_datasheet_has_a_source(name):
     datasheet = chip(name)
-    described = {"name", "summary", "energy_tables", "sources", "evidence", "limits"}
+    described = {"name", "summary", "energy_tables", "sources", "evidence", "limits", "clock"}
     needed = {field.name for field in dataclasses.fields(datasheet)} - described
     if inside := {field.name for field in dataclasses.fields(datasheet.arithmetic)}:
         needed = needed - {"arithmetic"} | inside

@@ -117,9 +117,10 @@ def test_compare_first_shows_one_table_of_80_columns(command, stroll):
 
 def test_run_prints_one_line_of_verdict_and_all_tables_when_asked(command, stroll):
     _, out, _ = command("run", "stroll/popsan", "--episodes", 2)
-    *wrapped, energy, hint = out[out.index("popsan · loihi1: return ") :].splitlines()
+    *wrapped, clock, energy, hint = out[out.index("popsan · loihi1: return ") :].splitlines()
     said = " ".join(line.strip() for line in wrapped)
     assert energy.startswith("Energy: ")
+    assert clock == "Clock: free (popsan · loihi1)."
     assert "[" not in said
     assert "in 2 episodes, too few for an interval, " in said
     assert "SOPs a control step" in said
@@ -128,7 +129,7 @@ def test_run_prints_one_line_of_verdict_and_all_tables_when_asked(command, strol
     assert "What does an inference cost?" not in out
     _, out, _ = command("run", "stroll/popsan", "--episodes", 2, "--tables", "all")
     assert "What does an inference cost?" in out
-    assert out.splitlines()[-len(wrapped) - 1 :] == [*wrapped, energy]
+    assert out.splitlines()[-len(wrapped) - 2 :] == [*wrapped, clock, energy]
 
 
 def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):

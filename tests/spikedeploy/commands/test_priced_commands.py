@@ -22,7 +22,9 @@ def emulate(tmp_path):
 
 
 def test_emulate_measures_what_neurobench_does_and_counts_by_layer(command, emulate):
-    found = json.loads(command(*emulate, "--json")[1])
+    # NeuroBench knows no timesteps behind the last row, in which layers of a chip run on
+    gated = ["loihi1:clock=gated" if word == "loihi1" else word for word in emulate]
+    found = json.loads(command(*gated, "--json")[1])
     measures = found["neurobench"]
     assert measures["SynapticOperations"]["Effective_MACs"] == 0
     assert measures["SynapticOperations"]["Effective_ACs"] >= found["sops"]

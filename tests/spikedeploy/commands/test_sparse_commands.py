@@ -102,7 +102,7 @@ def test_drift_compares_what_spikes_and_the_actions(command, event):
 def test_a_raster_is_emulated_and_counted(command, event, stroll):
     spikes = (np.random.default_rng(0).random((20, 18)) < 0.1).astype(np.uint8)
     np.save(stroll / "in.npy", spikes)
-    for chip in ("float", "loihi1"):
+    for chip in ("float", "loihi1:clock=gated"):
         words = ("--chip", chip, "--input", stroll / "in.npy", "-o", stroll / "out.npz")
         code, out, _ = command("emulate", event, *words, "--json")
         found = json.loads(out)

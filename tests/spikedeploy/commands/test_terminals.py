@@ -200,7 +200,7 @@ def test_energies_come_with_the_table_to_quote(command):
 def test_sparse_recipes_show_their_budget(command):
     lines = command("recipes")[1].splitlines()
     (row,) = [line for line in lines if line.startswith(" hexapod-sparse ")]
-    assert row.rstrip().endswith("50 SOPs")
+    assert row.rstrip().endswith("56 SOPs")
     (row,) = [line for line in lines if line.startswith(" hexapod-small-mlp ")]
     assert row.rstrip().endswith("70 MACs")
 

@@ -107,9 +107,10 @@ def test_rows_hold_what_the_robot_did(stroll):
 
 
 def test_the_ideal_chip_agrees_with_the_float_twin_in_every_action(stroll):
-    entries = line_up("stroll", (), ("ideal", "loihi1"))
+    entries = line_up("stroll", (), ("ideal", "loihi1:clock=gated"))
     rows = by_label(compare_policies("stroll", entries, SEEDS, processes=1))
-    ideal, loihi = rows["popsan · ideal"], rows["popsan · loihi1"]
+    ideal, loihi = rows["popsan · ideal"], rows["popsan · loihi1:clock=gated"]
+    assert (ideal["clock"], loihi["clock"]) == ("gated", "gated, assumed")
     assert ideal["action_rmse"] < 1e-9
     assert ideal["first_divergence"] is None
     assert ideal["difference_mean"] == pytest.approx(0, abs=1e-9)

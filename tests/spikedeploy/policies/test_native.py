@@ -16,7 +16,7 @@ from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.c_builds import COMPILERS, STRICT, needs_c
 from tests.networks import event_driven, spiking_mlp
 
-LOIHI = chip("loihi1")
+LOIHI = chip("loihi1", clock="gated")
 
 
 def library(artifact, folder):

@@ -94,7 +94,7 @@ def test_xylosim_computes_from_the_specification_what_the_emulated_chip_does(art
     raster = (np.random.default_rng(seed).random((STEPS, program.width)) < 0.4).astype(np.uint8)
     output = program.layer(program.output)
     wait = output.start - written["late"]
-    played = np.zeros((program.steps(STEPS) + wait, program.width), np.int64)
+    played = np.zeros((program.steps(program.rows(STEPS)) + wait, program.width), np.int64)
     played[wait : wait + STEPS] = raster
     found = record(
         {"params": as_xylosim(written["specification"]), "input_counts": played.tolist()}
