@@ -79,7 +79,7 @@ def document(program: Program, found: Specification) -> dict[str, Any]:
 def compared(program: Program, found: Specification, timesteps: int) -> ParityCheck:
     """Spikes of every layer by the specification, read as a trace's, beside the program's."""
     raster = random_spikes(np.random.default_rng(0), 1, timesteps, program.width)
-    wait, steps = _wait(program), program.steps(timesteps)
+    wait, steps = _wait(program), program.steps(program.rows(timesteps))
     played = np.zeros((steps, program.width), np.uint8)
     played[wait : wait + timesteps] = raster[0, : steps - wait]
     renamed = {("bias" if name == "bias_hidden" else name): rows for name, rows in found.items()}

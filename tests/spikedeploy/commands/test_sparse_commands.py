@@ -23,7 +23,8 @@ def stroll(monkeypatch, tmp_path):
 
 @pytest.fixture(params=[6, 0], ids=["neurons", "linear"])
 def event(request, stroll):
-    policy = delta_policy(obs=3, hidden=request.param, left=1.0)
+    # gated: all spikes of a raster arrive within it
+    policy = delta_policy(obs=3, hidden=request.param, left=1.0, clock="gated")
     return to_nir(policy, toy_stroll_env.ORIGIN, stroll / "event.nir")
 
 
