@@ -1,4 +1,4 @@
-"""What sparse policies earn by each clock of loihi1, and those that were trained through a pipeline.
+"""What sparse policies earn by each clock of loihi1, and those trained through a pipeline.
 
     python benchmarks/clocks.py -o results [--episodes 100] [TASK …]
 
