@@ -150,5 +150,5 @@ def _unheld(added: int, keeps: float, state: int) -> int:
 def _unbounded(layer: Layer) -> ConfigError:
     return ConfigError(
         f"--to c: layer {layer.name!r}: nothing bounds its states to 62 bits, so that integers of "
-        "C could overflow. Choose registers that saturate or wrap, or another reading of the chip."
+        "C could overflow. Choose registers that saturate or wrap, or another model of the chip."
     )

@@ -1,6 +1,6 @@
 """The interpreter: a program run timestep by timestep, by the specification of its arithmetic.
 
-Short and slow on purpose. Integers are int64 (floats on `ideal` and `spinnaker2`). Everything fast
+Short and slow on purpose. Integers are int64 (floats on `ideal` and the `spinnaker2` chips). Everything fast
 is tested to be equal to this in every current, membrane and spike.
 """
 

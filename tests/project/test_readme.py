@@ -23,7 +23,7 @@ def anchors(page):
 
 
 def test_the_readme_is_short():
-    assert len(README.read_bytes()) <= 9_600
+    assert len(README.read_bytes()) <= 8_000
 
 
 def test_the_readmes_python_lets_the_robot_walk(monkeypatch, capsys, tmp_path):

@@ -150,7 +150,7 @@ def test_another_convention_is_recounted(reset, integrator, tmp_path):
 
 def test_a_delta_network_is_recounted(tmp_path):
     path = tmp_path / "graded.nir"
-    save(delta_artifact(delta_mlp()), path)
+    save(delta_artifact(delta_mlp(clock="gated")), path)  # as the script computes
     found, controller = check(path, tmp_path)
     check_operations(found, controller.ledger)
     assert 0 < found["spikes/sd1"].mean() < 8
