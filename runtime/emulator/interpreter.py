@@ -1,7 +1,7 @@
 """The interpreter: a program run timestep by timestep, by the specification of its arithmetic.
 
-Short and slow on purpose. Integers are int64 (floats on `ideal` and the `spinnaker2` chips). Everything fast
-is tested to be equal to this in every current, membrane and spike.
+Short and slow on purpose. Integers are int64 (floats on `ideal` and on SpiNNaker2).
+Everything fast is tested to be equal to this in every current, membrane and spike.
 """
 
 from collections.abc import Collection, Mapping, Sequence
