@@ -85,7 +85,7 @@ def pairs(only: str | None) -> Iterator[tuple[str, str]]:
 def train_all(only: str | None, again: bool, runs: Path) -> None:
     """Train and ship what is missing, one after another."""
     for task, name in pairs(only):
-        file = zoo.FOR_CHIPS / task / f"{name}.nir"
+        file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
         if file.is_file() and not again:
             continue
         settings = [*TASKS[task].settings, *FURTHER.get(name, ())]
@@ -100,7 +100,7 @@ def _teacher(task: str, runs: Path) -> str:
     if (name := zoo.teacher(task)) is not None:
         return name
     run = _trained(TASKS[task].recipe, task, runs)
-    _ship(run, zoo.FOR_CHIPS / task / f"{zoo.TEACHER}.onnx")
+    _ship(run, zoo.FOLDER / zoo.FOR_CHIPS / task / f"{zoo.TEACHER}.onnx")
     return str(zoo.teacher(task))
 
 
@@ -189,7 +189,7 @@ def _row(task: str, name: str, seeds: Sequence[int]) -> dict[str, Any]:
     if name in ("teacher", "random"):
         scores = play(task, _of_float(task) if name == "teacher" else _random(task), seeds)
         return {**base, "sha256": "", "scores": scores}
-    file = zoo.FOR_CHIPS / task / f"{name}.nir"
+    file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
     artifact = load(file)
     controller = SpikingController(artifact, chip(name), ledger="total")
     scores = play(task, controller.act_batch, seeds)
@@ -232,7 +232,7 @@ def make_table(episodes: int) -> None:
 
 
 def _file(task: str, name: str) -> Path:
-    return zoo.FOR_CHIPS / task / f"{name}.nir"
+    return zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
 
 
 def _place(key: tuple[str, str]) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
-FOR_CHIPS = FOLDER / "chips"
+FOR_CHIPS = "chips"  # folder of policies for single chips
 TEACHER = "teacher"  # in a folder of policies for chips
 
 
@@ -34,7 +34,7 @@ def path(name: str) -> Path | None:
 
 def for_chips() -> list[Path]:
     """The files of policies for single chips and of their teachers, ordered by name."""
-    return sorted(p for p in FOR_CHIPS.glob("*/*") if p.suffix in SUFFIXES)
+    return sorted(p for p in (FOLDER / FOR_CHIPS).glob("*/*") if p.suffix in SUFFIXES)
 
 
 def teacher(env: str) -> str | None:
@@ -42,7 +42,7 @@ def teacher(env: str) -> str | None:
 
     env: short name; the first of those that are no controls.
     """
-    own = FOR_CHIPS / env / f"{TEACHER}.onnx"
+    own = FOLDER / FOR_CHIPS / env / f"{TEACHER}.onnx"
     if own.is_file():
         return _name(own)
     return next((_name(p) for p in policies(env) if card(_name(p)).get("kind") == "ann"), None)

@@ -37,7 +37,7 @@ OUTPUTS = {
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
-          "spec", "network"}  # fmt: skip
+          "spec", "network", "raster"}  # fmt: skip
 
 
 def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():

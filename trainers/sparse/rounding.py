@@ -96,7 +96,7 @@ def add_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> None:
             getattr(policy, name).weight += offsets[name]
     if "beta" in offsets:
         policy.set_decays(policy.beta + offsets["beta"], policy.gamma + offsets["gamma"])
-        policy.bias += offsets["bias"]
+        policy.bias.add_(offsets["bias"])
         policy.threshold.add_(offsets["threshold"])
 
 

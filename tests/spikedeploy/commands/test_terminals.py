@@ -180,7 +180,7 @@ def test_an_energy_table_is_printed_in_full(name, command):
 def test_a_policy_is_printed_in_full(command, monkeypatch, tmp_path):
     out = command("policies", "hexapod/popsan")[1]
     assert "hidden 512 × 512" in out
-    assert "popsan · loihi1" in out
+    assert "loihi1:clock=gated" in out
     assert "gait" in command("policies", "gait")[1]
     found = json.loads(command("policies", "hexapod/popsan", "--json")[1])
     assert (found["name"], found["recipe"]) == ("hexapod/popsan", "hexapod-distill")
