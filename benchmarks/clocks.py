@@ -159,8 +159,10 @@ def page(found: Iterable[Result], episodes: int) -> str:
         [
             "# Clocks",
             "",
-            "`python benchmarks/clocks.py -o results`: sparse policies on `loihi1`, by the "
-            "[clock](../docs/loihi1.md#time) in which their layers advance.",
+            "    python benchmarks/clocks.py -o results",
+            "",
+            "Sparse policies on `loihi1`, by the [clock](../docs/loihi1.md#time) in which their "
+            "layers advance.",
             "",
             f"{episodes} episodes each, seeds {FIRST_SEED:,} to {FIRST_SEED + episodes - 1:,}, "
             "which no training, validation or choice has seen. Shares are of the return of "

@@ -32,6 +32,16 @@ KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
 WALKS = ("hexapod", "hexapod-command")
 
 
+def clocked(task, clock="pipelined", more=""):
+    """The numbers of a row of results/clocks.csv."""
+    kind = f"trained {clock}{more}" if clock == "pipelined" else "shipped, trained gated"
+    (found,) = [
+        r for r in lines("clocks.csv") if (r["task"], r["kind"], r["clock"]) == (task, kind, clock)
+    ]
+    numbers = "trainings", "share", "share_low", "share_high", "succeeded", "sops"
+    return {name: float(found[name]) for name in numbers}
+
+
 def row(env, policy, chip="loihi1:clock=gated"):
     """A row of results/<env>/report.json; `chip` is passed over where the policy does not spike."""
     rows = json.loads((RESULTS / env / "report.json").read_text("utf-8"))["rows"]
@@ -395,6 +405,15 @@ RULES = [
         macs("hexapod", "linear", "mlp-8")),
     ("On the command task mlp-32 ({}) earns more than any spiking policy", lambda:
         macs("hexapod-command", "mlp-32")),
+    ("As a Loihi runs it (free), sparse earns {} % of sac; {} trainings through the pipeline earn "
+     "{} % [{}, {}] with {} SOPs, one on the command task {} % with {}; pipelined karts finish {}, "
+     "{} and {} % of their laps", lambda: [
+        clocked("hexapod", "free")["share"] * 100, clocked("hexapod")["trainings"],
+        *(100 * clocked("hexapod")[n] for n in ("share", "share_low", "share_high")),
+        clocked("hexapod")["sops"], *(
+            clocked("hexapod-command", "pipelined", ", then with reward")[n] * unit
+            for n, unit in (("share", 100), ("sops", 1))),
+        *(100 * clocked(kart)["succeeded"] for kart in KARTS)]),
     ("Spiking costs more in total: {} to {} times as much as the cheapest float MLP of the same "
      "share with sums in registers, {} to {} times with sums of 16 bits in memory, {} to {} times "
      "with 32", lambda: (
