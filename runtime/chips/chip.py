@@ -99,8 +99,8 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
     return _overridden(datasheet, {**_spelled(datasheet, options), **overrides})
 
 
-# not for a line of text: they are made of other things
-_WHOLE = ("name", "arithmetic", "sources")
+# not for a line of text: they are made of other things, or say what is known of the chip
+_WHOLE = ("name", "arithmetic", "sources", "clocks")
 
 
 def _overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":

@@ -77,19 +77,16 @@ def clock_on(convention: Convention, chip: Chip) -> Clock:
         return "free" if "free" in chip.clocks and not convention.delay else "gated"
     raise RuleError(
         f"rule clock: {chip.name} advances its layers {' or '.join(chip.clocks)}, and this network "
-        f"was made for clock {wanted!r}. Train it for the chip, or emulate it with clock={wanted}."
+        f"was made for clock {wanted!r}. Train it for the chip, or emulate it as "
+        f"{chip.name}:clock={wanted}."
     )
 
 
 def _clocked(artifact: Artifact, clock: Clock) -> Artifact:
-    """The artifact with the delays of the clock, in which those of free layers are none."""
-    convention = artifact.convention
-    piped = clock == "pipelined" and not convention.delay
-    if piped == (convention.clock == "pipelined"):
-        return artifact
-    return replace(
-        artifact, convention=replace(convention, clock="pipelined" if piped else "gated")
-    )
+    """The artifact with the delays of the clock; a convention's own delay is a pipeline already."""
+    delays = clock == "pipelined" and not artifact.convention.delay
+    stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
+    return replace(artifact, convention=stated)
 
 
 def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Clock) -> Program:

@@ -10,7 +10,7 @@ from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.convention import CLOCKS, Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import ConventionError, RuleError
+from spikedeploy.runtime.errors import ChipError, ConventionError, RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
 from tests.networks import popsan
 from tests.readouts import events, network
@@ -47,6 +47,14 @@ def test_what_a_chip_is_not_known_to_do_is_called_an_assumption():
         program = compile_program(popsan(), chip("loihi1"), clock=clock)
         assumed = [r for r in program.remarks if "is an assumption" in r]
         assert program.assumed_clock == bool(assumed) == (clock == "gated")
+
+
+def test_a_name_asks_for_a_clock_but_does_not_say_what_the_chip_can():
+    assert compile_program(popsan(), chip("loihi1:clock=gated")).assumed_clock
+    with pytest.raises(ChipError, match="'clocks' cannot be given as text"):
+        chip("loihi1:clocks=gated")
+    with pytest.raises(ChipError, match="clock 'never' is unknown"):
+        chip("loihi1:clock=never")
 
 
 def test_a_pipeline_has_its_delays_once():
