@@ -204,32 +204,47 @@ class DeltaSnnPolicy(Policy):
         if not self.hidden:  # the readouts hold what currents would hold
             mean = seen @ weights.past.T + self.action_bias
             return mean, mean.new_zeros(*mean.shape[:2], 0)
-        membrane = seen.new_zeros(len(seen), self.hidden)
-        readout = seen.new_zeros(len(seen), self.actions)
-        emitted = seen.new_zeros(len(seen), self.hidden)
-        drives = seen @ weights.into.T + weights.bias
+        hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
+        states: tuple[Tensor, ...] = hidden, actions, hidden
+        before: list[Tensor] = []
+        if burn_in:  # a window without gradient brings the states up
+            runs_on = 1 - begins[:, None].to(seen.dtype)
+            with torch.no_grad():
+                first = seen[:, :burn_in], moved[:, :burn_in]
+                states, *before = self._window(*first, weights, states)
+                states = tuple(state * runs_on for state in states)
+        _, *after = self._window(seen[:, burn_in:], moved[:, burn_in:], weights, states)
+        parts = zip(before, after, strict=True) if burn_in else ([each] for each in after)
+        mean, spikes = (torch.cat(list(part), 1) for part in parts)
         # the integrals hold what currents would hold
-        held = seen @ weights.past.T if self.integrated else None
-        past = moved @ weights.past.T if self.skip and held is None else None
-        means, rasters = [], []
-        runs_on = 1 - begins[:, None].to(seen.dtype)
-        for t in range(seen.shape[1]):
-            if t == burn_in:
-                membrane, readout = membrane * runs_on, readout * runs_on
-                emitted = emitted * runs_on
-            with torch.set_grad_enabled(t >= burn_in):
-                membrane = weights.beta * membrane + drives[:, t]
-                spikes = _Spike.apply(membrane - weights.threshold, self._gradient)  # type: ignore[no-untyped-call]
-                # no gradient through the reset
-                membrane = membrane * (1 - spikes.detach())
-                arriving, emitted = (emitted if self.delay else spikes), spikes
-                readout = weights.gamma * readout + arriving @ weights.out.T
-                if past is not None:
-                    readout = readout + past[:, t]
+        return mean + seen @ weights.past.T if self.integrated else mean, spikes
+
+    def _window(
+        self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", states: tuple[Tensor, ...]
+    ) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
+        """Return states behind a window, and its means (B, L, act) and spikes (B, L, H).
+
+        states: membranes (B, H), readouts (B, act) and spikes (B, H) of the control step before
+        """
+        membrane, readout, emitted = states
+        raster = [emitted]
+        for drive in (seen @ weights.into.T + weights.bias).unbind(1):
+            membrane = weights.beta * membrane + drive
+            spikes = _Spike.apply(membrane - weights.threshold, self._gradient)  # type: ignore[no-untyped-call]
+            # no gradient through the reset
+            membrane = membrane * (1 - spikes.detach())
+            raster.append(spikes)
+        emitted, *spiked = raster
+        arriving = torch.stack(raster[:-1] if self.delay else spiked, 1)
+        onto = arriving @ weights.out.T
+        if self.skip and not self.integrated:
+            onto = onto + moved @ weights.past.T
+        means = []
+        for drive in onto.unbind(1):
+            readout = weights.gamma * readout + drive
             means.append(readout + self.action_bias)
-            rasters.append(spikes)
-        mean = torch.stack(means, 1)
-        return mean if held is None else mean + held, torch.stack(rasters, 1)
+        after = membrane, readout, raster[-1]
+        return after, torch.stack(means, 1), torch.stack(spiked, 1)
 
     def weights(self) -> "DeltaWeights":
         """Return what `unrolled` computes with, masks and decay factors applied."""

@@ -111,7 +111,7 @@ class WalkPool:
             spikes += sizes.sum(0) if encoder.code == "unary" else (sizes > 0).sum(0)
             moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
             before = now
-        self._moved, self._seen = (_delayed(each, delay) for each in (moved, seen))
+        self._moved, self._seen = (_by_walk(_delayed(each, delay)) for each in (moved, seen))
         self._label = torch.from_numpy(self._labels())
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
@@ -120,9 +120,9 @@ class WalkPool:
         """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
         self._length = np.array([len(walk.label) for walk in self.walks])
         longest = int(self._length.max())
-        self._seen = torch.zeros(longest, len(self.walks), self.walks[0].observation.shape[1])
+        self._seen = torch.zeros(len(self.walks), longest, self.walks[0].observation.shape[1])
         for k, walk in enumerate(self.walks):
-            self._seen[: len(walk.label), k] = torch.from_numpy(walk.observation)
+            self._seen[k, : len(walk.label)] = torch.from_numpy(walk.observation)
         self._label = torch.from_numpy(self._labels())
         self._moved = self._seen[..., :0]
 
@@ -153,12 +153,12 @@ class WalkPool:
         steps = start[:, None] + np.arange(window)
         # before the beginning nothing has happened; behind the end the last state stays
         before = torch.from_numpy(steps < 0)[:, :, None]
-        at = torch.from_numpy(np.clip(steps, 0, len(self._moved) - 1))
+        at = torch.from_numpy(np.clip(steps, 0, self._moved.shape[1] - 1))
         row = torch.from_numpy(which)[:, None]
         return Windows(
-            self._seen[at, row].masked_fill(before, 0.0),
-            self._moved[at, row].masked_fill(before, 0.0),
-            self._label[at, row],
+            self._seen[row, at].masked_fill_(before, 0.0),
+            self._moved[row, at].masked_fill_(before, 0.0),
+            self._label[row, at],
             torch.from_numpy(start < 0),
         )
 
@@ -179,18 +179,23 @@ class WalkPool:
         return torch.from_numpy(observation), torch.from_numpy(label)
 
     def _labels(self) -> Single:
-        """Labels (S, W, act), the last of each walk repeated."""
+        """Labels (W, S, act), the last of each walk repeated."""
         labels = [walk.label for walk in self.walks]
         longest = max(map(len, labels))
         padded = [np.pad(each, ((0, longest - len(each)), (0, 0)), "edge") for each in labels]
-        return np.stack(padded, axis=1)
+        return np.stack(padded)
 
 
-def _delayed(rows: Single, delay: int) -> Tensor:
+def _by_walk(rows: Single) -> Tensor:
+    """Return rows (S, W, ...) as (W, S, ...), in which a window lies in one piece of memory."""
+    return torch.from_numpy(np.ascontiguousarray(rows.swapaxes(0, 1)))
+
+
+def _delayed(rows: Single, delay: int) -> Single:
     """Return rows (S, ...) as they arrive, so many control steps late; nothing before."""
     arriving = np.zeros_like(rows)
     arriving[delay:] = rows[: len(rows) - delay]
-    return torch.from_numpy(arriving)
+    return arriving
 
 
 def save_walks(walks: list[Walk], path: Path) -> str:

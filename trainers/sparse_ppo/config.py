@@ -27,6 +27,8 @@ class SparsePpoConfig(RunConfig):
         Policy, masks, teacher, budget, chip, rounding and sharpness are those of its configuration
     start_checkpoint: which of its policies: "best" is the best at its budget, "ops-480" the best of
         those pruned to 480 operations, which then are the budget
+    budget: operations of a control step that the best policy may take; by default those of the
+        start's recipe, or what the start takes if that is more
     iterations: number of times that episodes are played and learned from; `validation.every` and
         `checkpoint_every` count them
     warm_up: iterations at the beginning in which only the critic learns
@@ -53,6 +55,7 @@ class SparsePpoConfig(RunConfig):
     policy: PolicyConfig = DeltaSnnConfig()
     start: str = ""
     start_checkpoint: str = "best"
+    budget: Rate | None = None
     iterations: Positive = 60
     warm_up: Count = 2
     episodes: Positive = 8

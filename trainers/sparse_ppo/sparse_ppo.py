@@ -35,7 +35,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
 
     iterations, env_steps: counters, continued by a resumed run
     start_return, allowed: mean validation return of the policy at the start, and the operations of
-        a control step that the best may take: the budget, or what it takes if that is more
+        a control step that the best may take
     """
 
     Config = SparsePpoConfig
@@ -84,7 +84,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
         """Validate the policy at the start: the first candidate."""
         self._first = {**self._evaluate(), "eval_gain": 0.0}
         self.start_return = self.best = self._first["eval_return"]
-        self.allowed = max(self._source.budget, self._first["eval_operations"])
+        of_start = max(self._source.budget, self._first["eval_operations"])
+        self.allowed = self._config.budget or of_start
         self._run.save("best", self._deployed(), {**self._counters(), **self._first})
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
