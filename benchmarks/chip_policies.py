@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import nested_ratio, stratified
-from spikedeploy.files import as_text, write_text
+from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.policies import run_record
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips.chip import chip
@@ -86,13 +86,19 @@ def train_all(only: str | None, again: bool, runs: Path) -> None:
     """Train and ship what is missing, one after another."""
     for task, name in pairs(only):
         file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
-        if file.is_file() and not again:
+        if _shipped(file) and not again:
             continue
         settings = [*TASKS[task].settings, *FURTHER.get(name, ())]
         settings += [f'policy.chip="{name}"', f'teacher="{_teacher(task, runs)}"']
         run = _trained("for-chip", task, runs, settings)
         print(f"{task}/{name}: {run}", flush=True)
         _ship(run, file)
+
+
+def _shipped(file: Path) -> bool:
+    """Whether a policy is there with its card, which is written after it."""
+    name = file.relative_to(zoo.FOLDER).with_suffix("").as_posix()
+    return file.is_file() and zoo.card(name).get("sha256") == zoo.sha256(file)
 
 
 def _teacher(task: str, runs: Path) -> str:
@@ -124,7 +130,9 @@ def _ship(run: Path, file: Path) -> None:
     failed = [check.name for check in exported.checks if not check.passed]
     if failed:
         raise SystemExit(f"{run}: the file does not do what the policy does: {', '.join(failed)}")
-    shutil.move(part, file)
+    with replacing(file) as whole:
+        shutil.copyfile(part, whole)
+    part.unlink()
     write_text(file.with_suffix(".json"), as_text(_card(run, file, exported)))
 
 

@@ -205,6 +205,10 @@ def main() -> None:
         parser.error(f"unknown: {', '.join(sorted(unknown))}. Choose of {', '.join(REFERENCES)}.")
     path = given.output / "clocks.csv"
     before = [r for r in read(path) if given.tasks and r.task not in given.tasks]
+    if other := {row.episodes for row in before} - {given.episodes}:
+        parser.error(
+            f"{path}: rows that stay are of {min(other)} episodes: --episodes {min(other)}"
+        )
     played = [
         row
         for task in given.tasks or REFERENCES

@@ -36,6 +36,7 @@ from benchmarks.drift_page import (
 )
 from spikedeploy.emulation.drift_inputs import observed_inputs
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.files import write_text
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.interface import Candidate
 from spikedeploy.policies.registry import find
@@ -69,7 +70,7 @@ def main() -> None:
     rooms = markdown(ROOM_HEADS, [row for of in subjects for row in room(of)])
     text = "\n".join([head, summary(outcomes), ROOM, f"{rooms}\n", *sections])
     if given.output:
-        given.output.write_text(text, encoding="utf-8")
+        write_text(given.output, text)
     else:
         print(text)
 

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from spikedeploy.files import write_text
+
 PAGE = Path(__file__).parent.parent / "docs/firmware.md"
 # places of the tables on the page
 _OWN, PEERS, NETWORKS, INTEGERS = "firmware", "peers", "networks", "integers"
@@ -44,7 +46,7 @@ def put(place: str, text: str) -> None:
     start, end = f"<!-- {place} -->\n", f"<!-- end of {place} -->\n"
     head, rest = PAGE.read_text(encoding="utf-8").split(start)
     _, tail = rest.split(end)
-    PAGE.write_text(f"{head}{start}{text}{end}{tail}", encoding="utf-8")
+    write_text(PAGE, f"{head}{start}{text}{end}{tail}")
 
 
 def peer_table(rows: list[dict]) -> str:

@@ -19,6 +19,7 @@ from benchmarks.fuzz_corpus import write_corpus
 from benchmarks.fuzz_formats import FORMATS
 from benchmarks.fuzz_mutations import mutate
 from benchmarks.fuzz_trials import attempt
+from spikedeploy.files import write_text
 
 SECONDS = 20.0  # for a file, by the clock: other processes may be running
 CPU_SECONDS = 5.0  # that a file may take
@@ -191,8 +192,7 @@ def recorded(file: Path) -> list[Outcome]:
 def resumed(file: Path, count: int, seed: int, keep: Path | None, name: str, folder: Path) -> None:
     """Try the files of a format up to number `count` that a record has not yet, and add them."""
     done = recorded(file)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text("".join(_line(outcome) for outcome in done), encoding="utf-8")
+    write_text(file, "".join(_line(outcome) for outcome in done))
     with file.open("a", encoding="utf-8") as record:
         for outcome in fuzz(range(len(done), count), seed, folder, keep, name):
             record.write(_line(outcome))

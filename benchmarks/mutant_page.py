@@ -7,6 +7,7 @@ from pathlib import Path
 
 from benchmarks.mutant_operators import Mutant
 from benchmarks.mutant_trials import Fate
+from spikedeploy.files import write_text
 
 BEGIN, END = "<!-- mutants: begin -->", "<!-- mutants: end -->"
 _FOUND = ("killed", "too long")
@@ -57,7 +58,7 @@ def write_page(
     text = page.read_text("utf-8")
     head, rest = text.split(BEGIN)
     block = "\n".join(_block(fates, everything, equivalent, seed))
-    page.write_text(f"{head}{BEGIN}\n{block}\n{END}{rest.split(END)[1]}", "utf-8")
+    write_text(page, f"{head}{BEGIN}\n{block}\n{END}{rest.split(END)[1]}")
 
 
 def _block(

@@ -30,6 +30,7 @@ from spikedeploy.comparison.statistics import nested_ratio, stratified
 from spikedeploy.envs.hexapod.observation import BODY, layout
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.experiments.pareto.costs import INT8, TABLES
+from spikedeploy.files import write_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.seeds import EVALUATION
 
@@ -192,7 +193,7 @@ def main() -> None:
     text = json.dumps({"command": command, **found}, indent=1)
     print(text)
     if options.write:
-        (ROOT / "results/phase-table.json").write_text(text + "\n", encoding="utf-8")
+        write_text(ROOT / "results/phase-table.json", text + "\n")
 
 
 if __name__ == "__main__":

@@ -56,6 +56,11 @@ def nothing(observation):
     """Forgot to return."""
 
 
+def empty(observation):
+    """A list without numbers."""
+    return []
+
+
 def lost(observation):
     """No number."""
     return [np.nan, 0.0]

@@ -86,7 +86,8 @@ def _described(interface: Interface, prefix: str) -> dict[str, str]:
         own |= {f"{prefix}_i16.h": "the interface in 16-bit integers"}
         if interface.doubles:
             own |= {"codec_i16.c": "observation to spikes, membranes to action; needs no library"}
-        own |= {"host_i16.c": "scales as tables, doubles around that interface; needs `math.h`"}
+        library = "needs `math.h` and `string.h`"
+        own |= {"host_i16.c": f"scales as tables, doubles around that interface; {library}"}
     if interface.doubles:
         own |= {
             f"{prefix}.h": "the interface in doubles, and the network alone",

@@ -1,6 +1,7 @@
 """A compiled program and its codec as a folder of C99, with a self-test of recorded numbers."""
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,9 +22,11 @@ from spikedeploy.exporters.c.templates import filled, template
 from spikedeploy.exporters.c.vectors import Recorded, driven, few, observed, vectors
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.trainers import atomic
 
 MARK = "exported by spikedeploy as C"
-NAMES = ("policy.h", "policy.c", "codec.c", "selftest.c", "vectors.h", "Makefile")
+MAKEFILE, RECORD = "Makefile", "interface.json"
+NAMES = ("policy.h", "policy.c", "codec.c", "selftest.c", "vectors.h", MAKEFILE)
 # of the interface in 16-bit integers, where there is one
 INT16_NAMES = ("policy_i16.h", "codec_i16.c", "host_i16.c", "selftest_i16.c", "vectors_i16.h")
 _INT16_STEPS = 200  # of the self-test
@@ -86,11 +89,18 @@ def write(files: CFiles, folder: Path) -> None:
 
 
 def write_texts(texts: Mapping[str, str], folder: Path) -> None:
-    """Write files by name into a folder, some of them into folders in it."""
+    """Write files by name into a folder, some of them into folders in it: all, or none.
+
+    They get their names when all are whole: first RECORD, which says whose they are, and last the
+    Makefile, which is away meanwhile, so that no make builds a mixture of two exports.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(text, encoding="ascii")
+    with ExitStack() as stack:  # which ends in reverse order
+        for name in sorted(texts, key=lambda name: (name == RECORD) - (name == MAKEFILE)):
+            (folder / name).parent.mkdir(exist_ok=True)
+            part = stack.enter_context(atomic.replacing(folder / name))
+            part.write_text(texts[name], encoding="ascii")
+        (folder / MAKEFILE).resolve().unlink(missing_ok=True)
 
 
 def printable(origin: str) -> str:

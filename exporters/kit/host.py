@@ -9,6 +9,7 @@ import argparse
 import hashlib
 import json
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -34,11 +35,10 @@ def main(make_chip, tool, options=()):
     for flag, text in options:
         parser.add_argument(flag, action="store_true", help=text)
     arguments = parser.parse_args()
-    text = (HERE / "program.json").read_bytes()
-    program = json.loads(text)
-    expected = json.loads((HERE / "expected.json").read_text("utf-8"))
-    if expected["program_sha256"] != hashlib.sha256(text).hexdigest():
-        raise SystemExit("expected.json is of another program.json; export both again")
+    if arguments.steps is not None and arguments.steps < 1:
+        parser.error("--steps: at least 1")
+    program, expected = read("program.json"), read("expected.json")
+    check(program, expected)
     try:
         chip, name = make_chip(program, arguments), tool.replace(" ", "-")
     except ImportError as error:
@@ -52,6 +52,32 @@ def main(make_chip, tool, options=()):
         return play(program, expected, chip, arguments.steps, tool, HERE / f"{name}.json")
     finally:
         chip.stop()
+
+
+def read(name):
+    """The JSON object in a file of the kit."""
+    try:
+        return dict(json.loads((HERE / name).read_text("utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise SystemExit(f"{name} cannot be read ({error}); export the kit again") from error
+
+
+def check(program, expected):
+    """Refuse what expected.json says of another program, or in tables of another size."""
+    digest = hashlib.sha256((HERE / "program.json").read_bytes()).hexdigest()
+    if expected.get("program_sha256") != digest:
+        raise SystemExit("expected.json is of another program.json; export both again")
+    try:
+        steps, width = expected["timesteps"], program["input"]["width"]
+        events = np.array(expected["input_events"], np.int64).reshape(-1, 2)
+        fits = steps > 0 and (events >= 0).all() and (events < [steps, width]).all()
+        for layer in program["layers"]:
+            tables = expected["recorded"][layer["name"]].values()
+            fits &= all(np.shape(table) == (steps, layer["neurons"]) for table in tables)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        fits = False
+    if not fits:
+        raise SystemExit("expected.json does not fit program.json; export the kit again")
 
 
 def play(program, expected, chip, steps, tool, path):
@@ -96,7 +122,8 @@ def report(recorded, expected, steps):
                     f"timestep {t}, {layer}, neuron {n}, {quantity}: "
                     f"expected {ours[t, n]}, found {theirs[t, n]}",
                 )
-    print(f"differs: {first[1]}" if first else f"equal: {count:,} numbers of {steps} timesteps")
+    equal = f"equal: {count:,} numbers of {steps} timesteps" if count else "nothing to compare"
+    print(f"differs: {first[1]}" if first else equal)
     return 1 if first or not count else 0
 
 
@@ -177,8 +204,11 @@ class Codec:
 def close_loop(program, chip, env_name, steps, path):
     """Drive the environment through the chip; compare with the episode of episode.npz."""
     codec = Codec(program)
-    with np.load(HERE / "episode.npz", allow_pickle=False) as file:
-        episode = dict(file)
+    try:
+        with (HERE / "episode.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            episode = {name: file[name] for name in ("observation", "action", "reward", "seed")}
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise SystemExit(f"episode.npz cannot be read ({error}); export the kit again") from error
     steps = min(steps or len(episode["action"]), len(episode["action"]))
     env = None
     if env_name != "recorded":
@@ -189,6 +219,8 @@ def close_loop(program, chip, env_name, steps, path):
             from spikedeploy.envs import make
         env = make(short) if name == "spikedeploy" else gymnasium.make(env_name)
         observation, _ = env.reset(seed=int(episode["seed"]))
+        if np.shape(observation) != episode["observation"][0].shape:
+            raise SystemExit(f"--loop {env_name} observes other numbers than the policy")
     actions, rewards = [], []
     for step in range(steps):
         seen = episode["observation"][step] if env is None else observation

@@ -66,6 +66,11 @@ class Chip:
                 f"chip {self.name!r}: membrane_output {self.membrane_output!r} is unknown. Choose "
                 f"one of {', '.join(map(repr, get_args(MembraneOutput)))}."
             )
+        if self.delay < 0:
+            raise ChipError(
+                f"chip {self.name!r}: delay {self.delay}: no spike arrives before it was sent. "
+                "Choose 0 or more timesteps."
+            )
         if self.clock not in (None, *CLOCKS):
             raise ChipError(
                 f"chip {self.name!r}: clock {self.clock!r} is unknown. Choose one of "
@@ -122,9 +127,14 @@ def _spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
         key, given, value = part.partition("=")
         key, value = key.strip(), value.strip()
         if not (given and value):
+            example = CLOCKS[0] if key == "clock" else 4
             raise ChipError(
                 f"chip {datasheet.name!r}: option {part!r} has no value. Write it as "
-                f"{datasheet.name}:{key or 'weight_bits'}=4, with commas between options."
+                f"{datasheet.name}:{key or 'weight_bits'}={example}, with commas between options."
+            )
+        if key in options:
+            raise ChipError(
+                f"chip {datasheet.name!r}: option {key!r} is given twice. Leave one of them out."
             )
         options[key] = _read(datasheet, _field(datasheet, key), value)
     return options

@@ -1,5 +1,7 @@
 """A policy as C99 of a chip: the folder, and what it takes of a microcontroller."""
 
+import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,14 @@ from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.c.costs import CCosts
-from spikedeploy.exporters.c.to_c import MARK, file_names, policy_in_c, write
+from spikedeploy.exporters.c.to_c import (
+    MAKEFILE,
+    MARK,
+    RECORD,
+    file_names,
+    policy_in_c,
+    write_texts,
+)
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
@@ -105,12 +114,12 @@ def export_c(
         )
     names = file_names(prefix, codec=True)
     check_output_folder("-o", folder, names, (file, policy), force, written_before)
-    # software updates a layer when it is told to
-    program = compile_program(artifact, on, clock=own_clock(artifact.convention))
+    # software updates a layer when it is told to, unless the chip's options say otherwise
+    program = compile_program(artifact, on, clock=on.clock or own_clock(artifact.convention))
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
     files = policy_in_c(program, artifact.codec, seen, origin, prefix)
-    write(files, folder)
+    write(files.text, folder, prefix)
     return WrittenC(
         folder, tuple(files.text), files.costs, program.remarks, source, files.without_int16
     )
@@ -132,8 +141,20 @@ def nir_file(policy: str, to: str) -> Path:
 
 
 def written_before(folder: Path) -> bool:
-    """Whether the folder has an earlier export."""
-    return marked(folder / "Makefile", MARK)
+    """Whether the folder has an earlier export, or what one left that was killed."""
+    whole = os.path.lexists(folder / MAKEFILE)
+    return marked(folder / (MAKEFILE if whole else RECORD), MARK)
+
+
+def write(texts: Mapping[str, str], folder: Path, prefix: str) -> None:
+    """Write the files; those of an earlier export that this one has not are removed.
+
+    They are of another policy, and a firmware that still names them would call both.
+    """
+    write_texts(texts, folder)
+    for name in set(file_names(prefix, codec=True)) - set(texts):
+        if not (path := folder / name).is_symlink() and marked(path, MARK):
+            path.unlink()
 
 
 def world_of(policy: str, artifact: Artifact) -> str:

@@ -12,13 +12,12 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.c.int8_mlp import Int8Mlp, quantise, read_onnx
 from spikedeploy.exporters.c.int8_writer import dense_names, mlp_in_c
 from spikedeploy.exporters.c.refusals import check_prefix
-from spikedeploy.exporters.c.to_c import write_texts
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
-from spikedeploy.shipping.export_c import written_before
+from spikedeploy.shipping.export_c import write, written_before
 
 _STEPS = 200  # of the self-test
 
@@ -105,7 +104,7 @@ def export_int8(
     seen, source = _episode(controller, network, observations)
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, in 8-bit weights"
     files = mlp_in_c(network, seen[:_STEPS], origin, prefix)
-    write_texts(files.text, folder)
+    write(files.text, folder, prefix)
     found = network.floats(network.act(network.observations.quantise(seen)))
     apart = np.abs(found - np.asarray(controller.replay(seen)).reshape(found.shape))
     largest = float((apart > 0).mean() if network.chooses else apart.max())

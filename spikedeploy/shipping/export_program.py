@@ -135,19 +135,17 @@ def export_program(
     origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
     text = program_text(run, compiled.clock, _placement(artifact, on), host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
-    written = {
-        PROGRAM: text,
-        EXPECTED: expected_text(run.program, rows, text, said),
-        HOST: script(HOST),
-        tool.script: script(tool.script),
-        README: _readme(tool, folder, origin, chip_name, source, episode, host),
-    }
-    for name, content in written.items():
-        write_text(folder / name, content)
+    expected = expected_text(run.program, rows, text, said)
+    readme = _readme(tool, folder, origin, chip_name, source, episode, host)
+    # first what says whose the folder is, last what names the program: a part is no kit
+    write_text(folder / PROGRAM, text)
     if episode is not None:
         _write_episode(folder / EPISODE, episode)
     else:
         (folder / EPISODE).unlink(missing_ok=True)
+    scripts = {HOST: script(HOST), tool.script: script(tool.script)}
+    for name, content in {**scripts, README: readme, EXPECTED: expected}.items():
+        write_text(folder / name, content)
     verdict = verify(folder / EXPECTED)
     if not verdict.equal:
         raise TypeError(f"what was written is not what was compiled: {verdict.difference}")

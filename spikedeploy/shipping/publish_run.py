@@ -74,6 +74,8 @@ def publish_run(
         if old := [path.name for path in sorted(target.glob(f"{name}.*"))]:
             say(f"replaced in {target}: {', '.join(old)}")
         file = _copied(exported.path, target / exported.path.name)
+    for suffix in set(zoo.SUFFIXES) - {file.suffix}:  # one name is one policy
+        file.with_suffix(suffix).unlink(missing_ok=True)
     return [
         file,
         write_text(file.with_suffix(".json"), as_text(record)),
@@ -162,7 +164,8 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
 def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) -> dict[str, Any]:
     """Rows of the policy: in float, and if it spikes on its training's chip, or the default."""
     settings = run_record.settings(source)
-    entries = alone(find(str(path)), settings.get("chip", DEFAULT_CHIP))
+    own = settings.get("chip") or settings["policy"].get("chip")
+    entries = alone(find(str(path)), own or DEFAULT_CHIP)
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()

@@ -5,10 +5,11 @@ that they imitate: `spikedeploy/zoo/chips/<env>/<chip>`.
 """
 
 import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from spikedeploy.files import read_json
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
@@ -79,8 +80,7 @@ def card(name: str) -> dict[str, Any]:
     file = path(name)
     if file is None or not file.with_suffix(".json").is_file():
         return {}
-    found: dict[str, Any] = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
-    return found
+    return read_json(file.with_suffix(".json"), "install spikedeploy, or publish the policy, again")
 
 
 def mean_return(card: Mapping[str, Any]) -> float | None:

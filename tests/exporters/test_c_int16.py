@@ -373,3 +373,19 @@ def test_a_core_without_a_known_counter_is_an_error(tmp_path):
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert "no cycle counter is known" in done.stderr
+
+
+@needs_c
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_no_number_is_refused_also_where_the_compiler_assumes_that_there_is_none(tmp_path, value):
+    network = quantise(read_onnx(zoo.path(DENSE[0])))
+    seen = any_rows(network)[:5] / 2.0**network.observations.exponent
+    write_texts(mlp_in_c(network, seen, "a test").text, tmp_path)
+    words = [COMPILERS[0], *STRICT, "-O2", "-ffast-math", "-fPIC", "-shared", "-o", "fast.so"]
+    subprocess.run([*words, "policy.c", "host_i16.c", "-lm"], cwd=tmp_path, check=True)
+    loaded = ctypes.CDLL(str(tmp_path / "fast.so"))
+    double = np.ctypeslib.ndpointer(np.float64)
+    loaded.policy_to_i16.argtypes = [double, np.ctypeslib.ndpointer(np.int16)]
+    found = np.zeros(len(seen[0]), np.int16)
+    assert loaded.policy_to_i16(seen[0].copy(), found) == 0
+    assert loaded.policy_to_i16(np.r_[value, seen[0][1:]], found) == 1

@@ -1,5 +1,11 @@
 """results/clocks.md is what benchmarks/clocks.py makes of its table, and the policies are there."""
 
+import shutil
+import sys
+
+import pytest
+
+from benchmarks import clocks
 from benchmarks.clocks import REFERENCES, page, read
 from spikedeploy.runtime.artifact.artifact import load
 from tests.paths import ROOT
@@ -20,3 +26,12 @@ def test_the_table_counts_the_trainings_whose_policies_are_shipped_with_it():
             files = list((RESULTS / "clocks").glob(f"{row.task}{middle}-s*.nir"))
             assert len(files) == row.trainings == len(row.each.split())
             assert all(load(file).convention.clock == "pipelined" for file in files)
+
+
+def test_rows_that_stay_are_of_as_many_episodes_as_the_page_says(tmp_path, monkeypatch, capsys):
+    shutil.copy(RESULTS / "clocks.csv", tmp_path)
+    words = ["clocks.py", "kart-grid", "--episodes", "2", "-o", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit):
+        clocks.main()
+    assert "rows that stay are of 100 episodes: --episodes 100" in capsys.readouterr().err

@@ -98,3 +98,24 @@ def test_an_environment_alone_goes_with_for(words):
 def test_without_a_shipped_teacher_one_is_asked_for():
     with pytest.raises(ConfigError, match=r"no float teacher of Acrobot-v1 is shipped"):
         train("Acrobot-v1", chip="odin")
+
+
+def test_a_policy_whose_card_is_missing_or_of_another_is_trained_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
+    file = tmp_path / "chips" / "CartPole-v1" / "odin.nir"
+    file.parent.mkdir(parents=True)
+    assert not chip_policies._shipped(file)
+    file.write_bytes(b"policy")
+    assert not chip_policies._shipped(file)
+    for digest in (zoo.sha256(file), "0" * 64):
+        file.with_suffix(".json").write_text(json.dumps({"sha256": digest}))
+        assert chip_policies._shipped(file) == (digest == zoo.sha256(file))
+
+
+def test_a_cut_card_is_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
+    (tmp_path / "hexapod").mkdir()
+    (tmp_path / "hexapod" / "mine.nir").write_bytes(b"policy")
+    (tmp_path / "hexapod" / "mine.json").write_text('{"kind": "sn')
+    with pytest.raises(ConfigError, match=r"mine\.json is damaged .* publish the policy, again"):
+        zoo.card("hexapod/mine")

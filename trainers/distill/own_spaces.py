@@ -78,7 +78,7 @@ class OwnSpaces:
             each robot, or a logit for each choice
         """
         found = np.asarray(given)
-        numeric = found.dtype.kind in "fiub" and found.size % robots == 0
+        numeric = found.dtype.kind in "fiub" and found.size and found.size % robots == 0
         if not numeric or not np.isfinite(found).all():
             raise ConfigError(
                 f"the teacher {teacher} gave no finite numbers for {robots} observations: {found}"

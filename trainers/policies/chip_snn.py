@@ -305,7 +305,14 @@ def _datasheet(name: str) -> Chip:
         raise ConfigError(
             "a policy of kind 'chip-snn' is trained for one chip: name it, as in --for xylo-a2"
         )
-    return chip(name)
+    found = chip(name)
+    if found.clock == "pipelined":
+        raise ConfigError(
+            f"{name}: a policy of kind 'chip-snn' starts from 0 in each inference, in which a "
+            "pipeline would lose the first timesteps of every layer. Leave the clock out, or "
+            "choose free or gated."
+        )
+    return found
 
 
 def _decay_factors(target: Chip, alpha: float, beta: float) -> tuple[float, float]:

@@ -7,8 +7,17 @@
 #include "@prefix@_i16.h"
 
 #include <math.h>
+#include <string.h>
 
 @declarations@
+
+/* Whether a number is neither infinite nor no number; by its bits, whatever the compiler assumes. */
+static int is_finite(const double *x)
+{
+    uint64_t bits;
+    (void)memcpy(&bits, x, sizeof bits);
+    return ((uint32_t)(bits >> 32) & 0x7FF00000u) != 0x7FF00000u;
+}
 
 /* @prefix@_interface of @prefix@.h, for the shared object of this interface */
 extern const uint32_t @host@_interface[4];
@@ -22,7 +31,7 @@ int @prefix@_to_i16(const double value[@PREFIX@_OBSERVATIONS],
 {
     uint32_t k;
     for (k = 0u; k < @PREFIX@_OBSERVATIONS; k++) {
-        if (!(value[k] - value[k] == 0.0)) {
+        if (!is_finite(&value[k])) {
             return 1;
         }
     }

@@ -74,6 +74,11 @@ def test_lists_and_nothing_have_a_spelling():
         ("loihi1:sources=x", "'sources' cannot be given as text"),
         ("ideal:weight_bits=4", "chip 'ideal' has no option 'weight_bits'"),
         ("inf:weight_bits=4", "there is no chip 'inf'; did you mean 'int'"),
+        ("loihi1:clock=", "option 'clock=' has no value. Write it as loihi1:clock=gated"),
+        ("loihi1:clock=free,clock=gated", "option 'clock' is given twice"),
+        ("int:weight_bits=4,weight_bits=4", "option 'weight_bits' is given twice"),
+        ("loihi1:clock=Gated", "clock 'Gated' is unknown. Choose one of 'gated', 'pipelined'"),
+        ("loihi1:delay=-1", "delay -1: no spike arrives before it was sent"),
     ],
 )
 def test_what_cannot_be_read_is_refused_by_name(text, message):

@@ -1,16 +1,21 @@
 """`export --to c`: what it writes, prints and refuses."""
 
+import errno
 import json
+import os
 import re
 import subprocess
+from pathlib import Path
 
 import pytest
 
+from spikedeploy.exporters.c import to_c
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import file_names
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import export_c, exported_run
+from spikedeploy.trainers import atomic
 from tests.c_builds import COMPILERS, needs_c
 from tests.networks import event_driven, popsan
 
@@ -76,6 +81,7 @@ def test_the_same_policy_is_written_again_and_other_files_are_not(command, file,
         (("hexapod/linear", "--to", "c", "-o", "c", "--chip", "loihi1"), "leave --chip out"),
         (("hexapod/linear", "--to", "c", "-o", "c", "--prefix", "host_i16"), "written beside it"),
         (("policy.nir", "--to", "c", "-o", "c", "--chip", "ideal"), "computes with"),
+        (("policy.nir", "--to", "c", "-o", "c", "--chip", ""), "there is no chip ''"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "A b"), "--prefix"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "stdint"), "a header of C"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "static"), "a reserved word of C"),
@@ -142,3 +148,82 @@ def test_a_network_without_a_codec_is_refused(command, tmp_path, monkeypatch):
     save(replace(popsan(), codec=None), tmp_path / "net.nir")
     code, _, err = command("export", "net.nir", *CHIP, "-o", "c")
     assert (code, "has no codec" in err) == (2, True)
+
+
+def test_c_is_written_for_the_clock_in_the_name_of_the_chip(command, file, tmp_path):
+    words = ("export", file, "--to", "c", "-o", "c", "--observations", "5", "--chip")
+    code, _, err = command(*words, "loihi1:clock=free")
+    assert (code, "which is not written in C" in err) == (2, True)
+    assert not (tmp_path / "c").exists()
+    code_of = {}
+    for clock in ("gated", "pipelined"):
+        assert command(*words, f"loihi1:clock={clock}")[0] == 0
+        code_of[clock] = (tmp_path / "c/policy.c").read_text().replace(clock, "")
+    assert code_of["gated"] != code_of["pipelined"]
+
+
+def texts_of(export):
+    names = file_names("policy", codec=True)
+    return {name: f"{to_c.MARK}, {export}\n" for name in names}
+
+
+def names_in(folder):
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("renamed", range(len(file_names("policy", codec=True))))
+def test_an_export_that_is_killed_leaves_no_makefile_that_builds_a_mixture(
+    tmp_path, monkeypatch, renamed
+):
+    for before in ({}, texts_of("old")):
+        folder = tmp_path / str(len(before))
+        to_c.write_texts(before, folder)
+        done = []
+
+        def killed(source, target, done=done):
+            if len(done) == renamed:
+                raise KeyboardInterrupt
+            done.append(target)
+            os.rename(source, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(atomic.os, "replace", killed)
+            with pytest.raises(KeyboardInterrupt):
+                to_c.write_texts(texts_of("new"), folder)
+        assert not (folder / "Makefile").exists()
+        # and the same command may write there again
+        assert export_c.written_before(folder) or not names_in(folder)
+        to_c.write_texts(texts_of("new"), folder)
+        assert {(folder / name).read_text() for name in names_in(folder)} == {f"{to_c.MARK}, new\n"}
+
+
+def test_a_full_disk_leaves_the_earlier_c_as_it_was(tmp_path, monkeypatch):
+    to_c.write_texts(texts_of("old"), tmp_path)
+    write, done = Path.write_text, []
+
+    def full(path, *words, **options):
+        done.append(path)
+        if len(done) == 9:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, *words, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        with pytest.raises(OSError, match="No space"):
+            to_c.write_texts(texts_of("new"), tmp_path)
+    assert names_in(tmp_path) == set(texts_of("old"))
+    assert {(tmp_path / name).read_text() for name in texts_of("old")} == {f"{to_c.MARK}, old\n"}
+
+
+def test_c_of_another_policy_is_removed_where_it_is_not_replaced(tmp_path):
+    to_c.write_texts(texts_of("old"), tmp_path)
+    (tmp_path / "host_i16.c").write_text("of the user\n")
+    kept = {n: text for n, text in texts_of("new").items() if n not in to_c.INT16_NAMES}
+    export_c.write(kept, tmp_path, "policy")
+    assert names_in(tmp_path) == {*kept, "host_i16.c"}
+
+
+def test_a_makefile_of_the_user_is_not_taken_for_a_part_of_an_export(tmp_path):
+    to_c.write_texts(texts_of("old"), tmp_path)
+    (tmp_path / "Makefile").write_text("all:\n")
+    assert not export_c.written_before(tmp_path)

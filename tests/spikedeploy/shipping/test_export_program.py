@@ -254,6 +254,95 @@ def test_a_bias_is_an_axon_that_spikes_in_the_window_of_its_layer(tmp_path):
     assert any(np.any(each["spikes"]) for each in expected.values())
 
 
+def _cut(name):
+    def cut(folder):
+        (folder / name).write_bytes((folder / name).read_bytes()[:300])
+        return f"{name} cannot be read"
+
+    return cut
+
+
+def _tables(change):
+    """Tables of expected.json that are changed, row by row."""
+
+    def damage(folder):
+        layers = json.loads((folder / "expected.json").read_text())["recorded"]
+        _edit(folder, recorded={k: {q: change(t) for q, t in v.items()} for k, v in layers.items()})
+        return "does not fit program.json"
+
+    return damage
+
+
+HOST_DAMAGE = {
+    "cut program": _cut("program.json"),
+    "cut expectation": _cut("expected.json"),
+    "another program": _edited("is of another program.json", program_sha256="0" * 64),
+    "no layers": _edited("does not fit", recorded={}),
+    "one row": _tables(lambda table: table[:1]),
+    "one neuron": _tables(lambda table: [row[:1] for row in table]),
+    "events before the first": _edited("does not fit", input_events=[[-1, 0]]),
+    "events beyond the last": _edited("does not fit", input_events=[[0, 10**6]]),
+    "events of another kind": _edited("does not fit", input_events=[["x", {}]]),
+    "hours": _edited("does not fit", timesteps=10**12),
+}
+
+
+@pytest.mark.parametrize("name", HOST_DAMAGE)
+def test_a_script_of_a_damaged_kit_ends_with_one_sentence(name, kit_of, monkeypatch):
+    kit, _ = kit_of("loihi1")
+    message = HOST_DAMAGE[name](kit.folder)
+    monkeypatch.setattr(sys, "argv", ["run"])
+    with pytest.raises(SystemExit, match=message):
+        host_in(kit.folder).main(lambda *_: OwnChip(kit.folder), "ours")
+    assert not (kit.folder / "ours.json").exists()
+
+
+LOOP_DAMAGE = {
+    "cut": (("--loop",), _cut("episode.npz"), "episode.npz cannot be read"),
+    "another world": (("--loop", "CartPole-v1"), None, "observes other numbers than the policy"),
+    "no steps": (("--steps", "-3"), None, "2"),
+}
+
+
+@pytest.mark.parametrize("name", LOOP_DAMAGE)
+def test_a_loop_that_cannot_be_closed_ends_with_one_sentence(name, kit_of, monkeypatch):
+    kit, _ = kit_of("loihi1")
+    words, damage, message = LOOP_DAMAGE[name]
+    if damage is not None:
+        damage(kit.folder)
+    monkeypatch.setattr(sys, "argv", ["run", *words])
+    with pytest.raises(SystemExit, match=message):
+        host_in(kit.folder).main(lambda *_: OwnChip(kit.folder), "ours")
+
+
+@pytest.mark.parametrize("renamed", range(6))
+def test_an_export_that_is_killed_leaves_no_kit_that_is_taken_for_a_whole_one(
+    renamed, kit_of, command, monkeypatch
+):
+    kit, _ = kit_of("loihi1")
+    words = ("export", "kart-grid/sparse", "--to", "program", "--observations", "2", "-o")
+    rename, done = os.replace, []
+
+    def killed(source, target):
+        if len(done) == renamed:
+            raise KeyboardInterrupt
+        done.append(target)
+        rename(source, target)
+
+    for folder in (kit.folder, kit.folder / "new"):
+        done.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", killed)
+            command(*words, str(folder))
+        assert len(done) == renamed
+        code, out, err = command("verify", str(folder / "expected.json"))
+        # before the first file is replaced, the earlier kit is whole
+        whole = renamed == 0 and folder == kit.folder
+        assert (code == 0) == whole, out + err
+        assert command(*words, str(folder))[0] == 0
+        assert command("verify", str(folder / "expected.json"))[0] == 0
+
+
 REFUSED = {
     "a chip without a script": (("--chip", "odin"), "there is no script for odin"),
     "no folder": ((), "--to program writes a folder"),
@@ -308,7 +397,7 @@ def test_options_of_other_formats_are_refused(command, here):
 @pytest.mark.parametrize("name", LIBRARIES)
 def test_a_script_is_short_and_imports_numpy_and_its_tool_alone(name):
     text = (SCRIPTS / name).read_text("utf-8")
-    assert len(text.splitlines()) <= (220 if name == "host.py" else 180)
+    assert len(text.splitlines()) <= (240 if name == "host.py" else 180)
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from spikedeploy import zoo
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import find
@@ -13,6 +14,7 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.shipping.export_run import export_run, kind_of, recorded
 from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.trainers.config import (
+    ChipSnnConfig,
     DeltaMlpConfig,
     DeltaSnnConfig,
     MlpConfig,
@@ -178,6 +180,14 @@ def test_a_delta_network_is_evaluated_on_the_chip_that_it_was_trained_for(tmp_pa
     assert [row["chip"] for row in card["evaluation"]] == ["float", "loihi2"]
 
 
+def test_a_policy_in_the_integers_of_a_chip_is_evaluated_on_that_chip(tmp_path):
+    policy = ChipSnnConfig(chip="tinyodin", hidden=(6,))
+    run = toy_stroll_env.run_folder(tmp_path / "runs", policy)
+    file = publish_run(str(run), "whole", 1, tmp_path / "zoo", processes=1)[0]
+    card = json.loads(file.with_suffix(".json").read_text())
+    assert [row["chip"] for row in card["evaluation"]] == ["float", "tinyodin"]
+
+
 def test_a_file_of_another_checkpoint_lies_beside_that_of_the_best(tmp_path):
     run = sparse_run(tmp_path, "smoke-sparse-mlp", PrunedMlpConfig(hidden=(4,)))
     paths = [
@@ -250,3 +260,14 @@ def test_files_that_are_replaced_are_named_in_one_line(tmp_path, capsys):
     names = "small.csv, small.json, small.md, small.onnx, small.png"
     assert found.endswith(f"zoo/stroll: {names}")
     assert found.count("replaced in") == 1
+
+
+def test_a_name_is_one_policy_whatever_kind_it_had_before(tmp_path):
+    options = {"episodes": 1, "folder": tmp_path / "zoo", "processes": 1}
+    for number, (policy, suffix) in enumerate(
+        [(SPIKING, ".nir"), (MlpConfig(hidden=(4,)), ".onnx")]
+    ):
+        run = toy_stroll_env.run_folder(tmp_path / str(number), policy)
+        publish_run(str(run), "small", **options)
+        found = [p.name for p in (tmp_path / "zoo/stroll").iterdir() if p.suffix in zoo.SUFFIXES]
+        assert found == [f"small{suffix}"]

@@ -61,6 +61,7 @@ def test_a_function_chooses_as_its_environment_counts_or_gives_logits(name):
         ("between", LEVELS, r"gave \[0\.5\]"),
         ("nothing", REACH, "gave no finite numbers"),
         ("lost", REACH, "gave no finite numbers"),
+        ("empty", LEVELS, "gave no finite numbers"),
     ],
 )
 def test_what_a_function_gives_is_checked(name, env, message):

@@ -216,6 +216,12 @@ def test_a_chip_with_too_few_inputs_is_refused_in_a_sentence():
         from_config(ChipSnnConfig(), 4, 2)
 
 
+def test_a_chip_that_runs_a_pipeline_is_refused_in_a_sentence():
+    with pytest.raises(ConfigError, match=r"loihi1:clock=pipelined: .* Leave the clock out"):
+        from_config(ChipSnnConfig(chip="loihi1:clock=pipelined"), 4, 2)
+    assert from_config(ChipSnnConfig(chip="loihi1:clock=free"), 4, 2).target.clock == "free"
+
+
 def test_states_that_are_kept_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="states of 0 in each inference"):
         to_nir(policy("odin"), Provenance(""), tmp_path / "policy.nir", state="kept")
