@@ -106,6 +106,8 @@ class Provenance:
     version: of the spikedeploy that wrote the file.
     sha256: of network, codec and convention; `save` writes it and `load` checks it.
     checkpoint: of the training run; empty for its best, and then not in the file.
+    chip: whose integers it was trained in, and on which it runs where no other is asked for; empty
+        where it was trained for none, and then not in the file.
     """
 
     env: str
@@ -116,6 +118,7 @@ class Provenance:
     version: str = ""
     sha256: str = ""
     checkpoint: str = ""
+    chip: str = ""
 
     def to_record(self) -> Tree:
         """The fields as the file stores them."""
@@ -128,13 +131,14 @@ class Provenance:
             "version": self.version,
             "sha256": self.sha256,
             **({"checkpoint": self.checkpoint} if self.checkpoint else {}),
+            **({"chip": self.chip} if self.chip else {}),
         }
 
     @classmethod
     def from_record(cls, record: Record) -> "Provenance":
         """The provenance stored in a file; unknown fields raise ArtifactError."""
         names = ("env", "recipe", "seed", "steps", "created", "version", "sha256")
-        record.only(*names, "checkpoint")
+        record.only(*names, "checkpoint", "chip")
         return cls(
             env=record.text("env"),
             recipe=record.text("recipe"),
@@ -144,6 +148,7 @@ class Provenance:
             version=record.text("version"),
             sha256=record.text("sha256"),
             checkpoint=record.text("checkpoint") if "checkpoint" in record else "",
+            chip=record.text("chip") if "chip" in record else "",
         )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from spikedeploy.emulation.design_report import DesignReport, network_path, report_of
 from spikedeploy.emulation.open_loop import Emulation, emulate_artifact
 from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
-from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT
+from spikedeploy.policies.interface import FLOAT
 from spikedeploy.reports.notebook import card, picture, table
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -230,7 +230,8 @@ def compare(
     """Policies on the same seeds; the float ANN, built-in players and controls are added.
 
     policies  names of shipped ones, files, run folders or "last"; all that are shipped by default
-    chips     for those that spike; by default those of loaded networks, else loihi1
+    chips     for those that spike; by default those of loaded networks, else what each was trained
+              for, else loihi1
     seed      the first; from 10,000 on, which no training uses
     workers   processes; with several, a script needs `if __name__ == "__main__"`
     options   of the environment
@@ -242,19 +243,20 @@ def compare(
 
     names = [runnable(_named(policy)) for policy in policies]
     chips = chips or _chips(policies)
-    entries = line_up(env, names, tuple(chips))
+    entries = line_up(env, names, tuple(chips) or None)
     comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
-    words = ["spikedeploy", "compare", env, *names, "--chips", ",".join(chips)]
+    words = ["spikedeploy", "compare", env, *names]
+    words += ["--chips", ",".join(chips)] if chips else []
     words += ["--episodes", str(episodes), "--seed", str(seed)]
     words += [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
     return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})
 
 
 def _chips(policies: Sequence[str | Path | LoadedNetwork]) -> tuple[str, ...]:
-    """Chips that loaded networks are on; without one the default."""
+    """Chips that loaded networks are on; none where each policy runs on its own."""
     networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
     found = dict.fromkeys(each.chip for each in networks if each.chip != FLOAT)
-    return tuple(found) or (DEFAULT_CHIP,)
+    return tuple(found)
 
 
 def _named(policy: "str | Path | LoadedNetwork") -> str:

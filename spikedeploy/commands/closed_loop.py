@@ -206,7 +206,13 @@ def compare(
             show_default="all that are shipped",
         ),
     ] = None,
-    chips: Annotated[str, typer.Option(help="Chips for the spiking policies.")] = "loihi1",
+    chips: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Chips for the spiking policies, separated by commas, or the option again.",
+            show_default="what each was trained for, else loihi1",
+        ),
+    ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
     seed: Seed = seeds.EVALUATION,
     teacher: Annotated[
@@ -246,10 +252,10 @@ def compare(
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
     from dataclasses import replace
 
-    from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.comparison.lineup import line_up, on_another_chip
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.comparison.rounds import compare_policies
-    from spikedeploy.console import print_json
+    from spikedeploy.console import print_json, say
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.pages import report
@@ -271,7 +277,10 @@ def compare(
     broken = faults(fault or (), specimen)
     policies = [runnable(file) for file in files or ()]
     taught = teacher and teacher_candidate(runnable(teacher), teacher_units)
-    entries = line_up(env, policies, listed(chips), limits == "on", rounded, broken, taught or None)
+    asked = listed(",".join(chips)) if chips else None
+    entries = line_up(env, policies, asked, limits == "on", rounded, broken, taught or None)
+    for remark in filter(None, map(on_another_chip, entries)):
+        say(remark)
     options = parse_options(set_ or (), disturb or (), success)
     numbers = range(seed, seed + episodes)
     comparison = compare_policies(env, entries, numbers, workers, options, metrics)

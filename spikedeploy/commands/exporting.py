@@ -63,7 +63,7 @@ def export(
         str | None,
         typer.Option(
             help="Chip whose integers are written; c, program and xylo.",
-            show_default="loihi1; xylo needs one",
+            show_default="what it was trained for, else loihi1; xylo needs one",
         ),
     ] = None,
     env: Annotated[
@@ -122,7 +122,7 @@ def export(
         return
     if to == "program":
         played = {"raster": raster, "env": env, "clock": clock, "options": given}
-        _export_program(run, _named(chip), output, observations, played, force, json)
+        _export_program(run, chip, output, observations, played, force, json)
         return
     if any(value is not None for value in (raster, env, clock)):
         raise typer.BadParameter("--input, --env and --clock go with --to program")
@@ -152,11 +152,6 @@ def export(
     _end_with(written, json, [f"its training is unfinished: stopped at {late}"] if late else [])
 
 
-def _named(chip: str | None) -> str:
-    """The chip, where a policy spikes; an empty name is one that no chip has."""
-    return "loihi1" if chip is None else chip
-
-
 def _export_c(
     policy: str,
     chip: str | None,
@@ -175,7 +170,7 @@ def _export_c(
     if (file := export_int8.onnx_file(policy)) is not None:
         written = export_int8.export_int8(file, policy, chip, folder, observations, prefix, force)
     else:
-        written = shipping.export_c(policy, _named(chip), folder, observations, prefix, force)
+        written = shipping.export_c(policy, chip, folder, observations, prefix, force)
     if json:
         print_json(written.record())
         return
@@ -185,7 +180,7 @@ def _export_c(
 
 def _export_program(
     policy: str,
-    chip: str,
+    chip: str | None,
     folder: Path | None,
     steps: int,
     played: Mapping[str, Any],

@@ -113,7 +113,7 @@ PolicyChip = Annotated[
     typer.Option(
         "--chip",
         help="Chip of a spiking policy; 'float' for its float twin.",
-        show_default="loihi1",
+        show_default="what it was trained for, else loihi1",
     ),
 ]
 Backend = Annotated[

@@ -10,8 +10,8 @@ from typing import Any
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import summarise
-from spikedeploy.comparison.lineup import Entry
-from spikedeploy.console import progress
+from spikedeploy.comparison.lineup import Entry, on_another_chip
+from spikedeploy.console import progress, say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.outputs import mark
@@ -44,7 +44,8 @@ def run_policy(
 
     reference  as registry.find takes it
     env        short name or id; None is the one that the policy was made for
-    chip       a chip or "float"; None is DEFAULT_CHIP for a file that spikes
+    chip       a chip or "float"; None is that of the training, or DEFAULT_CHIP, for a file
+               that spikes
     seeds      (n,)
     video      MP4 of the first episode
     sampled    draw one of several actions by its probability, instead of taking the likeliest
@@ -65,6 +66,8 @@ def run_policy(
             f"--fault is of chips, and {entry.label} runs in float. Leave it out, or run a spiking "
             "policy on a chip."
         )
+    if remark := on_another_chip(entry):
+        say(remark)
     mode = "rgb_array" if video else None
     name = env or _made_for(candidate)
     foreign = envs.spec(name).foreign
@@ -99,7 +102,7 @@ def _made_for(candidate: Candidate) -> str:
 def _default_chip(candidate: Candidate) -> str | None:
     if candidate.kind != "snn":
         return None
-    return DEFAULT_CHIP if candidate.format == ".nir" else FLOAT
+    return candidate.chip or DEFAULT_CHIP if candidate.format == ".nir" else FLOAT
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spikedeploy import envs, zoo
-from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
@@ -67,7 +67,7 @@ class Entry:
 def line_up(
     env: str,
     files: Sequence[str],
-    chips: Sequence[str],
+    chips: Sequence[str] | None,
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
     faults: Faults = NONE,
@@ -77,7 +77,7 @@ def line_up(
 
     env     short name or id of the environment
     files   policies to compare; none stands for the shipped ones of the environment
-    chips   for those that spike
+    chips   for those that spike; None stands for that which each was trained for, or the default
     limits  refuse what breaks a design rule of a chip
     quantisation  of the SNNs on chips
     faults  of those chips
@@ -103,10 +103,11 @@ def line_up(
     entries[1:] = [Entry(entry.candidate, None, ann) for entry in entries[1:]]
     for candidate in _of_kind("snn", chosen):
         candidate = replace(candidate, quantisation=quantisation)
-        twin = Entry(candidate, FLOAT, ann)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         bound = replace(candidate, limits=limits, faults=faults)
-        entries += [twin, *(Entry(bound, chip, twin) for chip in chips if exported)]
+        own = (candidate.chip or DEFAULT_CHIP,)
+        on = (own if chips is None else chips) if exported else ()
+        entries += _on_chips(bound, candidate, on, ann)
     built_in = [find(name) for name in spec.controls]
     rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]
     return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
@@ -116,8 +117,20 @@ def alone(candidate: Candidate, chip: str | None) -> list[Entry]:
     """A policy without baselines: one that spikes as its float twin and on the chip."""
     if candidate.kind != "snn":
         return [Entry(candidate)]
-    twin = Entry(candidate, FLOAT)
-    return [twin, Entry(candidate, chip, twin)]
+    return _on_chips(candidate, candidate, (chip,), None)
+
+
+def _on_chips(
+    bound: Candidate, candidate: Candidate, chips: Sequence[str | None], ann: Entry | None
+) -> list[Entry]:
+    """A spiking policy in float and on chips.
+
+    One that was trained in a chip's integers has no float twin: its file read in float is another
+    network.
+    """
+    twin = None if candidate.chip else Entry(candidate, FLOAT, ann)
+    rows = [Entry(bound, chip, twin or ann) for chip in chips]
+    return rows if twin is None else [twin, *rows]
 
 
 def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -140,3 +153,11 @@ def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
         else candidate
         for candidate in candidates
     ]
+
+
+def on_another_chip(entry: Entry) -> str:
+    """What to say of a policy on another chip than it was trained for; nothing on its own."""
+    trained = entry.candidate.chip
+    if trained is None or entry.chip in (None, trained) or trained == entry.chip.split(":")[0]:
+        return ""
+    return f"{entry.candidate.name} was trained for {trained}, and runs on {entry.chip} here"

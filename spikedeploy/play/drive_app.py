@@ -102,7 +102,7 @@ def open_session(
     env      short name or id
     options  of the environment
     policy   None for a person where keys can drive, else for a shipped policy
-    chip     of a spiking policy; None is DEFAULT_CHIP
+    chip     of a spiking policy; None is that of its training, or DEFAULT_CHIP
     """
     if record is not None and record.suffix != ".npz":
         raise ConfigError(f"--record {record}: a drive is kept in a file that ends in .npz")
@@ -117,7 +117,7 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
             raise ConfigError("--chip is for a policy: name one with --policy")
         return _person(world)
     candidate = _shipped(env) if policy is None else find(policy)
-    chip = chip or (DEFAULT_CHIP if candidate.kind == "snn" else None)
+    chip = chip or (candidate.chip or DEFAULT_CHIP if candidate.kind == "snn" else None)
     player = traced(candidate, chip, world, "total")
     if isinstance(player, NirController):
         player = DrivingNetwork(player)

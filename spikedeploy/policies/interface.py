@@ -41,6 +41,7 @@ class Candidate:
     quantisation  of a spiking policy on a chip
     faults    of that chip
     backend   what computes that chip
+    chip      whose integers it was trained in; None where it was trained for none
     units     of a teacher's actions, "own" or "scaled"; None for those that its kind has
     """
 
@@ -55,6 +56,7 @@ class Candidate:
     quantisation: Quantisation = PLAIN
     faults: Faults = NONE
     backend: BackendName = "numpy"
+    chip: str | None = None
     units: Literal["own", "scaled"] | None = None
 
 

@@ -138,6 +138,7 @@ def describe(path: Path) -> Candidate:
         env=env_id(origin.env) if origin and origin.env else None,
         observed=artifact.codec.encoder.observed,
         actions=int(np.prod(output.output_type["output"])),
+        chip=(origin.chip or None) if origin else None,
     )
 
 

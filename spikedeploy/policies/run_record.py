@@ -78,6 +78,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     config, name = settings(run), deployed(run, checkpoint)
     with whole(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
+        chip = str(config["policy"].get("chip", ""))
     return Provenance(
         env=env_of(run) or "",
         recipe=recipe,
@@ -86,6 +87,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
         checkpoint="" if name == deployed(run) else name,
+        chip=chip,
     )
 
 

@@ -39,7 +39,7 @@ class ServedPolicy:
                 f"{reference} is no spiking policy; `serve` runs .nir files, runs and shipped "
                 "policies that spike."
             )
-        self.name, self.chip = candidate.name, chip or DEFAULT_CHIP
+        self.name, self.chip = candidate.name, chip or candidate.chip or DEFAULT_CHIP
         on = chip_called(self.chip)
         options: dict[str, Any] = {"limits": limits} if on else {}
         self._first = SpikingController(

@@ -23,6 +23,7 @@ from spikedeploy.exporters.c.to_c import (
 )
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
@@ -89,7 +90,7 @@ class WrittenC:
 
 def export_c(
     policy: str,
-    chip_name: str,
+    chip_name: str | None,
     folder: Path | None,
     observations: int = 1000,
     prefix: str = "policy",
@@ -98,6 +99,7 @@ def export_c(
     """Write a policy as C of a chip.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
+    chip_name: None is that of its training, or the default.
     folder: to write to.
     observations: of an episode, from which the self-test and the typical operations come.
     prefix: what names in C begin with.
@@ -106,7 +108,9 @@ def export_c(
     if folder is None:
         raise ConfigError("--to c writes a folder: name it, as in -o firmware")
     file = nir_file(policy, "c")
-    artifact, on = load(file), chip(chip_name)
+    artifact = load(file)
+    chip_name = chip_of(artifact) if chip_name is None else chip_name
+    on = chip(chip_name)
     if artifact.codec is None:
         raise ConfigError(
             f"{policy} has no codec (observation to spikes), and C of it could not be asked for "
@@ -125,6 +129,11 @@ def export_c(
     )
 
 
+def chip_of(artifact: Artifact) -> str:
+    """The chip on which a policy runs where none is named: that of its training, or the default."""
+    return (artifact.provenance.chip if artifact.provenance else "") or DEFAULT_CHIP
+
+
 def nir_file(policy: str, to: str) -> Path:
     """The file of a policy; that of a run is exported first."""
     file = zoo.resolve(policy)
@@ -133,6 +142,8 @@ def nir_file(policy: str, to: str) -> Path:
 
         file = Path(runnable(policy))
     if file.suffix != ".nir" or not file.is_file():
+        if file.suffix in (".nir", ".onnx") and not file.is_file():
+            raise ConfigError(f"--to {to}: there is no file {policy}")
         raise ConfigError(
             f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs "
             "that make one."

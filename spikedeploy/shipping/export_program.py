@@ -45,7 +45,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.traces.trace_file import Verdict
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.seeds import VALIDATION
-from spikedeploy.shipping.export_c import nir_file, world_of
+from spikedeploy.shipping.export_c import chip_of, nir_file, world_of
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class WrittenKit:
 
 def export_program(
     policy: str,
-    chip_name: str,
+    chip_name: str | None,
     folder: Path | None,
     steps: int = 1000,
     raster: Path | None = None,
@@ -106,6 +106,7 @@ def export_program(
     """Write the kit of a policy, or of a network without a codec, for a chip.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
+    chip_name: None is that of its training, or the default.
     folder: to write to.
     steps: control steps of the episode from which the input comes; timesteps of a raster.
     raster: file with input spikes in chip timesteps, instead of an episode.
@@ -116,11 +117,13 @@ def export_program(
     """
     if folder is None:
         raise ConfigError("--to program writes a folder: name it, as in -o kit")
-    tool, file = tool_of(chip_name), nir_file(policy, "program")
+    file = nir_file(policy, "program")
+    artifact = load(file, **(options or {}))
+    chip_name = chip_of(artifact) if chip_name is None else chip_name
+    tool, on = tool_of(chip_name), _chip(chip_name)
     names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
     inputs = (file, policy, raster)
     check_output_folder("-o", folder, names, inputs, force, _written_before)
-    artifact, on = load(file, **(options or {})), _chip(chip_name)
     compiled = compile_program(artifact, on, clock=clock or _clock_of(artifact, on))
     if raster is not None:
         given = _given(artifact, raster, steps)

@@ -9,6 +9,8 @@ import typer
 from benchmarks import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
+from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.lineup import line_up, on_another_chip
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS
 from spikedeploy.runtime.chips.chip import chip
@@ -61,6 +63,26 @@ def test_they_are_found_by_name_and_stand_in_no_line_up(file):
     assert zoo.path(name) == file
     assert file not in zoo.policies()
     assert name not in zoo.names()
+
+
+def test_it_runs_on_its_chip_where_none_is_named_and_says_so_where_another_is(file):
+    policy, env = f"chips/{file.parent.name}/{file.stem}", file.parent.name
+    entries = line_up(env, [str(file)], None)
+    assert [e.chip for e in entries if e.candidate.kind == "snn"] == [file.stem]
+    assert run_policy(policy, None, None, range(1)).rows[0].entry.chip == file.stem
+    assert not on_another_chip(entries[0])
+    beside = line_up(env, [str(file)], ["int"])[0]
+    assert f"was trained for {file.stem}, and runs on int here" in on_another_chip(beside)
+
+
+def test_chips_are_separated_by_commas_or_given_again(command):
+    words = ("compare", "CartPole-v1", "chips/CartPole-v1/tinyodin", "--episodes", "1", "--json")
+    for more in (["--chips", "tinyodin,int"], ["--chips", "tinyodin", "--chips", "int"]):
+        code, out, err = command(*words, "--workers", "1", *more)
+        assert code == 0, err
+        chips = [row["chip"] for row in json.loads(out)["rows"] if row["kind"] == "snn"]
+        assert chips == ["tinyodin", "int"]
+        assert "tinyodin was trained for tinyodin, and runs on int here" in err
 
 
 def test_the_table_names_the_teacher_that_is_shipped_and_chips_without_a_policy():
