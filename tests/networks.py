@@ -96,3 +96,15 @@ def event_driven(obs=3, act=2, hidden=8, code="unary", timesteps=1, seed=0, dt=1
     network = chain(*nodes, width=encoder.width, act=act)
     convention = Convention(dt).with_options({"state": "kept"})
     return Artifact(network, Codec(normaliser, encoder, timesteps), convention, ORIGIN)
+
+
+def unit_lif(*shape, tau=4e-3, gain=4.0):
+    """Neurons of any shape with a gain of 1 at dt = 1 ms."""
+    return nir.LIF(*(np.full(shape, v) for v in (tau, gain, 0.0, 1.0, 0.0)))
+
+
+def named_chain(takes, puts, **nodes):
+    """Input of a shape -> nodes by their names -> output, which nir does not check."""
+    ends = {"input": nir.Input(np.array(takes)), "output": nir.Output(np.array(puts))}
+    names = ["input", *nodes, "output"]
+    return nir.NIRGraph({**ends, **nodes}, list(pairwise(names)), type_check=False)

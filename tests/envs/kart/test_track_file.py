@@ -3,6 +3,7 @@
 import json
 import math
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -205,3 +206,14 @@ def test_a_track_that_cannot_be_driven_is_refused_with_the_reason(tmp_path, cont
 def test_a_gate_may_stick_out_of_the_walls_a_little(tmp_path):
     path = written(tmp_path, changed(gates=[[[200, -5], [200, 110]], LANE["gates"][1]]))
     assert len(track_file.load(path).gates) == 2
+
+
+def test_a_track_of_a_million_pixels_is_refused(tmp_path):
+    record = json.loads((Path(track_file.__file__).parent / "tracks" / "small_S.json").read_text())
+    record["walls"][0][0][0] = 1e9
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(EnvError, match="px wide; at most 20000"):
+        track_file.load(tmp_path / "a.json")
+    (tmp_path / "b.json").write_text("[" * 100_000)
+    with pytest.raises(EnvError, match="not a JSON file"):
+        track_file.load(tmp_path / "b.json")

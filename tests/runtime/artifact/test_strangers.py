@@ -12,7 +12,6 @@ import nir
 import numpy as np
 import pytest
 
-from benchmarks.fuzz_corpus import chain, lif
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.artifact.nir_data import read_nir_data, write_nir_data
 from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -24,13 +23,14 @@ from spikedeploy.runtime.errors import (
     RuleError,
 )
 from spikedeploy.runtime.graph.order import order, sources
+from tests.networks import named_chain, unit_lif
 
 TWO = np.ones(2)
 
 
 def damaged(path, damage):
     """A small network in which `damage(file, nodes)` was done."""
-    nir.write(path, chain([2], [2], weights=nir.Linear(np.eye(2)), cells=lif(2)))
+    nir.write(path, named_chain([2], [2], weights=nir.Linear(np.eye(2)), cells=unit_lif(2)))
     with h5py.File(path, "r+") as file:
         damage(file, file["node/nodes"])
     return path
@@ -153,7 +153,7 @@ def test_a_graph_of_thousands_of_nodes_is_refused(tmp_path):
 
 def test_loops_that_interlock_by_the_hundred_are_refused():
     names = [f"n{number:03}" for number in range(500)]
-    nodes = {name: lif(2) for name in names}
+    nodes = {name: unit_lif(2) for name in names}
     both = [*pairwise(names), *((b, a) for a, b in pairwise(names))]
     ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
     graph = nir.NIRGraph(
@@ -191,7 +191,7 @@ def test_whole_weights_compile_as_floats_of_the_same_values(kind, name, tmp_path
     weights = np.array([[low, 3], [127, 0]])
     programs = []
     for each in (kind, "f8"):
-        graph = chain([2], [2], weights=nir.Linear(weights.astype(each)), cells=lif(2))
+        graph = named_chain([2], [2], weights=nir.Linear(weights.astype(each)), cells=unit_lif(2))
         nir.write(tmp_path / "a.nir", graph)
         artifact = load(tmp_path / "a.nir", dt=1e-3)
         check(artifact, chip(name))
@@ -203,7 +203,9 @@ def test_whole_weights_compile_as_floats_of_the_same_values(kind, name, tmp_path
 
 def test_whole_numbers_that_no_float_holds_are_refused(tmp_path):
     huge = np.full((2, 2), 2**63, np.uint64)
-    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(huge), cells=lif(2)))
+    nir.write(
+        tmp_path / "a.nir", named_chain([2], [2], weights=nir.Linear(huge), cells=unit_lif(2))
+    )
     with pytest.raises(ArtifactError, match="weight holds whole numbers beyond 9007199254740992"):
         load(tmp_path / "a.nir", dt=1e-3)
 
@@ -211,7 +213,9 @@ def test_whole_numbers_that_no_float_holds_are_refused(tmp_path):
 @pytest.mark.parametrize("value", [5e-324, 1e-310, -1e-320, 1e-40])
 def test_denormal_weights_give_no_warnings(value, tmp_path):
     weights = np.array([[value, 1.0], [0.0, value]])
-    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(weights), cells=lif(2)))
+    nir.write(
+        tmp_path / "a.nir", named_chain([2], [2], weights=nir.Linear(weights), cells=unit_lif(2))
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         artifact = load(tmp_path / "a.nir", dt=1e-3)
@@ -271,9 +275,9 @@ def test_nir_data_of_strangers_are_refused_in_a_sentence(changes, tmp_path):
 
 
 def test_a_time_constant_below_the_smallest_float_forgets_at_once(tmp_path):
-    cells = lif(2)
+    cells = unit_lif(2)
     cells.tau = np.full(2, np.longdouble("1e-1600"))
-    nir.write(tmp_path / "a.nir", chain([2], [2], weights=nir.Linear(np.eye(2)), cells=cells))
+    nir.write(tmp_path / "a.nir", named_chain([2], [2], weights=nir.Linear(np.eye(2)), cells=cells))
     with pytest.raises(ConventionError, match="longer than tau"):
         load(tmp_path / "a.nir", dt=1e-3)
     # and no warning, which is an error here
@@ -313,3 +317,76 @@ def test_more_heaps_of_texts_than_are_searched_for_are_refused(tmp_path):
         file.write(b"GCOL\x01\x00\x00\x00" * 256)
     with pytest.raises(ObservationError, match="more than 256 heaps of texts"):
         read_nir_data(path, {"input": (3,)}, 1e-3)
+
+
+def into(nodes, name, make):
+    del nodes[name]
+    make(nodes)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda f, n: n.__setitem__("x", h5py.SoftLink("/node")), "nodes/x is a SoftLink"),
+        (lambda f, n: n.__setitem__("x", h5py.ExternalLink("b.nir", "/")), "is a ExternalLink"),
+        (lambda f, n: n.__setitem__("x", f["node"]), "there under another name too"),
+        (
+            lambda f, n: into(
+                n,
+                "cells/r",
+                lambda m: m.create_dataset(
+                    "cells/r", (2,), "f8", external=[("/etc/passwd", 0, 16)]
+                ),
+            ),
+            "has its numbers in another file",
+        ),
+        (lambda f, n: n.create_group("/".join("x" * 70)), "is deeper than 64 groups"),
+        (
+            lambda f, n: into(
+                n, "cells/r", lambda m: m.create_dataset("cells/r", (1 << 20, 1 << 12), "f8")
+            ),
+            "for which too few are in the file",
+        ),
+        (
+            # HDF5 crashed on one that a flipped bit had made of a text
+            lambda f, n: into(
+                n, "cells/type", lambda m: m.create_dataset("cells/type", (), h5py.vlen_dtype("i8"))
+            ),
+            "nodes/cells/type holds neither numbers nor texts",
+        ),
+        (
+            lambda f, n: into(n, "cells/r", lambda m: m.create_dataset("cells/r", data=f.ref)),
+            "nodes/cells/r holds neither numbers nor texts",
+        ),
+    ],
+    ids=["soft", "external link", "circle", "elsewhere", "deep", "claim", "type", "reference"],
+)
+def test_links_and_storage_outside_the_file_are_refused_by_name(damage, message, tmp_path):
+    path = damaged(tmp_path / "a.nir", damage)
+    with pytest.raises(ArtifactError) as caught:
+        load(path)
+    assert message in str(caught.value)
+
+
+flat = nir.Flatten({"input": np.array([3000, 3000])}, 0, -1)
+
+
+def sized(kernel, shape, padding=0):
+    weight = np.ones((1, shape[0], *kernel))
+    conv = nir.Conv2d(shape[1:], weight, 1, padding, 1, 1, np.zeros(1))
+    return named_chain(list(shape), [1, 1, 1], c=conv)
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (named_chain([3000, 3000], [9000000], a=flat), "put out 18000000"),
+        (sized((300, 300), (1, 600, 600)), "windows hold 8154090000 values; at most 67108864"),
+        (sized((999, 999), (1, 1100, 1100), 500), "multiplications in a timestep; at most"),
+    ],
+    ids=["numbers", "windows", "multiplications"],
+)
+def test_a_timestep_that_would_take_minutes_is_refused_at_load(network, message, tmp_path):
+    nir.write(tmp_path / "a.nir", network)
+    with pytest.raises(ArtifactError, match=message):
+        load(tmp_path / "a.nir")
