@@ -14,7 +14,6 @@
     reports      tables and plots
     pages        the page of a comparison: one HTML file
     shipping     export, publishing into the zoo, the demo
-    experiments  many trainings and their evaluations by one command
     jobs         pure functions in this process, in several, or on a cluster of Ray
     sweeps       grids of evaluations, kept job by job
     tuning       searches for settings of trainings
@@ -28,6 +27,7 @@
     make_env     environments with options, as the command line asks for them
     parallel     pure functions in processes side by side
     seeds        which seeds are for training, validation and evaluation
+    training_seeds  one recipe with several seeds, side by side
     user_errors  the one line that an error becomes
     video        MP4 files
 

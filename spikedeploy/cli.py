@@ -21,7 +21,6 @@ COMMANDS = {
         "check": "checks",
         "drift": "open_loop",
         "verify": "replays",
-        "interop": "interop",
         "reproduce": "evidence",
     },
     "Make": {
@@ -30,7 +29,6 @@ COMMANDS = {
         "distill": "distillation",
         "export": "exporting",
         "publish": "exporting",
-        "experiment": "experiments",
         "sweep": "sweeps",
         "draw": "windows",
     },
@@ -86,7 +84,12 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; an error that a user can act on becomes one line on stderr.
+    """Run the command line."""
+    run(app)
+
+
+def run(commands: typer.Typer) -> None:
+    """Run commands; an error that a user can act on becomes one line on stderr.
 
     Exit codes: 0 done, 1 does not fit or is not equal, 2 bad input, 130 stopped by Ctrl-C, 141
     where the reader of a pipe left.
@@ -95,7 +98,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     prepare_streams()
     try:
-        app()
+        commands()
     except SystemExit as stop:  # 1 of rich's or typer's where the reader of a pipe left
         if isinstance(stop.__context__, BrokenPipeError):
             sys.exit(_LEFT)

@@ -4,8 +4,11 @@ import os
 import shutil
 import signal
 import sys
+from pathlib import Path
 
 import pytest
+
+LAB = Path(__file__).parent / "lab"
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
@@ -18,6 +21,18 @@ for ignored, usual in (
 ):
     if signal.getsignal(ignored) is signal.SIG_IGN:
         signal.signal(ignored, usual)
+
+
+def pytest_addoption(parser):
+    """`--lab` runs the tests of the lab too; a path in their folder does so without it."""
+    parser.addoption("--lab", action="store_true", help="the tests of the lab too")
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out the tests of the lab where nobody asks for them."""
+    asked = (Path(config.invocation_params.dir, word.partition("::")[0]) for word in config.args)
+    wanted = config.getoption("--lab") or any(path.is_relative_to(LAB) for path in asked)
+    return True if collection_path == LAB and not wanted else None
 
 
 @pytest.fixture

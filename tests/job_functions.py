@@ -7,8 +7,8 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-from spikedeploy.experiments.trial import exclusive
-from spikedeploy.experiments.workers import JobEnd
+from lab.experiments.trial import exclusive
+from spikedeploy.jobs.resumable import JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
 
@@ -54,7 +54,7 @@ def turn(path):
 
 
 def in_this_process(names):
-    """A stand-in for workers.run, which adds the names of the jobs that it runs."""
+    """A stand-in for resumable.run, which adds the names of the jobs that it runs."""
 
     def run(jobs, count, ended, look):
         for job in jobs:

@@ -11,14 +11,12 @@ open_loop    emulate, drift: networks on recorded spikes
 checks       check, doctor
 replays      verify
 evidence     reproduce
-interop      interop
 training     train, visualize
 exporting    export, publish
 training_seeds  train --seeds
 runs         runs
 distillation  distill
 tuning       tune
-experiments  experiment
 sweeps       sweep
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes

@@ -17,11 +17,11 @@ def run_seeds(
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
     from spikedeploy.console import print_json, print_table, print_text, say
-    from spikedeploy.experiments.training_seeds import train_seeds
     from spikedeploy.parallel import cores
     from spikedeploy.seeds import training_seeds
     from spikedeploy.trainers.recipes import RECIPES
     from spikedeploy.trainers.resolve import known
+    from spikedeploy.training_seeds import train_seeds
 
     known(str(recipe), RECIPES, "recipe")  # refuses an unknown one before processes are started
     seeds = training_seeds("--seeds", text)

@@ -8,6 +8,7 @@ columns       the tables of a comparison, column by column
 short_table   a comparison in one table of 80 columns, a run in one line
 headline      the row that a page is about, and three numbers of it
 markdown      lines of a table in Markdown
+csv_rows      rows as CSV, and read again
 plots         returns, energies and learning curves as PNG
 curves        the learning curve in a run's metrics
 terminal      what commands print of comparisons, emulations, drifts, files and traces

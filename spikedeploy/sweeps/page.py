@@ -7,11 +7,11 @@ from typing import Any
 
 from spikedeploy.comparison.metrics import drives
 from spikedeploy.console import print_table
-from spikedeploy.experiments.csv_rows import write_rows
 from spikedeploy.outputs import mark
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.cells import ABSENT, Column, number
 from spikedeploy.reports.columns import asked_for, difference, finished, interval
+from spikedeploy.reports.csv_rows import write_rows
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.reports.short_table import energy_cell, operations, quoted_table
 from spikedeploy.sweeps.cells import JobRow, cells

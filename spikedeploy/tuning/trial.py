@@ -21,7 +21,7 @@ RETURN, SOPS = "return", "sops"
 
 
 def perform(plan: dict[str, Any], storage: str, folder: str, name: str, trials: int) -> bool:
-    """Run one more trial (a job of `workers`); False if it was interrupted.
+    """Run one more trial (a job of `spikedeploy.jobs.resumable`); False if it was interrupted.
 
     name    of the job
     trials  of the study in all; where as many ended or run, nothing is done

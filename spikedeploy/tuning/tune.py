@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spikedeploy.experiments.workers import Job, JobEnd, run
+from spikedeploy.jobs.resumable import Job, JobEnd, run
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.tuning.outcomes import TrialOutcome, best, outcomes
 from spikedeploy.tuning.page import write_page

@@ -14,11 +14,11 @@ from statistics import mean, median
 
 import numpy as np
 
+from lab.experiments.kart.design import GREEDY
+from lab.experiments.lineup import records, tables
+from lab.experiments.pareto.tables import NEAR, NEARLY
 from spikedeploy.comparison.statistics import nested_ratio, ratio_of_medians
 from spikedeploy.envs.hexapod.command import FOLLOWED, SPEED
-from spikedeploy.experiments.kart.design import GREEDY
-from spikedeploy.experiments.lineup import records, tables
-from spikedeploy.experiments.pareto.tables import NEAR, NEARLY
 from spikedeploy.runtime.metrics.energy import energy_table
 from spikedeploy.trainers.distill.config import DistillConfig
 from spikedeploy.trainers.ppo.config import PpoConfig
@@ -334,7 +334,7 @@ def macs(env, *policies):
 
 
 def phase_table():
-    """What `python benchmarks/phase_table.py` found."""
+    """What `python -m lab phase-table` found."""
     return json.loads((RESULTS / "phase-table.json").read_text("utf-8"))
 
 

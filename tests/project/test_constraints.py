@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from benchmarks import constraints
+from lab import constraints
 from spikedeploy import tested_set
 from spikedeploy.commands import checks
 from tests.paths import ROOT
@@ -42,7 +42,7 @@ def test_every_requirement_has_an_upper_bound_and_its_tested_version_is_within(r
 
 def test_the_file_says_by_which_command_it_is_made_and_what_to_do_without_a_version():
     head = "\n".join(line for line in LINES if line.startswith("#"))
-    assert "python benchmarks/constraints.py > spikedeploy/constraints.txt" in head
+    assert "python -m lab constraints > spikedeploy/constraints.txt" in head
     assert "pip install -c constraints.txt" in head
     assert "leave out `-c constraints.txt`" in head
 

@@ -28,9 +28,8 @@ START, END = "<!-- dependencies -->\n", "<!-- end of dependencies -->\n"
 NOT_RUN = {
     r"test\b": "this suite itself",
     r"demo\b": "a minute of episodes and films",
-    r"(train|tune|distill|experiment)\b": "trains for minutes or hours",
+    r"(train|tune|distill)\b": "trains for minutes or hours",
     r"export last\b": "needs a training",
-    r"interop\b": "minutes, and environments of other tools",
     r"(play|draw)\b": "opens a window",
     r"replay\b": "opens a window, or films what a training left",
     r"compare hexapod": "minutes of episodes",
@@ -125,7 +124,7 @@ def test_the_python_of_a_page_runs(page, checkout):
         exec(compile(block, page.name, "exec"), {})
 
 
-FOLDERS = "runtime|envs|trainers|exporters|spikedeploy|benchmarks|tests|examples"
+FOLDERS = "runtime|envs|trainers|exporters|spikedeploy|lab|tests|examples"
 PATH = rf"(?<![\w/.])((?:{FOLDERS})/[\w./-]*\w/?)(?![\w*<])"
 ENVIRONMENT = r"spikedeploy/\w+-v\d"
 

@@ -37,7 +37,7 @@ def spike(home, *words, cwd=None):
 
 
 def test_it_is_a_short_posix_script():
-    assert len((ROOT / "spike").read_text().splitlines()) <= 42
+    assert len((ROOT / "spike").read_text().splitlines()) <= 43
     subprocess.run(["sh", "-n", ROOT / "spike"], check=True)
 
 
@@ -124,7 +124,13 @@ def test_docs_builds_the_site_of_the_checkout(checkout, tmp_path):
 
 def test_peers_are_compared_with_by_a_script_of_the_checkout(checkout, tmp_path):
     _, _, lines = spike(checkout, "test", "--peers", "norse", cwd=tmp_path)
-    assert lines[-1] == f"python {checkout} benchmarks/live_peers.py norse"
+    assert lines[-1] == f"python {checkout} -m lab live-peers norse"
+
+
+def test_the_lab_runs_in_the_checkout(checkout, tmp_path):
+    _, programs, lines = spike(checkout, "lab", "drift", "-o", "results/drift.md", cwd=tmp_path)
+    assert programs[0] == "pip"
+    assert lines[-1] == f"python {checkout} -m lab drift -o results/drift.md"
 
 
 def test_the_suite_runs_without_xylosim_where_it_cannot_be_built(checkout):

@@ -8,7 +8,7 @@ import nir
 import numpy as np
 import pytest
 
-from benchmarks.exported_networks import CASES, FOLDER, record
+from lab.peers.exported_networks import CASES, FOLDER, record
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.float_model.graph import FloatGraph
 

@@ -204,14 +204,6 @@ def test_a_strange_codec_is_refused_in_a_sentence(text, says, tmp_path, command)
     assert not (tmp_path / "net.policy.nir").exists()
 
 
-@pytest.mark.parametrize("policy", ["bad.onnx", "nowhere"])
-def test_robustness_of_a_broken_policy_is_a_sentence(policy, tmp_path, command, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.onnx").write_text("no onnx")
-    words = ("experiment", "robustness", "CartPole-v1", "--policies", policy)
-    refused(command(*words), "bad.onnx" if policy == "bad.onnx" else "no policy at 'nowhere'")
-
-
 @pytest.mark.parametrize("text", ["{}", "[1]", "[" * 100_000, '{"evaluation": [3]}', ""])
 def test_reproduce_refuses_what_is_no_record(text, tmp_path, command):
     (tmp_path / "card.json").write_text(text)

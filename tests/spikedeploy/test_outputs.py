@@ -13,7 +13,6 @@ import pytest
 
 from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
 from spikedeploy.files import write_text
-from spikedeploy.interop.written import check_written
 from spikedeploy.outputs import check_output, check_output_folder, mark, marked
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.export_run import export_run
@@ -26,14 +25,13 @@ RASTER = ROOT / "examples" / "raster.npy"
 GUARDS = {
     "export": inspect.getsource(export_run),
     "publish": inspect.getsource(publish_run),
-    "interop": inspect.getsource(check_written),
 }
 # options and arguments that name a file or folder to write, by command
 OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
-    ("experiment", "output"), ("play", "record"), ("replay", "video"),
-    ("check", "output"), ("drift", "output"), ("interop", "output"), ("interop", "records"),
+    ("play", "record"), ("replay", "video"),
+    ("check", "output"), ("drift", "output"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",

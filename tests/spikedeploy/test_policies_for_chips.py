@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import typer
 
-from benchmarks import chip_policies
+from lab.experiments import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
 from spikedeploy.comparison.closed_loop import run_policy

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from benchmarks.kill_compare import differences
+from lab.kill.kill_compare import differences
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.interrupt import Interrupt
@@ -186,7 +186,7 @@ def test_a_checkpoint_of_before_is_resumed(sac, tmp_path):
 
 def test_a_training_that_is_really_killed_ends_with_the_same_files():
     done = subprocess.run(
-        [sys.executable, "benchmarks/kill.py", "--kills", "2", "--only", "ppo-mlp", "distill-snn",
+        [sys.executable, "-m", "lab", "kill", "--kills", "2", "--only", "ppo-mlp", "distill-snn",
          "--json"],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip

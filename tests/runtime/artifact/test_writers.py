@@ -1,7 +1,7 @@
 """Files of other tools as their authors meant them: recorded spikes, and by hand what has none.
 
 tests/golden/exports holds what snnTorch, Norse and SpikingJelly exported and computed
-(benchmarks/exported_networks.py); test_peer_exports.py asks the tools themselves.
+(lab/peers/exported_networks.py); test_peer_exports.py asks the tools themselves.
 """
 
 from itertools import pairwise
@@ -10,7 +10,7 @@ import nir
 import numpy as np
 import pytest
 
-from benchmarks.exported_networks import CASES, FOLDER
+from lab.peers.exported_networks import CASES, FOLDER
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.artifact.writers.writer import WRITERS, read_as_written, writer
 from spikedeploy.runtime.chips.chip import chip

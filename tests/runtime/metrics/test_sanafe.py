@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.sanafe_networks import NETWORKS, program, run, scattered, simulated
+from lab.peers.sanafe_networks import NETWORKS, program, run, scattered, simulated
 from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
 from spikedeploy.runtime.metrics.traffic import one_core_each, traffic
 

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from benchmarks.random_networks import SIZES, random_trace
+from lab.peers.random_networks import SIZES, random_trace
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.traces.verify import verify
@@ -125,9 +125,8 @@ def test_what_does_not_fit_is_refused_by_its_name(field, value, message, tmp_pat
 def test_random_networks_on_nengo_loihis_emulator_equal_ours(tmp_path):
     if find_spec("nengo_loihi") is None:
         pytest.skip("nengo-loihi is not installed; ./spike test --peers compares with it")
-    script = ROOT / "benchmarks" / "record_traces.py"
     words = ["--random", "3", "--tool", "nengo_loihi", "--out", str(tmp_path)]
-    command = [sys.executable, str(script), *words]
+    command = [sys.executable, "-m", "lab", "record-traces", *words]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     verdicts = [verify(path) for path in sorted(tmp_path.glob("*.json"))]

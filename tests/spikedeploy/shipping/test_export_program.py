@@ -14,7 +14,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-from benchmarks import kits
+from lab.peers import kits
 from spikedeploy.exporters import to_program
 from spikedeploy.exporters.to_program import TOOLS, chip_run
 from spikedeploy.runtime.artifact.artifact import load, save

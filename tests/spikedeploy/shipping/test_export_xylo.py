@@ -87,7 +87,7 @@ def test_specifications_of_random_networks_compute_the_same_spikes(artifact):
 def test_xylosim_computes_from_the_specification_what_the_emulated_chip_does(artifact, seed):
     reason = "xylosim is not installed: it needs a C++ compiler"
     pytest.importorskip("xylosim.v2", reason=reason, exc_type=ImportError)
-    from benchmarks.traces.xylosim import record
+    from lab.peers.traces.xylosim import record
 
     program = program_of(artifact)
     written = json.loads(json.dumps(document(program, specification(program))))

@@ -393,7 +393,7 @@ def test_settings_are_read_as_compare_reads_them():
     ("line", "message"),
     [
         ("spikedeploy compare hexapod --colour red", "is not understood"),
-        ("spikedeploy experiment kart", "not `spikedeploy compare`"),
+        ("python -m lab experiment kart", "not `spikedeploy compare`"),
         ("", "not `spikedeploy compare`"),
     ],
 )

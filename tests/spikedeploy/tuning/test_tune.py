@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from spikedeploy.experiments.worker import INTERRUPTED
-from spikedeploy.experiments.workers import JobEnd
+from spikedeploy.jobs.resumable import JobEnd
+from spikedeploy.jobs.resumable_process import INTERRUPTED
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.resolve import parse_override
 from spikedeploy.tuning import trial, tune

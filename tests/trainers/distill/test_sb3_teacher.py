@@ -1,6 +1,6 @@
 """Stable-Baselines3's models, as it saved them: equal actions, and what is refused.
 
-tests/golden/sb3 was recorded by benchmarks/sb3_models.py.
+tests/golden/sb3 was recorded by lab/peers/sb3_models.py.
 """
 
 import base64

@@ -1,0 +1,69 @@
+"""`python -m lab NAME …`: run one of the experiments, benchmarks or comparisons.
+
+Imports the standard library only, so that it starts in the environments of other tools.
+"""
+
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+# command -> its module, whose main() reads the command line and may return an exit code
+COMMANDS = {
+    "experiment": "lab.experiments.command",
+    "chip-policies": "lab.experiments.chip_policies",
+    "clocks": "lab.experiments.clocks",
+    "drift": "lab.experiments.drift",
+    "energy-ratio": "lab.experiments.energy_ratio",
+    "kart-trainings": "lab.experiments.kart.trainings",
+    "phase-table": "lab.experiments.phase_table",
+    "envs": "lab.bench.envs",
+    "flat-memory": "lab.bench.flat_memory",
+    "latency": "lab.bench.latency",
+    "parity": "lab.bench.parity",
+    "realtime": "lab.bench.realtime",
+    "runtime": "lab.bench.runtime",
+    "structure": "lab.bench.structure",
+    "sweep": "lab.bench.sweep",
+    "versions": "lab.bench.versions",
+    "firmware": "lab.firmware.policies",
+    "firmware-integers": "lab.firmware.integers",
+    "firmware-networks": "lab.firmware.networks",
+    "firmware-peers": "lab.firmware.peers",
+    "interop": "lab.interop.command",
+    "exported-networks": "lab.peers.exported_networks",
+    "kits": "lab.peers.kits",
+    "live-peers": "lab.peers.live_peers",
+    "record-traces": "lab.peers.record_traces",
+    "rsl-rl-policy": "lab.peers.rsl_rl_policy",
+    "sanafe-energy": "lab.peers.sanafe_energy",
+    "sb3-models": "lab.peers.sb3_models",
+    "kill": "lab.kill.kill",
+    "constraints": "lab.constraints",
+}
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ROOT = str(Path(__file__).resolve().parents[1])
+
+
+def main() -> int | None:
+    """Run the command that is named; return its exit code."""
+    words = sys.argv[1:]
+    if not words or words[0] in ("-h", "--help"):
+        print("usage: python -m lab NAME …\n\nNAME --help says more of each:")
+        print("\n".join(f"  {name}" for name in COMMANDS))
+        return None
+    if words[0] not in COMMANDS:
+        print(f"error: no {words[0]!r} in lab; there are {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    for name in _THREADS:  # before numpy and torch load; times are compared on one thread
+        os.environ[name] = "1"
+    # processes that are started find lab in whatever folder they run
+    paths = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+    os.environ["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([_ROOT, *paths]))
+    sys.argv = [f"python -m lab {words[0]}", *words[1:]]
+    code: int | None = import_module(COMMANDS[words[0]]).main()
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,13 @@
+"""Speed, memory and structure of this code, some of it beside other libraries.
+
+latency      one action, against snnTorch's loop
+runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly and xylosim
+nets, peers  the networks that `runtime` runs, and the libraries that run them
+versions     this tree against another one
+parity       torch = NumPy = `ideal` on recorded observations
+realtime     start-up, and closed loops against the robot's clock
+envs         steps per second of the environments
+sweep        sweeps on several nodes, one of which is killed
+flat_memory  memory of a controller over a million steps
+structure    files and changes of file behind one control step
+"""

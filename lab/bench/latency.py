@@ -1,0 +1,198 @@
+"""Batch-1 latency: a policy on an emulated chip against snnTorch's loop of the same weights.
+
+    python -m lab latency [FILE.nir] [--chip loihi1] [--rounds 15] [--json]
+
+Both take an observation and give an action, encoder and decoder included, with one thread. They
+take turns in one process, round by round, on observations of the policy's own walk, and the medians
+of their inferences are compared: a ratio is the peer's time over ours. snnTorch counts nothing, so
+ours is compared without its ledger; with it, as closed loops run, is a row of its own. The peer's
+actions are compared with the float twin's too, so that both are seen to compute the same policy.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import nir
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from snntorch import Synaptic
+from torch import Tensor, nn
+
+import spikedeploy.zoo
+from spikedeploy import envs
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec, PopulationEncoder
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.neurons import discretise
+
+SHIPPED = Path(spikedeploy.zoo.__file__).parent / "hexapod" / "popsan.nir"
+STEPS = 200  # of the walk, and inferences in each round
+SEED = 5_000  # of the walk; evaluation begins at 10,000
+
+Numbers = NDArray[np.float64]
+Act = Callable[[Numbers], Any]
+
+
+class SnnTorchLoop(nn.Module):
+    """A policy as snnTorch runs one: a module for each layer, called once in every timestep."""
+
+    def __init__(self, artifact: Artifact, codec: Codec) -> None:
+        super().__init__()
+        if not isinstance(codec.encoder, PopulationEncoder):
+            raise ArtifactError(f"the loop has no encoder of kind {codec.encoder.kind!r}")
+        nodes = artifact.graph.nodes
+        layers = range(1, sum(isinstance(node, nir.CubaLIF) for node in nodes.values()) + 1)
+        self.dense = nn.ModuleList(linear(nodes[f"fc{k}"]) for k in layers)
+        self.spiking = [synaptic(artifact, f"lif{k}") for k in layers]
+        self.readout = linear(nodes["readout"])
+        self.timesteps, self.threshold = codec.timesteps, codec.encoder.threshold
+        self.clip = codec.normaliser.clip
+        self.mean, self.std = single(codec.normaliser.mean), single(codec.normaliser.std)
+        self.centre, self.width = single(codec.encoder.mean), single(codec.encoder.std)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return the action (1, act) for an observation (1, obs)."""
+        drive = self._drive(observation)
+        membrane, rate = torch.zeros_like(drive), torch.zeros(())
+        states = [layer.reset_mem() for layer in self.spiking]
+        for _ in range(self.timesteps):
+            membrane = membrane + drive
+            spikes = (membrane > self.threshold).float()
+            membrane = membrane - self.threshold * spikes
+            for k, (dense, layer) in enumerate(zip(self.dense, self.spiking, strict=True)):
+                spikes, *states[k] = layer(dense(spikes), *states[k])
+            rate = rate + spikes / self.timesteps
+        return torch.tanh(self.readout(rate))
+
+    def _drive(self, observation: Tensor) -> Tensor:
+        x = ((observation - self.mean) / self.std).clamp(-self.clip, self.clip)
+        return torch.exp(-0.5 * ((x[:, :, None] - self.centre) / self.width).square()).flatten(1)
+
+
+def main() -> None:
+    """Measure, and print a table or JSON."""
+    arguments = parsed()
+    torch.set_num_threads(1)
+    artifact = load(arguments.file)
+    if artifact.codec is None or artifact.provenance is None:
+        raise ArtifactError(
+            f"{arguments.file} was not exported by spikedeploy: no codec, no origin"
+        )
+    peer = actor(SnnTorchLoop(artifact, artifact.codec))
+    emulated = chip(arguments.chip)
+    actors = {
+        "ours": SpikingController(artifact, emulated, ledger="none").act_batch,
+        "ours_counting": SpikingController(artifact, emulated, ledger="total").act_batch,
+        "snntorch": peer,
+    }
+    observations = walk(artifact, artifact.provenance.env)
+    times = interleaved(actors, observations, arguments.rounds)
+    median = {name: 1e6 * float(np.median(taken)) for name, taken in times.items()}
+    result = {
+        "file": "/".join(arguments.file.parts[-2:]),
+        "chip": arguments.chip,
+        "median_us": median,
+        "ratios": {"snntorch": median["snntorch"] / median["ours"]},
+        "ratios_counting": {"snntorch": median["snntorch"] / median["ours_counting"]},
+        "snntorch_equals_float_twin": agreement(artifact, peer, observations),
+    }
+    print(json.dumps(result, indent=2) if arguments.json else table(result))
+
+
+def walk(artifact: Artifact, env_id: str) -> Numbers:
+    """Return observations (STEPS, obs) of the policy in its own environment."""
+    twin, env = SpikingController(artifact), envs.make(env_id)
+    observation, _ = env.reset(seed=SEED)
+    seen = []
+    for _ in range(STEPS):
+        seen.append(observation)
+        observation, _, terminated, truncated, _ = env.step(twin.act(observation))
+        if terminated or truncated:
+            observation, _ = env.reset()
+    return np.stack(seen)
+
+
+def agreement(artifact: Artifact, peer: Act, observations: Numbers) -> float:
+    """Return the share of observations on which the peer acts like the float twin within 1e-4."""
+    expected = SpikingController(artifact).act_batch(observations)
+    found = np.concatenate([peer(row) for row in observations[:, None]])
+    # float32 moves a spike now and then, so not all of them
+    return float((np.abs(found - expected).max(axis=1) < 1e-4).mean())
+
+
+def interleaved(
+    actors: dict[str, Act], observations: Numbers, rounds: int
+) -> dict[str, list[float]]:
+    """Return seconds of each actor's inferences; the first round is not kept."""
+    times: dict[str, list[float]] = {name: [] for name in actors}
+    for _ in range(rounds + 1):
+        for name, act in actors.items():
+            for row in observations[:, None]:
+                start = time.perf_counter()
+                act(row)
+                times[name].append(time.perf_counter() - start)
+    return {name: taken[len(observations) :] for name, taken in times.items()}
+
+
+def actor(network: nn.Module) -> Act:
+    """Return a network as a function of one observation (1, obs)."""
+
+    @torch.no_grad()
+    def act(observation: Numbers) -> Any:  # noqa: ANN401
+        return network(torch.from_numpy(observation).float()).numpy()
+
+    return act
+
+
+def linear(node: nir.Affine) -> nn.Linear:
+    """Return an affine node as a torch layer."""
+    layer = nn.Linear(node.weight.shape[1], node.weight.shape[0])
+    layer.load_state_dict({"weight": single(node.weight), "bias": single(node.bias)})
+    return layer
+
+
+def synaptic(artifact: Artifact, name: str) -> Synaptic:
+    """Return CuBa-LIF neurons as snnTorch's module; all of a layer are alike."""
+    neuron = discretise(name, artifact.graph.nodes[name], artifact.convention)
+    constants = (neuron.current_decay, neuron.membrane_decay, neuron.threshold)
+    alpha, beta, threshold = (float(values[0]) for values in constants if values is not None)
+    return Synaptic(alpha, beta, threshold, reset_mechanism="zero", reset_delay=False)
+
+
+def single(array: NDArray[np.floating]) -> Tensor:
+    """Return an array as a float32 tensor."""
+    return torch.from_numpy(array).float()
+
+
+def table(result: dict[str, Any]) -> str:
+    """Return the result for people."""
+    median = result["median_us"]
+    ratio, counting = (result[key]["snntorch"] for key in ("ratios", "ratios_counting"))
+    return "\n".join(
+        [
+            f"{result['file']}, batch 1, one thread, observation to action, medians",
+            f"  ours on {result['chip']:<12} {median['ours']:9.0f} us",
+            f"  with its ledger      {median['ours_counting']:9.0f} us",
+            f"  snnTorch's loop      {median['snntorch']:9.0f} us   {ratio:.1f} times ours, "
+            f"{counting:.1f} times ours with its ledger",
+            f"  snnTorch acts like the float twin on {result['snntorch_equals_float_twin']:.1%} of "
+            f"{STEPS} observations",
+        ]
+    )
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("file", nargs="?", type=Path, default=SHIPPED, help="a PopSAN's .nir")
+    parser.add_argument("--chip", default="loihi1")
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--json", action="store_true")
+    return parser.parse_args()

@@ -1,0 +1,128 @@
+"""Real time of the shipped policies: how soon they act, and how many times faster than the robot.
+
+    python -m lab realtime [NAME ...] [--chip loihi1] [--steps 1000] [--rounds 5] [--json]
+
+start  load + compile + first act, after the import of spikedeploy, each in a process of its own:
+       wall clock, and what the process computed, which other work on the machine does not change
+loop   the closed loop with the ledger on, once with NumPy's kernels and once with the compiled
+       ones: the policy and the environment's own step; medians. A factor is the control period over
+       their sum.
+
+Where the machine has other work, compare the parts with one another and not with other machines.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spikedeploy import zoo
+from spikedeploy.make_env import make_env
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.emulator.controllers import SpikingController
+
+NAMES = ("hexapod/popsan", "hexapod/sparse", "kart-steer/snn", "kart-steer/sparse")
+BACKENDS: tuple[BackendName, ...] = ("numpy", "numba")
+SEED = 5_000  # evaluation begins at 10,000
+_START = """
+import json, sys, time
+import spikedeploy.api
+wall, cpu = time.perf_counter(), time.process_time()
+controller = spikedeploy.api.load(sys.argv[1]).on(sys.argv[2]).controller()
+controller.act([0.0] * controller.codec.encoder.observed)
+print(json.dumps([time.perf_counter() - wall, time.process_time() - cpu]))
+"""
+
+
+def main() -> None:
+    """Measure, and print a table or JSON."""
+    given = parsed()
+    result = {
+        name: {
+            **starts(name, given.chip, given.rounds),
+            **loops(name, given.chip, given.steps),
+        }
+        for name in given.names or NAMES
+    }
+    print(json.dumps(result, indent=2) if given.json else table(result))
+
+
+def starts(name: str, on: str, rounds: int) -> dict[str, float]:
+    """Medians [s] of load, compile and first act; the first process fills caches."""
+    words = [sys.executable, "-c", _START, str(zoo.resolve(name)), on]
+    path = str(Path(__file__).resolve().parents[2])
+    found = [
+        json.loads(subprocess.run(words, check=True, capture_output=True, cwd=path).stdout)
+        for _ in range(rounds + 1)
+    ]
+    wall, cpu = np.median(found[1:], axis=0).tolist()
+    return {"start_s": wall, "start_cpu_s": cpu}
+
+
+def loops(name: str, on: str, steps: int) -> dict[str, Any]:
+    """Medians [s] of a control step's parts, and by how much they are faster than the robot."""
+    found = {backend: loop(name, on, steps, backend) for backend in BACKENDS}
+    world: Any = make_env(name.partition("/")[0], {}).unwrapped
+    times = {backend: world.CONTROL_DT / sum(medians) for backend, medians in found.items()}
+    return {"median_s": found, "times_real_time": times}
+
+
+def loop(name: str, on: str, steps: int, backend: BackendName) -> tuple[float, float]:
+    """Medians [s] of the policy and of the environment's step."""
+    artifact, env = load(str(zoo.resolve(name))), make_env(name.partition("/")[0], {})
+    policy = SpikingController(artifact, chip(on), "total", backend=backend)
+    taken: tuple[list[float], list[float]] = [], []
+    observation, _ = env.reset(seed=SEED)
+    for _ in range(steps):
+        action = clocked(taken[0], policy.act, observation)
+        observation, _, terminated, truncated, _ = clocked(taken[1], env.step, action)
+        if terminated or truncated:
+            observation, _ = env.reset()
+            policy.reset(0)
+    acted, stepped = (float(np.median(values[steps // 20 :])) for values in taken)
+    return acted, stepped
+
+
+def clocked(taken: list[float], call: Callable[..., Any], given: object) -> Any:  # noqa: ANN401
+    """Return what a call returns, and add its duration [s] to those taken before."""
+    begun = time.perf_counter()
+    result = call(given)
+    taken.append(time.perf_counter() - begun)
+    return result
+
+
+def table(result: dict[str, Any]) -> str:
+    """Return the result for people."""
+    lines = [
+        "load + compile + first act [ms]; of a control step [us]; closed loop, times real time",
+        f"{'':20}{'start':>8}{'its CPU':>9}{'numpy':>8}{'env':>8}{'numba':>8}{'env':>8}"
+        f"{'x numpy':>9}{'x numba':>9}",
+    ]
+    for name, found in result.items():
+        medians = [part for backend in BACKENDS for part in found["median_s"][backend]]
+        parts = "".join(f"{1e6 * median:8.0f}" for median in medians)
+        times = "".join(f"{found['times_real_time'][backend]:9.0f}" for backend in BACKENDS)
+        start = f"{1e3 * found['start_s']:8.0f}{1e3 * found['start_cpu_s']:9.0f}"
+        lines.append(f"{name:20}{start}{parts}{times}")
+    return "\n".join(lines)
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="shipped spiking policies")
+    parser.add_argument("--chip", default="loihi1")
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    return parser.parse_args()

@@ -1,0 +1,191 @@
+"""What a sweep survives, and what it costs: nodes and drivers killed, scaling, overhead.
+
+    python -m lab sweep [--jobs 200] [--only nodes driver scaling] [--folder FOLDER]
+
+nodes    two nodes of Ray on 127.0.0.1, one of which is killed half-way
+driver   the same nodes; the driver is killed with SIGKILL half-way, and started again
+scaling  one process and two: how much faster, and the overhead of a job beside its evaluation
+
+Every result is compared with that of --backend serial, byte for byte, and the journal must name no
+job twice. Exits with 1 where a result is missing, twice or different. Ratios and overheads mean
+something on an idle machine alone.
+"""
+
+import contextlib
+
+with contextlib.suppress(ModuleNotFoundError):  # processes that it spawns have the path already
+    import argparse
+import csv
+import json
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from spikedeploy.jobs.answer import JobBackend
+from spikedeploy.jobs.processes import ProcessBackend
+from spikedeploy.jobs.serial import SerialBackend
+from spikedeploy.sweeps.grid import read_grid
+from spikedeploy.sweeps.sweep import run_sweep
+
+_SPEC = """
+env = "kart-grid"
+policy = "kart-grid/sparse"
+disturb = ["none", "lidar-noise:1"]
+fault = ["none", "dead-neurons:1"]
+seed = "10000-{last}"
+episodes = 1
+"""
+_CELLS = 4  # of that grid, without the seeds
+_CLUSTER = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_AUTH_MODE": "token",
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # then nodes have the address 127.0.0.1
+}
+_PATIENCE = 1800.0  # [s] for a sweep
+
+
+def sweep(spec: Path, folder: Path, *words: str) -> "subprocess.Popen[bytes]":
+    """A sweep in a process of its own."""
+    command = [sys.executable, "-m", "spikedeploy", "sweep", str(spec), "-o", str(folder), *words]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def whole(spec: Path, folder: Path, backend: JobBackend) -> float:
+    """Run a sweep to its end from here; its time [s], that of workers to start too."""
+    began = time.perf_counter()
+    outcome = run_sweep(read_grid(spec), folder, backend)
+    if outcome.interrupted or outcome.state.failed:
+        sys.exit(f"the sweep in {folder} did not end: {outcome.state.summary}")
+    return time.perf_counter() - began
+
+
+def half_way(folder: Path, jobs: int, driver: "subprocess.Popen[bytes]") -> int:
+    """Wait until half of the jobs are done; how many are."""
+    end = time.monotonic() + _PATIENCE
+    while (done := len(results(folder))) < jobs // 2:
+        if time.monotonic() > end or driver.poll() is not None:
+            sys.exit(f"the sweep in {folder} did not come half-way: {done} of {jobs}")
+        time.sleep(0.05)
+    return done
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """Name -> content of the results so far."""
+    return {file.name: file.read_bytes() for file in (folder / "jobs").glob("[!.]*.json")}
+
+
+def journal(folder: Path) -> list[dict[str, str]]:
+    """Lines of a sweep's journal."""
+    return list(csv.DictReader((folder / "journal.csv").read_text("utf-8").splitlines()))
+
+
+def verdict(folder: Path, serial: Path, jobs: int) -> dict[str, Any]:
+    """What is missing, twice, or not what the serial sweep found."""
+    found, expected = results(folder), results(serial)
+    keys = [line["key"] for line in journal(folder) if line["status"] == "done"]
+    return {
+        "results": len(found),
+        "missing": jobs - len(found),
+        "twice": len(keys) - len(set(keys)),
+        "different": sum(found[name] != expected.get(name) for name in found),
+    }
+
+
+@contextmanager
+def cluster() -> Iterator[Any]:
+    """Two nodes of Ray with a core each, and the second."""
+    os.environ.update(_CLUSTER)
+    os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # Ray keeps the first one
+    from ray.cluster_utils import Cluster
+
+    options = {"num_cpus": 1, "include_dashboard": False}
+    both = Cluster(initialize_head=True, head_node_args=options)
+    try:
+        yield both, both.add_node(num_cpus=1)
+    finally:
+        both.shutdown()
+
+
+def killed_node(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
+    """Kill a node half-way."""
+    with cluster() as (both, second):
+        driver = sweep(spec, folder, "--backend", "ray", "--address", both.address)
+        done = half_way(folder, jobs, driver)
+        both.remove_node(second, allow_graceful=False)
+        code = driver.wait(_PATIENCE)
+    return {"done when killed": done, "exit status": code}
+
+
+def killed_driver(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
+    """Kill the driver half-way, and start it again."""
+    with cluster() as (both, _):
+        words = ("--backend", "ray", "--address", both.address)
+        driver = sweep(spec, folder, *words)
+        half_way(folder, jobs, driver)
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+        done = len(results(folder))
+        code = sweep(spec, folder, *words).wait(_PATIENCE)
+    return {"done when killed": done, "exit status": code}
+
+
+def scaling(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
+    """Times of one process and of two; each sweep is whole, from an empty folder."""
+    one = whole(spec, folder / "1", ProcessBackend(1))
+    two = whole(spec, folder / "2", ProcessBackend(2))
+    inside = {name: _inside(folder / name) for name in ("1", "2", "serial")}
+    return {
+        "one process [s]": one,
+        "two processes [s]": two,
+        "ratio": one / two,
+        "evaluation in serial, in one process, in two [s]": [
+            inside[n] for n in ("serial", "1", "2")
+        ],
+        "overhead of a job, to its own evaluation [ms]": 1000 * (one - inside["1"]) / jobs,
+        "overhead of a job, to that of serial [ms]": 1000 * (one - inside["serial"]) / jobs,
+    }
+
+
+def _inside(folder: Path) -> float:
+    """Time of all jobs [s], without what is around them."""
+    return sum(float(line["seconds"]) for line in journal(folder))
+
+
+def main() -> None:
+    """Run the parts and print what they came to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--jobs", type=int, default=200, help="a multiple of 4")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--folder", type=Path, help="where results are kept; else nowhere")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        spec = folder / "spec.toml"
+        spec.write_text(_SPEC.format(last=10_000 + options.jobs // _CELLS - 1), encoding="utf-8")
+        whole(spec, folder / "serial", SerialBackend())
+        wrong = False
+        for part in options.only:
+            found = PARTS[part](spec, folder if part == "scaling" else folder / part, options.jobs)
+            kept = [folder / part] if part != "scaling" else [folder / "1", folder / "2"]
+            verdicts = [verdict(each, folder / "serial", options.jobs) for each in kept]
+            wrong |= any(
+                each[fault] for each in verdicts for fault in ("missing", "twice", "different")
+            )
+            print(json.dumps({part: {**found, "verdict": verdicts}}, indent=2), flush=True)
+    sys.exit(wrong)
+
+
+PARTS: dict[str, Callable[[Path, Path, int], dict[str, Any]]] = {
+    "nodes": killed_node,
+    "driver": killed_driver,
+    "scaling": scaling,
+}

@@ -1,0 +1,137 @@
+"""How fast our backends are in this checkout, beside another checkout of the same repository.
+
+    git worktree add ../before 7b2e800
+    python -m lab versions ../before [--backend numpy] [--rounds 15] [--json]
+
+One process for each checkout, with one thread; they take turns, and the medians of their inferences
+are compared. Networks and inputs are those of lab/bench/runtime.py, without a ledger.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parents[2]
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+INPUTS = {1: 20, 1024: 1}  # inferences of a round, by the batch
+CALIBRATION = 4  # rasters that thresholds are set with
+
+Times = dict[str, dict[str, float]]
+
+
+def main() -> None:
+    """Measure, and print a table or JSON."""
+    arguments = parsed()
+    if arguments.child:
+        serve(arguments.backend)
+        return
+    trees = {"other": arguments.other.resolve(), "this": HERE}
+    children = {name: child(tree, arguments.backend) for name, tree in trees.items()}
+    cases = {name: json.loads(asked(each, "cases")) for name, each in children.items()}["this"]
+    taken: dict[str, dict[str, list[float]]] = {case: {n: [] for n in trees} for case in cases}
+    for turn in range(arguments.rounds + 1):
+        for case in cases:
+            for name, each in children.items():
+                times = json.loads(asked(each, case))
+                if turn:  # the first round is not kept
+                    taken[case][name] += times
+    for each in children.values():
+        each.communicate()
+    median = {c: {n: float(np.median(times)) for n, times in t.items()} for c, t in taken.items()}
+    print(json.dumps(median, indent=2) if arguments.json else table(median))
+
+
+def child(tree: Path, backend: str) -> "subprocess.Popen[str]":
+    """A process that imports from the tree, and measures what it is asked for."""
+    environment = {**os.environ, "PYTHONPATH": str(tree), **dict.fromkeys(THREADS, "1")}
+    command = [sys.executable, __file__, str(tree), "--backend", backend, "--child"]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=tree, env=environment, stdin=pipe, stdout=pipe, text=True)
+
+
+def asked(process: "subprocess.Popen[str]", question: str) -> str:
+    """The answer of a child."""
+    if process.stdin is None or process.stdout is None:
+        raise RuntimeError("the process has no pipes")
+    print(question, file=process.stdin, flush=True)
+    return process.stdout.readline()
+
+
+def serve(backend: str) -> None:
+    """Times [us per inference] of a round of the case that each line names."""
+    sys.path[0] = os.environ["PYTHONPATH"]  # not this folder, but the tree
+    cases = made(backend)
+    for line in sys.stdin:
+        case = line.strip()
+        print(json.dumps(list(cases) if case == "cases" else timed(*cases[case])), flush=True)
+
+
+def made(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]]:
+    """A pool's inference, and the rasters of a round, of each network and batch."""
+    try:
+        from lab.bench.nets import bernoulli, encoded, kart, popsan
+    except ImportError:  # where they stood before
+        from benchmarks.nets import bernoulli, encoded, kart, popsan
+
+    try:
+        from spikedeploy.runtime.emulator.network import MachinePool
+    except ImportError:  # where it stood before
+        from spikedeploy.runtime.emulator.controllers import MachinePool
+
+    spikes, population = bernoulli(1024, 5, 770, 0.2), encoded(1024, 5)
+    driving = bernoulli(1024, 32, 20, 0.3)
+    nets = {
+        "popsan, random spikes": (popsan(spikes[:CALIBRATION]), spikes),
+        "popsan with its encoder": (popsan(population[:CALIBRATION]), population),
+        "kart": (kart(driving[:CALIBRATION]), driving),
+    }
+    return {
+        f"{name}, batch {batch}": (
+            MachinePool(net.program, "none", backend).infer,
+            [raster[k : k + batch] for k in range(0, batch * inputs, batch)],
+        )
+        for name, (net, raster) in nets.items()
+        for batch, inputs in INPUTS.items()
+    }
+
+
+def timed(infer: Callable[[Any], Any], rasters: list[Any]) -> list[float]:
+    """Time of each inference [us], per network of a batch."""
+    times = []
+    for raster in rasters:
+        start = time.perf_counter()
+        infer(raster)
+        times.append(1e6 * (time.perf_counter() - start) / len(raster))
+    return times
+
+
+def table(median: Times) -> str:
+    """Return the result for people."""
+    lines = [f"{'us per inference':36}{'other':>10}{'this':>10}{'other / this':>14}"]
+    for case, each in median.items():
+        ratio = each["other"] / each["this"]
+        lines.append(f"{case:36}{each['other']:10.1f}{each['this']:10.1f}{ratio:14.2f}")
+    return "\n".join(lines)
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("other", type=Path, help="the other checkout")
+    parser.add_argument("--backend", default="numpy", choices=("numpy", "numba"))
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":  # a child, which must find lab and spikedeploy in its tree alone
+    main()

@@ -1,0 +1,368 @@
+"""A policy for every chip: trains what is not shipped yet, and makes the table of chips and tasks.
+
+    python -m lab chip-policies train [--only CartPole-v1/xylo-a2] [--again]
+    python -m lab chip-policies table [--episodes 100]
+
+`train` imitates the task's float teacher in the integers of each chip (recipe `for-chip`) and puts
+file and card into spikedeploy/zoo/chips; a teacher that is not shipped is trained first. `table`
+plays each shipped file on its chip, compiled with all design rules, on seeds from 10,000 on, which
+no training saw, and its teacher in float on the same; it writes results/chips.csv and .md. Rows of
+files that have not changed stay.
+"""
+
+import argparse
+import csv
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import envs, zoo
+from spikedeploy.comparison.statistics import nested_ratio, stratified
+from spikedeploy.files import as_text, replacing, write_text
+from spikedeploy.policies import run_record
+from spikedeploy.runtime import SpikingController, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.shipping.export_run import ExportedPolicy, export_run
+from spikedeploy.shipping.publish_run import training_of
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE, PAGE = ROOT / "results" / "chips.csv", ROOT / "results" / "chips.md"
+CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinnaker2", "loihi2")
+WANTED = 0.95  # of the teacher
+
+
+@dataclass(frozen=True)
+class ChipTask:
+    """A task of the table.
+
+    recipe    of a teacher, where none is shipped
+    settings  of every student, beside those of the recipe `for-chip`
+    """
+
+    recipe: str
+    settings: tuple[str, ...] = ()
+
+
+TASKS: Mapping[str, ChipTask] = {
+    "CartPole-v1": ChipTask("ppo-mlp"),
+    "Pendulum-v1": ChipTask("sac-mlp", ("policy.timesteps=16",)),
+}
+# where a chip needs more than the recipe has: binary crosspoints hold little each; with 3 bits and
+# a reset to 0 that loses what is left, thresholds are larger and updates are more
+FURTHER: Mapping[str, tuple[str, ...]] = {
+    "truenorth": ("policy.hidden=[64]",),
+    "odin": (
+        "policy.limit=0.21875",
+        "policy.surrogate_width=4",
+        "learning_rate=0.01",
+        "updates=2400",
+        "validation.every=400",
+    ),
+}
+Act = Callable[[NDArray[np.float64]], NDArray[Any]]
+
+
+def pairs(only: str | None) -> Iterator[tuple[str, str]]:
+    """Tasks and chips, or those whose name begins so."""
+    for task in TASKS:
+        for name in CHIPS:
+            if f"{task}/{name}".startswith(only or ""):
+                yield task, name
+
+
+# training
+
+
+def train_all(only: str | None, again: bool, runs: Path) -> None:
+    """Train and ship what is missing, one after another."""
+    for task, name in pairs(only):
+        file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
+        if _shipped(file) and not again:
+            continue
+        settings = [*TASKS[task].settings, *FURTHER.get(name, ())]
+        settings += [f'policy.chip="{name}"', f'teacher="{_teacher(task, runs)}"']
+        run = _trained("for-chip", task, runs, settings)
+        print(f"{task}/{name}: {run}", flush=True)
+        _ship(run, file)
+
+
+def _shipped(file: Path) -> bool:
+    """Whether a policy is there with its card, which is written after it."""
+    name = file.relative_to(zoo.FOLDER).with_suffix("").as_posix()
+    return file.is_file() and zoo.card(name).get("sha256") == zoo.sha256(file)
+
+
+def _teacher(task: str, runs: Path) -> str:
+    """The name of the task's shipped teacher, which is trained if there is none."""
+    if (name := zoo.teacher(task)) is not None:
+        return name
+    run = _trained(TASKS[task].recipe, task, runs)
+    _ship(run, zoo.FOLDER / zoo.FOR_CHIPS / task / f"{zoo.TEACHER}.onnx")
+    return str(zoo.teacher(task))
+
+
+def _trained(recipe: str, task: str, runs: Path, settings: Sequence[str] = ()) -> Path:
+    """The run folder of a training that came to its end."""
+    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.train import train
+
+    stopped = Interrupt()
+    run = train(recipe, env=task, overrides=settings, runs=runs, quiet=True, interrupt=stopped)
+    if stopped.share is not None:
+        raise SystemExit(stopped.exit_code)
+    return run
+
+
+def _ship(run: Path, file: Path) -> None:
+    """Export the run's best policy into the zoo, with a card, if the file does what it does."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = run / file.name
+    exported = export_run(str(run), file.suffix[1:], part)
+    failed = [check.name for check in exported.checks if not check.passed]
+    if failed:
+        raise SystemExit(f"{run}: the file does not do what the policy does: {', '.join(failed)}")
+    with replacing(file) as whole:
+        shutil.copyfile(part, whole)
+    part.unlink()
+    write_text(file.with_suffix(".json"), as_text(_card(run, file, exported)))
+
+
+def _card(run: Path, file: Path, exported: ExportedPolicy) -> dict[str, Any]:
+    origin: Provenance = run_record.origin(run, None)
+    settings = run_record.settings(run)
+    return {
+        "file": file.name,
+        "sha256": zoo.sha256(file),
+        "kind": exported.kind,
+        "env": origin.env,
+        **training_of(run),
+        "commit": run_record.versions(run)["commit"],
+        "created": origin.created,
+        "versions": run_record.versions(run),
+        "config": settings,
+        "parity": [vars(check) for check in exported.checks],
+    }
+
+
+# evaluation
+
+
+def play(task: str, act: Act, seeds: Sequence[int]) -> list[float]:
+    """Returns of one episode for each seed, side by side."""
+    worlds = [envs.make(task) for _ in seeds]
+    pairs = zip(worlds, seeds, strict=True)
+    seen = np.stack([world.reset(seed=seed)[0] for world, seed in pairs]).astype(np.float64)
+    totals, running = np.zeros(len(seeds)), np.arange(len(seeds))
+    while running.size:
+        going = []
+        for k, action in zip(running, act(seen[running]), strict=True):
+            seen[k], reward, terminated, truncated, _ = worlds[k].step(action)
+            totals[k] += reward
+            if not (terminated or truncated):
+                going.append(k)
+        running = np.array(going, np.int64)
+    return [float(total) for total in totals]
+
+
+def _of_float(task: str) -> Act:
+    """The teacher of a task as it acts, or random actions where the task is "random NAME"."""
+    from spikedeploy.trainers.distill.teachers import teacher
+
+    space = envs.make(task).action_space
+    found = teacher(str(zoo.teacher(task)), task)
+    if hasattr(space, "n"):
+        return lambda seen: found.act_all(seen).argmax(-1)
+    return found.act_all
+
+
+def _random(task: str) -> Act:
+    space, rng = envs.make(task).action_space, np.random.default_rng(0)
+    if hasattr(space, "n"):
+        return lambda seen: rng.integers(space.n, size=len(seen))
+    return lambda seen: rng.uniform(-1, 1, (len(seen), *space.shape))
+
+
+def _row(task: str, name: str, seeds: Sequence[int]) -> dict[str, Any]:
+    """One line of the table, as stored."""
+    base = {"task": task, "chip": name, "episodes": len(seeds)}
+    if name in ("teacher", "random"):
+        scores = play(task, _of_float(task) if name == "teacher" else _random(task), seeds)
+        return {**base, "sha256": "", "scores": scores}
+    file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
+    artifact = load(file)
+    controller = SpikingController(artifact, chip(name), ledger="total")
+    scores = play(task, controller.act_batch, seeds)
+    ledger = controller.ledger
+    assert artifact.codec is not None
+    return {
+        **base,
+        "sha256": zoo.sha256(file),
+        "inputs": artifact.codec.encoder.width,
+        "neurons": sum(ledger.neurons),
+        "timesteps": artifact.codec.timesteps,
+        "sops": ledger.per_inference("sop"),
+        "spikes": ledger.per_inference("spike_out"),
+        "updates": ledger.per_inference("neuron_update"),
+        "saturations": ledger.per_inference("saturation"),
+        "scores": scores,
+    }
+
+
+_COLUMNS = (
+    "task", "chip", "episodes", "sha256", "inputs", "neurons", "timesteps", "sops", "spikes",
+    "updates", "saturations", "scores",
+)  # fmt: skip
+
+
+def make_table(episodes: int) -> None:
+    """Evaluate what is new, and write table and page."""
+    seeds = range(EVALUATION, EVALUATION + episodes)
+    rows = {(row["task"], row["chip"]): row for row in _stored()}
+    for task in TASKS:
+        shipped = [name for _, name in pairs(f"{task}/") if _file(task, name).is_file()]
+        for name in ("teacher", "random", *shipped) if shipped else ():
+            digest = zoo.sha256(_file(task, name)) if name in CHIPS else ""
+            old = rows.get((task, name))
+            if old is None or old["sha256"] != digest or int(old["episodes"]) != episodes:
+                rows[task, name] = _row(task, name, seeds)
+                print(f"{task}/{name}: {np.mean(rows[task, name]['scores']):,.1f}", flush=True)
+                _write([rows[key] for key in sorted(rows, key=_place)])
+    write_text(PAGE, page(rows))
+
+
+def _file(task: str, name: str) -> Path:
+    return zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
+
+
+def _place(key: tuple[str, str]) -> tuple[int, int]:
+    return list(TASKS).index(key[0]), ("teacher", "random", *CHIPS).index(key[1])
+
+
+def _stored() -> list[dict[str, Any]]:
+    if not TABLE.is_file():
+        return []
+    with TABLE.open(newline="", encoding="utf-8") as file:
+        return [{**row, "scores": json.loads(row["scores"])} for row in csv.DictReader(file)]
+
+
+def _write(rows: Sequence[Mapping[str, Any]]) -> None:
+    part = TABLE.with_suffix(".part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({**row, "scores": json.dumps(row["scores"])} for row in rows)
+    part.replace(TABLE)
+
+
+# the page
+
+
+def page(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> str:
+    """The table as Markdown."""
+    return "\n".join([*_head(rows), "", *_details(rows), ""])
+
+
+def _head(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
+    tasks = [task for task in TASKS if (task, "teacher") in rows]
+    lines = [
+        "# A policy for every chip",
+        "",
+        "Written by `python -m lab chip-policies table`, after `python "
+        "lab/experiments/chip_policies.py train`. Each policy was trained in the "
+        "integers of its chip to imitate the float teacher (one training, seed 0; the checkpoint "
+        "by validation episodes on seeds from 5,000 on) and is played on the emulated chip, "
+        "compiled with all design rules, on seeds from 10,000 on. A share is the return over the "
+        "teacher's; where that is negative, of the way from random actions to the teacher. "
+        "Brackets are 95 % bootstrap intervals over episodes and say nothing of other trainings. "
+        f"✓: the whole interval of the share is at least {WANTED:.0%}.",
+        "",
+        "| chip | " + " | ".join(tasks) + " |",
+        "|---|" + "---|" * len(tasks),
+    ]
+    for name in CHIPS:
+        cells = [_cell(rows, task, name) for task in tasks]
+        lines.append(f"| `{name}` | {' | '.join(cells)} |")
+    known = ", ".join(f"`{n}`" for n in _every_chip() if n not in CHIPS)
+    lines += [
+        "",
+        f"Not trained for here: {known}. `loihi1` has the policies of other pages; `xylo-a3` and "
+        "`xylo-imu` compute as `xylo-a2`, and `check` accepts its files for them; the others are "
+        "arithmetic only.",
+    ]
+    return lines
+
+
+def _every_chip() -> list[str]:
+    from spikedeploy.runtime.chips import CHIPS as EVERY
+
+    return [name for name in EVERY if name not in ("ideal", "int")]
+
+
+def _cell(rows: Mapping[tuple[str, str], Mapping[str, Any]], task: str, name: str) -> str:
+    if (task, name) not in rows:
+        return "not trained"
+    share = _share(rows, task, name)
+    low, high = share.ci95
+    mark = "✓" if low >= WANTED else "≈" if high >= WANTED else "✗"
+    return f"{share.mean:.1%} [{low:.1%}, {high:.1%}] {mark}"
+
+
+def _share(rows: Mapping[tuple[str, str], Mapping[str, Any]], task: str, name: str) -> Any:  # noqa: ANN401
+    teacher = np.array(rows[task, "teacher"]["scores"])
+    lowest = float(np.mean(rows[task, "random"]["scores"])) if teacher.mean() < 0 else 0.0
+    scores = np.array(rows[task, name]["scores"])[None] - lowest
+    return nested_ratio(scores, teacher - lowest, np.random.default_rng(0))
+
+
+def _details(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
+    lines = [
+        "Per control step: SOPs, spikes that neurons sent, and neuron updates. Clock: how the "
+        "chip's layers advance; free and gated are the same for these networks, whose neurons "
+        "have no bias and start from 0. Each is a population code, a hidden layer and 8 output "
+        "neurons; T timesteps of input.",
+        "",
+        "| task | policy | return | clock | inputs | neurons | T | SOPs | spikes | updates |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for task, name in sorted(rows, key=_place):
+        row = rows[task, name]
+        earned = stratified([row["scores"]], np.random.default_rng(0)).mean.text(",.1f")
+        counts = [str(row.get(key) or "–") for key in ("inputs", "neurons", "timesteps")]
+        rates = [
+            f"{float(row[key]):,.0f}" if row.get(key) else "–"
+            for key in ("sops", "spikes", "updates")
+        ]
+        label = f"`{name}`" if name in CHIPS else name
+        cells = [_clock(task, name), *counts, *rates]
+        lines.append(f"| {task} | {label} | {earned} | {' | '.join(cells)} |")
+    return lines
+
+
+def _clock(task: str, name: str) -> str:
+    """How the chip's layers advance; those of a float network do not."""
+    file = _file(task, name)
+    return compile_program(load(file), chip(name)).clock if file.is_file() else "–"
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=("train", "table"))
+    parser.add_argument("--only", help="tasks and chips by the beginning of TASK/CHIP")
+    parser.add_argument("--again", action="store_true", help="train what is shipped already, too")
+    parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "chips")
+    parser.add_argument("--episodes", type=int, default=100)
+    given = parser.parse_args()
+    if given.what == "train":
+        train_all(given.only, given.again, given.runs)
+    else:
+        make_table(given.episodes)

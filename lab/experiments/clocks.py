@@ -1,0 +1,222 @@
+"""What sparse policies earn by each clock of loihi1, and those trained through a pipeline.
+
+    python -m lab clocks -o results [--episodes 100] [TASK …]
+
+Rows are the shipped policies, trained for a gated clock, which Loihi has not, run gated and free,
+and the policies of OUTPUT/clocks/TASK-sSEED.nir, trained by `train TASK-sparse --seed SEED` (or,
+TASK-tuned-sSEED.nir, by `train TASK-sparse-tuned` after it), pipelined. Episodes are the same for
+all, from seed 70,000 on, which neither training nor any other choice has seen; which policy of a
+training is taken was decided by its validation. Writes OUTPUT/clocks.csv and OUTPUT/clocks.md;
+tasks that are not named keep their rows.
+"""
+
+import argparse
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from spikedeploy.comparison.comparison import Row
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.comparison.statistics import nested_ratio, stratified
+from spikedeploy.files import write_text
+from spikedeploy.policies import costs
+from spikedeploy.policies.registry import find
+from spikedeploy.reports.markdown import markdown_table
+
+FIRST_SEED = 70_000
+# what each task's returns are shares of: the float policy that earns its README's 100 %
+REFERENCES = {
+    "hexapod": "sac",
+    "hexapod-command": "sac",
+    "kart-grid": "ann",
+    "kart-gazebo": "ann",
+    "kart-steer": "ann",
+}
+KINDS = {
+    "gated": "shipped, trained gated",
+    "free": "shipped, trained gated",
+    "pipelined": "trained pipelined",
+    "pipelined, with reward": "trained pipelined, then with reward",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """A kind of policy in a clock, over all of its trainings.
+
+    share: of the reference's return in the same episodes, and its 95 % interval over trainings and
+        episodes.
+    seconds: mean duration of a lap over that of the reference's; NaN of walkers.
+    sops, updates: of a control step.
+    """
+
+    task: str
+    kind: str
+    clock: str
+    trainings: int
+    episodes: int
+    mean: float
+    low: float
+    high: float
+    share: float
+    share_low: float
+    share_high: float
+    succeeded: float
+    seconds: float
+    sops: float
+    updates: float
+    each: str
+
+
+def results(task: str, folder: Path, episodes: int) -> Iterator[Result]:
+    """The rows of a task."""
+    shipped = f"{task}/sparse"
+    groups: dict[str, list[Entry]] = {
+        "gated": [Entry(find(shipped), "loihi1:clock=gated")],
+        "free": [Entry(find(shipped), "loihi1:clock=free")],
+        "pipelined": [Entry(find(str(p)), "loihi1") for p in sorted(folder.glob(f"{task}-s*.nir"))],
+        "pipelined, with reward": [
+            Entry(find(str(p)), "loihi1") for p in sorted(folder.glob(f"{task}-tuned-s*.nir"))
+        ],
+    }
+    reference = Entry(find(f"{task}/{REFERENCES[task]}"))
+    entries = [reference, *(entry for group in groups.values() for entry in group)]
+    seeds = range(FIRST_SEED, FIRST_SEED + episodes)
+    played = compare_policies(task, entries, seeds)
+    beside = played.row(reference)
+    if beside is None:
+        raise ValueError(f"{task}: the reference was not played")
+    for kind, group in groups.items():
+        rows = [row for entry in group if (row := played.row(entry))]
+        if rows:
+            yield _result(task, kind, rows, beside)
+
+
+def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Result:
+    returns = np.array([row.returns for row in rows])
+    found = [costs.mean([e.costs for e in r.episodes], [e.steps for e in r.episodes]) for r in rows]
+    earned = stratified(returns, np.random.default_rng(0)).mean
+    of = nested_ratio(returns, np.array(reference.returns), np.random.default_rng(0))
+    clocks = {each.clock for each in found}
+    if len(clocks) != 1:
+        raise ValueError(f"{task}, {kind}: the policies run by clocks {sorted(map(str, clocks))}")
+    return Result(
+        task=task,
+        kind=KINDS[kind],
+        clock=str(clocks.pop()),
+        trainings=len(rows),
+        episodes=returns.shape[1],
+        mean=earned.mean,
+        low=earned.ci95[0],
+        high=earned.ci95[1],
+        share=of.mean,
+        share_low=of.ci95[0],
+        share_high=of.ci95[1],
+        succeeded=float(np.mean([row.successes for row in rows])),
+        seconds=_laps(rows) / _laps([reference]),
+        sops=float(np.mean([each.sops for each in found])),
+        updates=float(np.mean([each.neuron_updates for each in found])),
+        each=" ".join(f"{mean:.4g}" for mean in returns.mean(axis=1)),
+    )
+
+
+def _laps(rows: Sequence[Row]) -> float:
+    """Mean lap time [s] of the episodes that finished; NaN where none has one."""
+    laps = [e.metrics["lap_time"] for row in rows for e in row.episodes if "lap_time" in e.metrics]
+    return float(np.mean(laps)) if laps else float("nan")
+
+
+def page(found: Iterable[Result], episodes: int) -> str:
+    """The table in Markdown, with what it says of each row."""
+    heads = (
+        "task", "policy", "clock on loihi1", "trainings", "return", "of reference", "succeeded",
+        "lap", "SOPs", "neuron updates",
+    )  # fmt: skip
+    rows = [
+        (
+            r.task,
+            r.kind,
+            r.clock,
+            str(r.trainings),
+            f"{r.mean:,.4g} [{r.low:,.4g}, {r.high:,.4g}]",
+            f"{r.share:.1%} [{r.share_low:.1%}, {r.share_high:.1%}]",
+            f"{r.succeeded:.1%}",
+            "–" if np.isnan(r.seconds) else f"{r.seconds:.3f}",
+            f"{r.sops:.1f}",
+            f"{r.updates:.1f}",
+        )
+        for r in found
+    ]
+    return "\n".join(
+        [
+            "# Clocks",
+            "",
+            "    python -m lab clocks -o results",
+            "",
+            "Sparse policies on `loihi1`, by the [clock](../docs/loihi1.md#time) in which their "
+            "layers advance.",
+            "",
+            f"{episodes} episodes each, seeds {FIRST_SEED:,} to {FIRST_SEED + episodes - 1:,}, "
+            "which no training, validation or choice has seen. Shares are of the return of "
+            "`sac` (walkers) and `ann` (karts) in the same episodes; intervals are 95 %, over "
+            "trainings and episodes (of one training over episodes alone). `lap` is the mean lap "
+            "time of finished episodes over the reference's. SOPs and updates are of a control "
+            "step. Which checkpoint of a training is taken was decided by its validation "
+            "episodes, on loihi1, pipelined.",
+            "",
+            *markdown_table([heads, *rows]),
+            "",
+            "Gated, each layer is updated once a control step and held meanwhile: nothing "
+            "published says that a Loihi can. Free is what it does with these files: three "
+            "timesteps a control step, all neurons in each. Pipelined policies take one.",
+            "",
+        ]
+    )
+
+
+def read(path: Path) -> list[Result]:
+    """The rows of an earlier run."""
+    if not path.is_file():
+        return []
+    kinds = {name: each.type for name, each in Result.__dataclass_fields__.items()}
+    with path.open(newline="", encoding="utf-8") as text:
+        return [
+            Result(**{name: kinds[name](value) for name, value in row.items()})  # type: ignore[operator]
+            for row in csv.DictReader(text)
+        ]
+
+
+def main() -> None:
+    """Play the tasks that are named, and write the table of all."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=", ".join(REFERENCES))
+    parser.add_argument("-o", "--output", type=Path, default=Path("results"))
+    parser.add_argument("--episodes", type=int, default=100)
+    given = parser.parse_args()
+    if unknown := set(given.tasks) - REFERENCES.keys():
+        parser.error(f"unknown: {', '.join(sorted(unknown))}. Choose of {', '.join(REFERENCES)}.")
+    path = given.output / "clocks.csv"
+    before = [r for r in read(path) if given.tasks and r.task not in given.tasks]
+    if other := {row.episodes for row in before} - {given.episodes}:
+        parser.error(
+            f"{path}: rows that stay are of {min(other)} episodes: --episodes {min(other)}"
+        )
+    played = [
+        row
+        for task in given.tasks or REFERENCES
+        for row in results(task, given.output / "clocks", given.episodes)
+    ]
+    order = list(REFERENCES)
+    found = sorted([*before, *played], key=lambda row: order.index(row.task))
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(Result.__dataclass_fields__), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in found)
+    write_text(path, table.getvalue())
+    write_text(given.output / "clocks.md", page(found, given.episodes))
+    print(given.output / "clocks.md")

@@ -1,0 +1,452 @@
+"""Energy of spiking policies over that of float ones, over what is not known about a chip.
+
+    python -m lab energy-ratio [-o results]
+
+Counts are those of results/pareto/*.csv and results/gymnasium.csv, so nothing is trained or
+evaluated. Of each task the cheapest spiking policy stands beside the cheapest float one with 98 %
+of the teacher's score; of gymnasium's tasks the policy that has the verdict beside the float MLP.
+
+    spiking = SOPs s + updates x s + encoder + constants
+    float   = MACs m + reading + constants
+
+s and m are the prices of the horowitz45-int8 tables for a width of the sums, and x is how many
+times as much an update costs as a synaptic operation: that of a published table, or the table's
+own. The ratio is 1 at one x, which is written beside it. Writes energy.csv, energy.md, energy.png.
+"""
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lab.experiments.gymnasium import records as task_records
+from lab.experiments.gymnasium.design import MLP
+from lab.experiments.gymnasium.points import TaskPoint, judged
+from lab.experiments.gymnasium.points import points as task_points
+from lab.experiments.pareto import records
+from lab.experiments.pareto.fronts import Point, pairing_at, points
+from lab.experiments.pareto.tables import NEARLY
+from spikedeploy.files import write_text
+from spikedeploy.reports.csv_rows import Record, write_rows
+from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.runtime.metrics.energy_tables import TABLES, sram
+from spikedeploy.runtime.metrics.energy_terms import INSTRUCTION, added, delta_encoder, reading
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND = "python -m lab energy-ratio -o results"
+WALKS_AND_KARTS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
+GYMNASIUM = ("CartPole-v1", "Hopper-v5")
+DRAWN = ("hexapod", "hexapod-command", "kart-grid", *GYMNASIUM)
+
+# width of the sums [bits] -> the table that prices them
+SUMS = {
+    "none": "horowitz45-int8",
+    "16": "horowitz45-int8-acc16",
+    "32": "horowitz45-int8-acc32",
+}
+PUBLISHED = ("sanafe", "davies2018", "horowitz45-int8")
+OWN = "own"  # the price of an update that belongs to the table of the sums
+ENCODERS = {
+    "host": "on the host,\nnot counted",
+    "chip": "on the chip",
+    "software": "in software",
+}
+# clock -> updates of a neuron in a control step; `free` runs an inference of one timestep through
+# input, hidden layer and readout, and all neurons are updated in each of the three
+CLOCKS = {"gated": 1, "pipelined": 1, "free": 3}
+# instructions of an encoder in software: load observation and level, subtract, compare, branch; add
+# to the level, store it, send the event; of a float network: load, scale, send
+_OBSERVATION, _EVENT, _NUMBER = 5, 3, 3
+_INPUT_BITS = 8  # of a float network's inputs, as in the tables with sums in memory
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A spiking policy and a float one; counts are means of a control step over the trainings.
+
+    score, baseline_score   in parts of the teacher's
+    seeds, baseline_seeds   how many trainings
+    sops, updates        of all neurons, in a clock that updates each once
+    one_state            those of the updates that are of neurons without a current
+    events               that the encoder sends
+    observations, constants, baseline_observations, baseline_constants
+                         read by each, and added to what each puts out
+    """
+
+    task: str
+    spiking: str
+    baseline: str
+    score: float
+    baseline_score: float
+    seeds: int
+    baseline_seeds: int
+    sops: float
+    updates: float
+    one_state: float
+    events: float
+    observations: float
+    constants: float
+    macs: float
+    baseline_observations: float
+    baseline_constants: float
+
+
+def pairs(results: Path) -> Iterator[Pair]:
+    """The pairs of all tasks that have both policies."""
+    for env in WALKS_AND_KARTS:
+        rows = records.read(results / "pareto" / f"{env}.csv")
+        # counts in which each neuron is updated once; those of a free clock are derived
+        found = points([row for row in rows if row.get("clock") != "free"])
+        beside = pairing_at(found, NEARLY, "operations")
+        if beside and beside.baseline:
+            mine, baseline = beside.point, beside.baseline
+            names = (f"{p.label} at {p.level:g}" for p in (mine, baseline))
+            yield _pair(env, *names, mine, baseline)
+    rows = task_records.read(results / "gymnasium.csv")
+    for env in GYMNASIUM:
+        tried = task_points([row for row in rows if row["env"] == env])
+        spiking = judged(tried, "loihi1")
+        baselines = [p for p in tried if p.role == MLP and p.mean("operations") is not None]
+        if spiking and baselines:
+            best = min(baselines, key=lambda p: p.mean("operations") or 0.0)
+            yield _pair(env, f"{spiking.role}", "float MLP, pruned", spiking, best)
+
+
+def _pair(
+    task: str, name: str, baseline: str, mine: Point | TaskPoint, other: Point | TaskPoint
+) -> Pair:
+    def count(point: Point | TaskPoint, field: str) -> float:
+        return point.mean(field) or 0.0
+
+    return Pair(
+        task=task,
+        spiking=name,
+        baseline=baseline,
+        score=mine.of_teacher.mean,
+        baseline_score=other.of_teacher.mean,
+        seeds=len(mine.rows),
+        baseline_seeds=len(other.rows),
+        sops=count(mine, "operations") + count(mine, "bias_operations"),
+        updates=count(mine, "neuron_updates"),
+        one_state=count(mine, "readout_updates"),
+        events=count(mine, "events"),
+        observations=count(mine, "observations"),
+        constants=count(mine, "constants"),
+        macs=count(other, "operations"),
+        baseline_observations=count(other, "observations"),
+        baseline_constants=count(other, "constants"),
+    )
+
+
+def encoding(pair: Pair, where: str) -> tuple[float, float]:
+    """Energy [J] of the encoder, and of the float network's reading of observations."""
+    if where == "host":
+        return 0.0, 0.0
+    if where == "chip":
+        return delta_encoder(pair.observations, pair.events), reading(pair.baseline_observations)
+    mine = _OBSERVATION * pair.observations + _EVENT * pair.events
+    return INSTRUCTION * mine, INSTRUCTION * _NUMBER * pair.baseline_observations
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Energies of a control step [J]; `update` is of one neuron-timestep, the mean of all."""
+
+    pair: Pair
+    sums: str
+    where: str
+    clock: str
+
+    @property
+    def _prices(self) -> Mapping[str, float]:
+        return TABLES[SUMS[self.sums]].joules
+
+    @property
+    def sop(self) -> float:
+        """Of a synaptic operation."""
+        return self._prices["sop"]
+
+    def update_over_sop(self, of: str) -> float:
+        """How many times as much an update costs as a synaptic operation, by a table."""
+        if of == OWN:
+            whole = self._prices["neuron_update"]
+            alone = self._prices.get("one_state_update", whole)
+            share = self.pair.one_state / self.pair.updates
+            return (share * alone + (1 - share) * whole) / self.sop
+        return _TIMES[of]
+
+    def spiking(self, update_over_sop: float) -> float:
+        """Of the spiking policy."""
+        updates = CLOCKS[self.clock] * self.pair.updates * update_over_sop
+        encoder, _ = encoding(self.pair, self.where)
+        return (self.pair.sops + updates) * self.sop + encoder + added(self.pair.constants)
+
+    @property
+    def baseline(self) -> float:
+        """Of the float network."""
+        _, read = encoding(self.pair, self.where)
+        return self.pair.macs * self._prices["mac"] + read + added(self.pair.baseline_constants)
+
+    def ratio(self, update_over_sop: float) -> float:
+        """Spiking over float."""
+        return self.spiking(update_over_sop) / self.baseline
+
+    @property
+    def flips_at(self) -> float:
+        """The price of an update over that of a synaptic operation at which both cost the same.
+
+        Below 0 where the spiking policy costs more without any updates.
+        """
+        left = self.baseline - self.spiking(0.0)
+        return left / (CLOCKS[self.clock] * self.pair.updates * self.sop)
+
+
+def rows(found: Sequence[Pair]) -> Iterator[Record]:
+    """A row for each pair, width, encoder, clock and price of an update."""
+    for pair in found:
+        for sums in SUMS:
+            for where in ENCODERS:
+                for clock in CLOCKS:
+                    energies = Energies(pair, sums, where, clock)
+                    for of in (*PUBLISHED, OWN):
+                        x = energies.update_over_sop(of)
+                        yield _counts(pair) | {
+                            "accumulator_bits": sums,
+                            "encoder": where,
+                            "clock": clock,
+                            "update_price_of": of,
+                            "update_over_sop": x,
+                            "spiking_j": energies.spiking(x),
+                            "float_j": energies.baseline,
+                            "ratio": energies.ratio(x),
+                            "flips_at_update_over_sop": energies.flips_at,
+                        }
+
+
+def _counts(pair: Pair) -> Record:
+    return dict(vars(pair))
+
+
+def text(found: Sequence[Pair]) -> str:
+    """The page."""
+    return "\n\n".join(
+        [
+            "# Spiking over float",
+            f"    {COMMAND}",
+            _INTRODUCTION,
+            "![energy of spiking over float](energy.png)",
+            "## The pairs",
+            _pair_table(found),
+            "## Operations alone",
+            _ALONE,
+            _operation_table(found),
+            "## All terms",
+            _ALL,
+            *(_total_table(found, clock) for clock in ("gated", "free")),
+            "## Where the sign flips",
+            _FLIPS,
+            _flip_table(found),
+            "Every number: [energy.csv](energy.csv).",
+        ]
+    )
+
+
+_TIMES = {
+    name: TABLES[name].joules["neuron_update"] / TABLES[name].joules["sop"] for name in PUBLISHED
+}
+_SOP = {sums: 1e12 * TABLES[table].joules["sop"] for sums, table in SUMS.items()}
+
+_INTRODUCTION = f"""\
+The energy of a control step of a sparse spiking policy over that of a float network, as far as it
+depends on what is not known about the chip: the price of an update over that of a synaptic
+operation ({", ".join(f"`{name}` {times:.1f}" for name, times in _TIMES.items())}); the price of a
+synaptic operation, by the width of the sums that it reads and writes (none: sums and inputs are in
+registers, and no operation has an index: {_SOP["none"]:.2f} pJ; 16 bits: {_SOP["16"]:.1f}; 32:
+{_SOP["32"]:.1f}); where the encoder runs and whether it is counted; and the clock. Below 1 spiking
+costs less.
+
+Prices of operations are those of [the tables](../docs/energy.md#the-tables) at 45 nm, and that of
+an update so many times as much; `own` is the update of the same table, in which a readout has one
+state where sums are in memory. Counts are held: a policy that was trained for another clock has
+others. `gated` and `pipelined` update each neuron once a control step and cost the same; `free`
+takes three chip timesteps, one for each layer on the way, and updates all neurons in each. An
+encoder in software takes {_OBSERVATION} instructions an observation and {_EVENT} an event, a float
+network {_NUMBER} a number, of {1e12 * INSTRUCTION:.0f} pJ each (Horowitz 2014): derived, and the
+least that will do. Messages, idle neurons, heads of lists and static power are not counted, on
+either side."""
+_ALONE = """\
+Without updates, encoder and constants. `inputs in registers` is a float network whose inputs need
+no access to memory: a bound in its favour, as a memory holds the spiking network's sums."""
+_ALL = """\
+Operations, updates, encoder and constants; the update by the table's own price, and by the ratios
+of sanafe and of davies2018."""
+_FLIPS = f"""\
+The price of an update over that of a synaptic operation below which spiking costs less, in a clock
+that updates each neuron once; `never`: it costs more without any update. Published are
+{_TIMES["sanafe"]:.1f} and {_TIMES["davies2018"]:.1f}. In the `free` clock it is a third of it."""
+
+
+def _pair_table(found: Sequence[Pair]) -> str:
+    lines = [["task", "spiking", "% of teacher", "seeds", "SOPs", "updates", "of one state",
+              "events", "float", "% of teacher", "seeds", "MACs"]]  # fmt: skip
+    for p in found:
+        mine = [p.spiking, f"{p.score:.1%}", f"{p.seeds}", f"{p.sops:,.1f}", f"{p.updates:,.1f}"]
+        mine += [f"{p.one_state:,.1f}", f"{p.events:,.1f}"]
+        lines.append([p.task, *mine, p.baseline, f"{p.baseline_score:.1%}", f"{p.baseline_seeds}",
+                      f"{p.macs:,.1f}"])  # fmt: skip
+    return markdown_text(lines)
+
+
+def alone(pair: Pair, sums: str, in_registers: bool = False) -> float:
+    """Energy of the operations of a pair, spiking over float.
+
+    in_registers: whether the float network's inputs are, so that it need not read any
+    """
+    prices = TABLES[SUMS[sums]].joules
+    read = sram(_INPUT_BITS) if in_registers else 0.0
+    return pair.sops * prices["sop"] / (pair.macs * (prices["mac"] - read))
+
+
+def _operation_table(found: Sequence[Pair]) -> str:
+    widths = ("16", "32")
+    heads = ["sums of 16 bits", "of 32 bits"]
+    lines = [["task", "all in registers, no index", *heads,
+              *(f"{head}, inputs in registers" for head in heads)]]  # fmt: skip
+    for pair in found:
+        cells = [alone(pair, sums) for sums in SUMS]
+        cells += [alone(pair, sums, in_registers=True) for sums in widths]
+        lines.append([pair.task, *(f"{cell:.2f}" for cell in cells)])
+    return markdown_text(lines)
+
+
+def _total_table(found: Sequence[Pair], clock: str) -> str:
+    heads = {"none": "registers", "16": "16 bits", "32": "32 bits"}
+    lines = [
+        ["task", "clock", "encoder"]
+        + [f"{head}, {of}" for head in heads.values() for of in (OWN, "sanafe", "davies2018")]
+    ]
+    said = "gated, pipelined" if clock == "gated" else clock
+    for pair in found:
+        for where in ENCODERS:
+            each = [Energies(pair, sums, where, clock) for sums in SUMS]
+            cells = [
+                f"{e.ratio(e.update_over_sop(of)):.2f}"
+                for e in each
+                for of in (OWN, "sanafe", "davies2018")
+            ]
+            lines.append([pair.task, said, where, *cells])
+    return markdown_text(lines)
+
+
+def _flip_table(found: Sequence[Pair]) -> str:
+    lines = [["task", *(f"{where}, {bits}" for where in ENCODERS for bits in SUMS)]]
+    for pair in found:
+        flips = [Energies(pair, s, where, "gated").flips_at for where in ENCODERS for s in SUMS]
+        lines.append([pair.task, *("never" if x <= 0 else f"{x:.2f}" for x in flips)])
+    return markdown_text(lines)
+
+
+_LINES = {
+    "none": (BLUE, "sums and inputs in registers"),
+    "16": ("#000000", "sums of 16 bits in memory"),
+    "32": (VERMILION, "sums of 32 bits in memory"),
+}  # distinguishable with colour blindness (Okabe and Ito 2008); markers differ too
+_MARKERS = {"none": "o", "16": "s", "32": "D"}
+_LEAST, _MOST = 0.85, 32.0  # of an update over a synaptic operation
+_LOWEST = 0.25  # ratio that is drawn
+_TEXT = 14  # [pt]
+
+
+def figure(found: Sequence[Pair]) -> "Figure":
+    """A column for each task that is drawn, a row for each place of the encoder."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    drawn = [pair for pair in found if pair.task in DRAWN]
+    made = Figure(figsize=(16, 10), layout="constrained")
+    grid = made.subplots(len(ENCODERS), len(drawn), sharex=True, sharey=True, squeeze=False)
+    for panels, (where, said) in zip(grid, ENCODERS.items(), strict=True):
+        for axes, pair in zip(panels, drawn, strict=True):
+            _panel(axes, pair, where)
+        panels[0].set_ylabel(f"encoder {said}", fontsize=_TEXT)
+    for axes, pair in zip(grid[0], drawn, strict=True):
+        axes.set_title(f"{pair.task}\n{pair.sops:.0f} SOPs : {pair.macs:.0f} MACs", fontsize=_TEXT)
+    handles = [
+        Line2D([], [], color=colour, marker=_MARKERS[sums], linewidth=2, label=name)
+        for sums, (colour, name) in _LINES.items()
+    ]
+    grey = {"color": "#555555", "linewidth": 2}
+    handles.append(Line2D([], [], **grey, label="gated or pipelined"))
+    handles.append(Line2D([], [], **grey, linestyle="--", label="free: 3 updates a neuron"))
+    made.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=_TEXT)
+    made.supxlabel(
+        "price of a neuron update over that of a synaptic operation\n"
+        "2.1: sanafe,  3.4: davies2018,  19.6: horowitz45-int8;  full markers: each table's own;  "
+        "rings: both cost the same",
+        fontsize=_TEXT,
+    )
+    made.supylabel("energy of spiking over float; shaded: spiking costs less", fontsize=_TEXT)
+    return made
+
+
+def _panel(axes: "Axes", pair: Pair, where: str) -> None:
+    from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
+
+    grid = np.geomspace(_LEAST, _MOST, 60)
+    for sums, (colour, _) in _LINES.items():
+        for clock, style in (("gated", "-"), ("free", "--")):
+            energies = Energies(pair, sums, where, clock)
+            axes.plot(grid, [energies.ratio(x) for x in grid], style, color=colour, linewidth=1.8)
+            own = energies.update_over_sop(OWN)
+            if clock == "gated":
+                axes.plot(own, energies.ratio(own), _MARKERS[sums], color=colour, markersize=8)
+            if energies.flips_at > _LEAST:
+                ring = {"markerfacecolor": "white", "markersize": 9, "zorder": 3}
+                axes.plot(energies.flips_at, 1, "o", color=colour, markeredgewidth=2, **ring)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(_LEAST, _MOST)
+    axes.set_ylim(_LOWEST, 60)
+    axes.axhline(1, color="#222222", linewidth=1.5)
+    axes.axhspan(_LOWEST, 1, color="#DCE9F2", zorder=0)
+    for x in _TIMES.values():
+        axes.axvline(x, color="#B0B5BA", linewidth=1, zorder=1)
+    axes.xaxis.set_major_locator(FixedLocator([*_TIMES.values()]))
+    axes.xaxis.set_major_formatter(lambda x, _: f"{x:.1f}")
+    axes.yaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_locator(FixedLocator([]))
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(axis="y", color="#E6E8EB")
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=_TEXT)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def write(results: Path, output: Path) -> list[Path]:
+    """Write table, page and figure of the counts in results; return the files."""
+    found = list(pairs(results))
+    made = list(rows(found))
+    return [
+        write_rows(made, list(made[0]), output / "energy.csv"),
+        write_text(output / "energy.md", f"{text(found)}\n"),
+        save(figure(found), output / "energy.png"),
+    ]
+
+
+def main() -> None:
+    """Write the files, and print their names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "results")
+    options = parser.parse_args()
+    for path in write(ROOT / "results", options.output):
+        print(path)

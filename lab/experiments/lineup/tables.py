@@ -1,0 +1,130 @@
+"""Table and sentences of a task: each policy over its trainings, beside `sac` and `sparse`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lab.experiments.pareto import records as pareto
+from spikedeploy import zoo
+from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified
+from spikedeploy.reports.columns import ABSENT
+from spikedeploy.reports.csv_rows import Record
+from spikedeploy.reports.markdown import markdown_text
+
+_SPARSE = "sparse"
+
+
+def sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
+    """The trainings of the sparse policy that went on with reward, at its last level."""
+    tuned = [
+        row
+        for row in pareto.read(table)
+        if (row["student"], row["trained_by"], row["place"]) == (_SPARSE, "reward", "loihi1")
+    ]
+    last = min((row["level"] for row in tuned), default=0)
+    shipped = zoo.card(f"{env}/{_SPARSE}").get("seed")
+    return [
+        {
+            "policy": _SPARSE, "seed": row["seed"], "kind": "snn", "returns": row["scores"],
+            "return_mean": row["return_mean"], "sops_per_inference": row["operations"],
+            "shipped": row["seed"] == shipped,
+        }
+        for row in tuned
+        if (row["level"], row["episodes"]) == (last, episodes)
+    ]  # fmt: skip
+
+
+def table(rows: Sequence[Record]) -> str:
+    """Markdown: a line for each policy, in the order of the rows."""
+    teacher = _returns(rows, "sac")
+    lines = [[
+        "policy", "operations", "trainings", "return", "of `sac`", "shipped", "lowest", "highest",
+        "IQM", "risk", "success",
+    ]]  # fmt: skip
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        own = [row for row in rows if row["policy"] == policy]
+        found = stratified([row["returns"] for row in own], np.random.default_rng(0))
+        means = [row["return_mean"] for row in own]
+        shipped = [row["return_mean"] for row in own if row.get("shipped")]
+        lines.append([
+            policy, _operations(own), f"{len(own)}", found.mean.text(",.0f"),
+            _of(_returns(rows, policy), teacher), f"{shipped[0]:,.0f}" if shipped else ABSENT,
+            f"{min(means):,.0f}", f"{max(means):,.0f}", found.iqm.text(",.0f"),
+            found.risk.text(",.0f"), _success(own),
+        ])  # fmt: skip
+    return markdown_text(lines)
+
+
+def _of(returns: Sequence[Sequence[float]], teacher: Sequence[Sequence[float]]) -> str:
+    """`104.2% [103.1, 105.3]` of the teacher; a dash for itself, and without it."""
+    if not teacher or returns == teacher:
+        return ABSENT
+    return _percent(nested_ratio(returns, teacher, np.random.default_rng(0)))
+
+
+def _returns(rows: Sequence[Record], policy: str) -> list[list[float]]:
+    """Returns (S, n) of the trainings of a policy."""
+    return [row["returns"] for row in rows if row["policy"] == policy]
+
+
+def _operations(rows: Sequence[Record]) -> str:
+    """Mean over the trainings, with its unit."""
+    spiking = rows[0]["kind"] == "snn"
+    field = "sops_per_inference" if spiking else "macs_effective"
+    counts = [row[field] for row in rows if row.get(field) is not None]
+    return f"{np.mean(counts):,.0f} {'SOPs' if spiking else 'MACs'}" if counts else ABSENT
+
+
+def _success(rows: Sequence[Record]) -> str:
+    each = [row["successes"] for row in rows if row.get("successes")]
+    return _percent(stratified(each, np.random.default_rng(0)).mean, 0) if each else ABSENT
+
+
+def _percent(found: Estimate, digits: int = 1) -> str:
+    low, high = (f"{100 * bound:.{digits}f}" for bound in found.ci95)
+    return f"{found.mean:.{digits}%} [{low}, {high}]"
+
+
+def verdicts(rows: Sequence[Record]) -> list[str]:
+    """The smallest float policies that earn as much, and how lucky the shipped ones are."""
+    controls = list(dict.fromkeys(row["policy"] for row in rows if row["kind"] == "control"))
+    beside = {other: _returns(rows, other) for other in ("sac", _SPARSE)}
+    found = [_smallest(rows, controls, other, own) for other, own in beside.items() if own]
+    return [*found, *_luck(rows, controls)] if controls else []
+
+
+def _smallest(
+    rows: Sequence[Record], controls: Sequence[str], other: str, beside: list[list[float]]
+) -> str:
+    rng = np.random.default_rng
+    shares = {policy: nested_ratio(_returns(rows, policy), beside, rng(0)) for policy in controls}
+    equal = [policy for policy in controls if shares[policy].ci95[1] >= 1]
+    if not equal:
+        return f"All of these float policies are shown to earn less than `{other}`."
+    least = min(equal, key=lambda policy: _macs(rows, policy))
+    return (
+        f"The smallest of these float policies not shown to earn less than `{other}` is {least}: "
+        f"{_macs(rows, least):,.0f} MACs, {_percent(shares[least])} of its return."
+    )
+
+
+def _macs(rows: Sequence[Record], policy: str) -> float:
+    """Mean over the trainings of a float policy."""
+    return float(np.mean([row["macs_effective"] for row in rows if row["policy"] == policy]))
+
+
+def _luck(rows: Sequence[Record], controls: Sequence[str]) -> list[str]:
+    """How many shipped trainings earn more than the mean of all of their policy."""
+    above = []
+    for policy in controls:
+        own = [row for row in rows if row["policy"] == policy]
+        shipped = [row["return_mean"] for row in own if row.get("shipped")]
+        if shipped and len(own) > 1:
+            above.append(shipped[0] > np.mean([row["return_mean"] for row in own]))
+    if not above:
+        return []
+    return [
+        f"{sum(above)} of {len(above)} shipped float policies earn more than the mean of their "
+        "trainings."
+    ]

@@ -1,0 +1,118 @@
+r"""Spiking policies as C beside dense ones through emlearn: memory, instructions and time.
+
+    python -m lab firmware-peers --emlearn VENV/bin/python [--only hexapod] [--write]
+
+For each task the shipped spiking policies are exported as `spikedeploy export --to c --chip loihi1`
+does it, and the shipped dense ones, float teachers and baselines, are written as C by emlearn. Both
+are built by the same compiler with the same options and run on the same observations. Needs what
+lab/firmware/policies.py needs, all of it, and a Python in which emlearn is installed:
+
+    python -m venv VENV && VENV/bin/pip install emlearn
+
+--write puts the table into docs/firmware.md. Exits with 1 where C of emlearn differs from ONNX.
+"""
+
+import argparse
+import ctypes
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lab.firmware import dense
+from lab.firmware.runs import best, in_turns
+from lab.firmware.table import PEERS, peer_table, put
+from lab.firmware.targets import BESIDE, SOURCES, counted, shared
+from spikedeploy import zoo
+from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.shipping.export_c import export_c
+
+_TOLERANCE = 2e-5  # of actions, between float32 of emlearn and of ONNX Runtime
+
+
+def main() -> None:
+    """Measure the policies of each task and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--emlearn", type=Path, required=True, help="a Python that has emlearn")
+    parser.add_argument("--only", default="", help="a task, such as hexapod")
+    parser.add_argument("--write", action="store_true", help="the table into docs/firmware.md")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rows = []
+    for task in dict.fromkeys(name.split("/")[0] for name in zoo.names()):
+        if options.only in ("", task):
+            with tempfile.TemporaryDirectory() as folder:
+                rows += _task(task, options.emlearn, Path(folder))
+    print(json.dumps(rows) if options.json else peer_table(rows))
+    if options.write:
+        put(PEERS, peer_table(rows))
+    sys.exit(any(row["error"] > _TOLERANCE for row in rows))
+
+
+def _task(task: str, python: Path, folder: Path) -> list[dict]:
+    """Rows of a task, the spiking policies first."""
+    names = [name for name in zoo.names() if name.startswith(f"{task}/")]
+    spiking = [name for name in names if zoo.path(name).suffix == ".nir"]
+    rows = [_spiking(name, folder / name) for name in sorted(spiking, reverse=True)]
+    seen = dense.recorded(folder / spiking[0])
+    for name in names:
+        if name not in spiking:
+            rows += _dense(name, seen, python, folder / name)
+    in_turns(rows, lambda row: _step_ns(seen, folder / row["policy"], row["by"] == "spikedeploy"))
+    return rows
+
+
+def _spiking(name: str, folder: Path) -> dict:
+    folder.mkdir(parents=True)
+    export_c(name, "loihi1", folder)
+    row = {"policy": name, "by": "spikedeploy", "error": 0.0}
+    return row | _built(name, folder, ("policy.c", "codec.c"))
+
+
+def _dense(name: str, seen: NDArray[np.float64], python: Path, folder: Path) -> Iterator[dict]:
+    """The row of a dense policy, if it is one."""
+    policy = dense.read(zoo.path(name))
+    if policy is None:
+        return
+    folder.mkdir(parents=True)
+    release = dense.write(policy, python, seen, folder)
+    row = {"policy": name, "by": f"emlearn {release}"}
+    row |= _built(name, folder, ("dense.c",))
+    yield row | {"error": _error(name, seen, folder, policy.chooses)}
+
+
+def _built(name: str, folder: Path, sources: tuple[str, ...]) -> dict:
+    """What is built and counted alike of all policies."""
+    shared(folder, *sources, str(SOURCES / "repeat.c"))
+    found = {target: counted(target, folder, sources) for target in BESIDE}
+    print(name, json.dumps(found), file=sys.stderr, flush=True)
+    return {"return": zoo.mean_return(zoo.card(name)), **found}
+
+
+def _error(name: str, seen: NDArray[np.float64], folder: Path, chooses: bool) -> float:
+    """How far actions of emlearn's C are from those of ONNX Runtime, at most; choices: which part.
+
+    ONNX Runtime is what `spikedeploy run` plays these policies with.
+    """
+    wanted = np.asarray(OnnxController(zoo.path(name)).replay(seen)).reshape(len(seen), -1)
+    loaded = ctypes.CDLL(str(folder / "timed.so"))
+    action = ((ctypes.c_int32 if chooses else ctypes.c_float) * wanted.shape[1])()
+    found = []
+    for row in seen.astype(np.float32):
+        loaded.policy_step(row.ctypes.data_as(ctypes.c_void_p), action)
+        found.append(list(action))
+    if chooses:
+        return float((np.array(found) != wanted).mean())
+    return float(np.abs(np.array(found) - wanted).max())
+
+
+def _step_ns(seen: NDArray[np.float64], folder: Path, own: bool) -> float:
+    loaded = ctypes.CDLL(str(folder / "timed.so"))
+    rows = np.tile(seen.astype(np.float64 if own else np.float32), (50, 1))
+    place, action = rows.ctypes.data_as(ctypes.c_void_p), (ctypes.c_double * 64)()
+    spent = best(lambda: loaded.repeat(place, ctypes.c_uint32(len(rows)), action))
+    return 1e9 * spent / len(rows)

@@ -1,0 +1,198 @@
+"""Networks of other tools, exported by the tools themselves, with spikes that the tools computed.
+
+    python -m lab exported-networks TOOL [FOLDER]
+
+writes a .nir for each network of a tool that is installed (snntorch, norse, spikingjelly), and a
+.npz (input, output) for each case of it: what a file does not say, such as the reset, makes several
+of one. FOLDER is tests/golden/exports. tests/runtime/artifact/test_writers.py reads what is
+committed there, tests/runtime/test_peer_exports.py records it anew where a tool is installed.
+"""
+
+import argparse
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import nir
+import numpy as np
+
+FOLDER = Path(__file__).parents[2] / "tests" / "golden" / "exports"
+# neurons of each layer, and timesteps
+SIZES, TIMESTEPS = (12, 16, 6), 200
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A network in its tool.
+
+    tool: as --from names it.
+    file: name of its .nir file.
+    build: to the torch module and its graph, exported by the tool.
+    options: what the file does not say, as `load` takes it.
+    """
+
+    tool: str
+    file: str
+    build: Callable[[], tuple[Any, nir.NIRGraph]]
+    options: dict[str, Any]
+
+
+def raster() -> np.ndarray:
+    """Input spikes (T, M), the same for all."""
+    rng = np.random.default_rng(7)
+    return (rng.random((TIMESTEPS, SIZES[0])) < 0.3).astype(np.uint8)
+
+
+def weights(module: Any, gain: float = 1.0) -> Any:  # noqa: ANN401
+    """The module with seeded weights and biases, large enough that both layers spike."""
+    import torch
+
+    rng = np.random.default_rng(3)
+    for linear in (each for each in module.modules() if isinstance(each, torch.nn.Linear)):
+        size, fan_in = linear.weight.shape
+        drawn = gain * 1.5 * rng.normal(size=(size, fan_in)) / fan_in**0.5
+        linear.weight.data = torch.tensor(drawn, dtype=torch.float32)
+        linear.bias.data = torch.tensor(gain * 0.1 * rng.random(size), dtype=torch.float32)
+    return module
+
+
+def snntorch_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # noqa: ANN401
+    """Two layers of Leaky or Synaptic; parameters as vectors, which its export needs."""
+    import snntorch
+    import torch
+    from snntorch.export_nir import export_to_nir
+
+    def neurons(size: int) -> Any:  # noqa: ANN401
+        given = {
+            "beta": torch.linspace(0.8, 0.95, size),
+            "threshold": torch.ones(size),
+            "init_hidden": True,
+            **options,
+        }
+        if kind == "Synaptic":
+            given["alpha"] = torch.full((size,), 0.6)
+        return getattr(snntorch, kind)(**given)
+
+    one, two, three = SIZES
+    layers = (torch.nn.Linear(one, two), neurons(two), torch.nn.Linear(two, three), neurons(three))
+    module = weights(torch.nn.Sequential(*layers), 1.0 if kind == "Leaky" else 0.4)
+    graph = export_to_nir(module, torch.zeros(1, one), ignore_dims=[0])
+    for layer in layers[1::2]:
+        layer.reset_mem()
+    return module, graph
+
+
+def norse_network(kind: str, subtract: bool = False) -> tuple[Any, nir.NIRGraph]:
+    """Two layers of LIFBoxCell, LIFCell or IAFCell; parameters as vectors, which NIR needs."""
+    import norse.torch as norse
+    import torch
+    from norse.torch.functional.reset import reset_subtract, reset_value
+
+    def neurons(size: int) -> Any:  # noqa: ANN401
+        full = {"v_th": torch.ones(size)}
+        if kind != "IAFCell":
+            full |= {"tau_mem_inv": torch.linspace(80, 200, size), "v_leak": torch.zeros(size)}
+        if kind == "LIFCell":
+            full["tau_syn_inv"] = torch.full((size,), 300.0)
+            return norse.LIFCell(norse.LIFParameters(**full))
+        if kind == "LIFBoxCell":
+            method = reset_subtract if subtract else reset_value
+            return norse.LIFBoxCell(norse.LIFBoxParameters(**full, reset_method=method))
+        return norse.IAFCell(norse.IAFParameters(**full))
+
+    one, two, three = SIZES
+    layers = (torch.nn.Linear(one, two), neurons(two), torch.nn.Linear(two, three), neurons(three))
+    module = norse.SequentialState(*layers)
+    weights(module, {"LIFBoxCell": 5.0, "LIFCell": 1.5, "IAFCell": 1.0}[kind])
+    return module, norse.to_nir(module, torch.zeros(one))
+
+
+def spikingjelly_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # noqa: ANN401
+    """Two layers of LIFNode or IFNode."""
+    import torch
+    from spikingjelly.activation_based import functional, layer, neuron
+    from spikingjelly.activation_based.nir_exchange import export_to_nir
+
+    one, two, three = SIZES
+    module = torch.nn.Sequential(
+        layer.Linear(one, two),
+        getattr(neuron, kind)(**options),
+        layer.Linear(two, three),
+        getattr(neuron, kind)(**options),
+    )
+    weights(module, 3.0 if options.get("decay_input", kind == "LIFNode") else 1.0)
+    graph = export_to_nir(module, torch.zeros(1, one))
+    functional.reset_net(module)
+    return module, graph
+
+
+def _cases() -> Iterator[tuple[str, Exported]]:
+    resets = {
+        "default": ({}, {}),
+        "zero": ({"reset_mechanism": "zero", "reset_delay": False}, {"reset": "zero"}),
+        "subtract": ({"reset_delay": False}, {"reset": "subtract"}),
+        "zero_delayed": ({"reset_mechanism": "zero"}, {"reset": "zero-delayed"}),
+        "none": ({"reset_mechanism": "none"}, {"reset": "none"}),
+    }
+    for kind in ("Leaky", "Synaptic"):
+        file = f"snntorch_{kind.lower()}"
+        for name, (options, given) in resets.items():
+            build = partial(snntorch_network, kind, **options)
+            yield f"{file}_{name}", Exported("snntorch", file, build, given)
+    for kind in ("LIFBoxCell", "LIFCell", "IAFCell"):
+        file = f"norse_{kind.lower()}"
+        yield file, Exported("norse", file, partial(norse_network, kind), {})
+    file, build = "norse_lifboxcell", partial(norse_network, "LIFBoxCell", subtract=True)
+    yield f"{file}_subtract", Exported("norse", file, build, {"reset": "subtract"})
+    jelly: dict[str, tuple[str, dict[str, Any]]] = {
+        "lif": ("LIFNode", {}),
+        "lif_slow": ("LIFNode", {"tau": 5.0, "decay_input": False, "v_reset": -0.25}),
+        "if": ("IFNode", {}),
+    }
+    for name, (kind, options) in jelly.items():
+        file, build = f"spikingjelly_{name}", partial(spikingjelly_network, kind, **options)
+        yield file, Exported("spikingjelly", file, build, {})
+
+
+CASES = dict(_cases())
+
+
+def record(name: str, folder: Path) -> tuple[Path, Path]:
+    """Write the graph and the trace of a case; return their paths."""
+    import torch
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        module, graph = CASES[name].build()
+        spikes = np.array([row.numpy() for row in _played(module, torch)])
+    folder.mkdir(parents=True, exist_ok=True)
+    network, trace = folder / f"{CASES[name].file}.nir", folder / f"{name}.npz"
+    nir.write(network, graph)
+    np.savez_compressed(trace, input=raster(), output=spikes.astype(np.uint8))
+    return network, trace
+
+
+def _played(module: Any, torch: Any) -> Iterator[Any]:  # noqa: ANN401
+    """Output spikes (N,) of each timestep."""
+    stateful, state = type(module).__name__ == "SequentialState", None
+    with torch.no_grad():
+        for row in torch.from_numpy(raster().astype(np.float32)):
+            if stateful:
+                spikes, state = module(row[None], state)
+            else:
+                spikes = module(row[None])
+            yield spikes[0]
+
+
+def main() -> None:
+    """Record the networks of a tool."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tool", choices=sorted({each.tool for each in CASES.values()}))
+    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER)
+    arguments = parser.parse_args()
+    for case in (name for name, each in CASES.items() if each.tool == arguments.tool):
+        written = record(case, arguments.folder)[1]
+        print(f"{case}: {np.load(written)['output'].sum()} spikes")

@@ -1,0 +1,219 @@
+"""The kits of `export --to program`, run with the tools that they are for.
+
+    python -m lab kits lava --python .venv-peers/lava/bin/python --folder kits
+
+Writes kits for the tool's chips into FOLDER, of shipped and of small made networks, runs each kit's
+script with that Python, alone in its folder, and replays what the script recorded by `verify`. Then
+the loop is closed, on recorded observations or in the environment. Exits with 1 where anything
+differs. A run of every script takes a minute.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import nir
+import numpy as np
+
+from spikedeploy.runtime.artifact.artifact import Artifact, save
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.rate import RateEncoder
+from spikedeploy.runtime.convention import Clock, Convention
+from spikedeploy.shipping.export_program import WrittenKit, export_program
+
+ROOT = Path(__file__).parents[2]
+STEPS = 100  # control steps, or timesteps of a raster
+_LONGEST = 300  # seconds of a script
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kit of a tool.
+
+    name: of its folder.
+    chip: that it is for.
+    network: shipped policy, file, or what makes one: with a codec a policy of CartPole-v1.
+    flags: of the script.
+    raster: input of a file without a codec; random where a network without one is made.
+    env: in which the loop is closed; empty is recorded observations.
+    clock: None is the network's own, or free.
+    """
+
+    name: str
+    chip: str
+    network: "str | Callable[[], Artifact]"
+    flags: tuple[str, ...] = ()
+    raster: str | None = None
+    env: str = ""
+    clock: Clock | None = None
+
+
+def policy(neurons: Callable[[int], nir.NIRNode], convention: Convention) -> Artifact:
+    """A policy of CartPole-v1 with random weights: rates of four numbers, 12 neurons, two scores.
+
+    neurons: of a layer of that size.
+    """
+    rng = np.random.default_rng(4)
+    weights = [nir.Linear(rng.normal(size=shape)) for shape in ((12, 4), (2, 12))]
+    nodes = {"input": nir.Input(np.array([4])), "output": nir.Output(np.array([2]))}
+    nodes |= {"w1": weights[0], "n1": neurons(12), "w2": weights[1], "n2": neurons(2)}
+    names = ["input", "w1", "n1", "w2", "n2", "output"]
+    graph = nir.NIRGraph(nodes, list(pairwise(names)))
+    encoder = RateEncoder(np.full(4, -1.0), np.full(4, 1.0))
+    codec = Codec(Normaliser(np.zeros(4), np.full(4, 0.5), 3.0), encoder, 8, "argmax")
+    return Artifact(graph, codec, convention, None)
+
+
+def cuba(size: int) -> nir.NIRNode:
+    """Neurons with an exponential current, as Xylo's: decays are powers of two."""
+    tau_syn, tau_mem = np.full(size, 2e-3), np.full(size, 8e-3)
+    gains = {"r": tau_mem / 1e-3, "w_in": tau_syn / 1e-3}
+    zero, one = np.zeros(size), np.full(size, 4.0)
+    return nir.CubaLIF(tau_syn=tau_syn, tau_mem=tau_mem, v_leak=zero, v_threshold=one, **gains)
+
+
+def integrators(size: int) -> nir.NIRNode:
+    """Neurons that only add up, as Speck's."""
+    return nir.IF(np.full(size, 1e3), np.full(size, 1.5))  # r dt is the gain of a weight
+
+
+def xylo_policy() -> Artifact:
+    """A policy for Xylo, whose neurons spike several times in a timestep."""
+    many = Convention(1e-3, reset="subtract", spikes="many", state="kept", source="made here")
+    return policy(cuba, many)
+
+
+def speck_policy() -> Artifact:
+    """A policy for Speck, likewise."""
+    many = Convention(1e-3, reset="subtract", spikes="many", state="kept", source="made here")
+    return policy(integrators, many)
+
+
+def biased_chain(reset: str) -> Artifact:
+    """Integrators with biases, 8, 16 and 4 of them; no codec."""
+    rng = np.random.default_rng(1)
+    first = nir.Affine(0.6 * rng.normal(size=(16, 8)), 0.05 * rng.normal(size=16))
+    second = nir.Linear(0.6 * rng.normal(size=(4, 16)))
+    nodes = {"input": nir.Input(np.array([8])), "output": nir.Output(np.array([4]))}
+    nodes |= {"w1": first, "n1": integrators(16), "w2": second, "n2": integrators(4)}
+    names = ["input", "w1", "n1", "w2", "n2", "output"]
+    spikes = "many" if reset == "subtract" else "reached"
+    convention = Convention(1e-3, reset=reset, spikes=spikes, source="made here")
+    return Artifact(nir.NIRGraph(nodes, list(pairwise(names))), None, convention, None)
+
+
+_NET, _RASTER = str(ROOT / "examples" / "net.nir"), str(ROOT / "examples" / "raster.npy")
+CASES = {
+    "lava": (
+        Case("sparse-free", "loihi1", "hexapod/sparse"),
+        Case("sparse", "loihi1", "hexapod/sparse", clock="pipelined"),
+        Case("recurrent", "loihi1", _NET, raster=_RASTER),
+        Case("loihi2", "loihi2", _NET, raster=_RASTER),
+    ),
+    "nengo-loihi": (
+        Case(
+            "sparse", "loihi1-nengo", "hexapod/sparse", env="spikedeploy:hexapod", clock="pipelined"
+        ),
+        Case("recurrent", "loihi1-nengo", _NET, raster=_RASTER),
+    ),
+    "xylosim": (Case("cartpole", "xylo-a2", xylo_policy, flags=("--sim",)),),
+    "sinabs": (
+        Case("cartpole", "speck2f", speck_policy, env="CartPole-v1"),
+        Case("subtract", "speck2f", lambda: biased_chain("subtract")),
+        Case("zero", "speck2f", lambda: biased_chain("zero")),
+    ),
+}
+
+
+def main() -> int:
+    """Run the kits of a tool, print a line for each; return the exit code."""
+    arguments = parsed()
+    failed = 0
+    for case in CASES[arguments.tool]:
+        differs = None
+        try:
+            for text in ran(case, arguments.python, arguments.folder / case.name):
+                print(f"✓ {case.name}: {text}")
+        except DiffersError as error:
+            differs, failed = error, failed + 1
+        if differs:
+            print(f"✗ {case.name}: {differs}")
+    print(f"{len(CASES[arguments.tool]) - failed} kits equal, {failed} different")
+    return 1 if failed else 0
+
+
+class DiffersError(Exception):
+    """A script that failed, or recorded other numbers than are expected."""
+
+
+def ran(case: Case, python: Path, folder: Path) -> Iterator[str]:
+    """What came of the kit's script, of its trace, and of its loop."""
+    kit = written(case, folder)
+    yield called(python, kit, case.flags)
+    trace = folder / f"{_NAMES.get(kit.tool.script, kit.tool.name)}.json"
+    yield _output([sys.executable, "-m", "spikedeploy", "verify", str(trace)], ROOT)
+    if "episode.npz" in kit.names:
+        loop = ("--loop", case.env) if case.env else ("--loop",)
+        yield called(python, kit, (*case.flags, *loop))
+
+
+_NAMES = {"run_xylo.py": "xylo"}
+
+
+def written(case: Case, folder: Path) -> WrittenKit:
+    """The kit of a case; each of its layers spikes."""
+    network, env = case.network, None
+    raster = None if case.raster is None else Path(case.raster)
+    if not isinstance(network, str):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        made, path = network(), folder.parent / f"{case.name}.nir"
+        save(made, path)
+        network, env = str(path), "CartPole-v1" if made.codec else None
+        if not made.codec:
+            width = int(made.graph.inputs["input"].input_type["input"][0])
+            raster = folder.parent / f"{case.name}.npy"
+            drawn = np.random.default_rng(2).random((STEPS, width)) < 0.4
+            np.save(raster, drawn.astype(np.uint8))
+    kit = export_program(network, case.chip, folder, STEPS, raster, env, case.clock)
+    recorded = json.loads((folder / "expected.json").read_text("utf-8"))["recorded"]
+    if silent := [name for name, each in recorded.items() if _silent(kit, name, each)]:
+        raise DiffersError(f"layer {silent[0]} never spikes, so that the kit shows little")
+    return kit
+
+
+def _silent(kit: WrittenKit, name: str, recorded: dict[str, Any]) -> bool:
+    """Whether a layer that can spike never does."""
+    program = json.loads((kit.folder / "program.json").read_text("utf-8"))
+    can = {layer["name"]: layer["spiking"] for layer in program["layers"]}
+    return bool(can[name]) and not np.any(recorded["spikes"])
+
+
+def called(python: Path, kit: WrittenKit, flags: tuple[str, ...]) -> str:
+    """What the kit's script says; it sees nothing but its folder."""
+    return _output([str(python), kit.tool.script, *flags], kit.folder)
+
+
+def _output(command: list[str], folder: Path) -> str:
+    """The last lines of a command; DiffersError where it fails."""
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False, timeout=_LONGEST
+    )
+    if done.returncode:
+        lines = (done.stdout + done.stderr).strip().splitlines() or ["nothing was said"]
+        raise DiffersError(f"{' '.join(command[1:])}: {lines[-1]}")
+    return " ".join(done.stdout.split("\n")).strip()
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tool", choices=CASES)
+    parser.add_argument("--python", type=Path, required=True, help="of the tool's environment")
+    parser.add_argument("--folder", type=Path, required=True, help="for the kits")
+    return parser.parse_args()

@@ -1,0 +1,131 @@
+"""One recipe trained with several seeds, side by side, each as a command of its own would."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from spikedeploy.comparison.statistics import Estimate, bootstrap
+from spikedeploy.files import write_text
+from spikedeploy.jobs import resumable
+from spikedeploy.jobs.resumable import Job, JobEnd
+from spikedeploy.policies.run_record import unfinished
+
+_PERFORM = "spikedeploy.training_seeds:perform"
+
+
+@dataclass(frozen=True)
+class SeedTraining:
+    """How the training with a seed ended.
+
+    seed      of the training
+    run       its folder; None where it was refused or killed
+    best      highest validation return; None without a validation
+    stopped   how far it came where it was stopped: `12 %`
+    failed    why it failed; empty where it did not
+    """
+
+    seed: int
+    run: str | None = None
+    best: float | None = None
+    stopped: str = ""
+    failed: str = ""
+
+    @property
+    def line(self) -> str:
+        """`seed 0: best validation return 812.3, runs/…`."""
+        best = "no validation" if self.best is None else f"best validation return {self.best:,.4g}"
+        stopped = f"stopped at {self.stopped}, " if self.stopped else ""
+        said = f"failed: {self.failed}" if self.failed else f"{stopped}{best}, {self.run}"
+        return f"seed {self.seed}: {said}"
+
+
+@dataclass(frozen=True)
+class SeedTrainings:
+    """How all of them ended.
+
+    each         in the order of the seeds; those that were not begun are missing
+    interrupted  whether they were stopped from outside
+    """
+
+    each: Sequence[SeedTraining]
+    interrupted: bool
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Mean of the best validation returns of whole trainings, with its bootstrap interval."""
+        best = [e.best for e in self.each if e.best is not None and not e.stopped]
+        return bootstrap(best, np.random.default_rng(0)) if best else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data."""
+        mean = self.estimate.as_json() if self.estimate else None
+        return {"seeds": [asdict(each) for each in self.each], "best": mean}
+
+
+def train_seeds(
+    seeds: Sequence[int],
+    count: int,
+    logs: Path,
+    arguments: Mapping[str, Any],
+    ended: Callable[[SeedTraining], None],
+) -> SeedTrainings:
+    """Train with each of the seeds, `count` at a time; Ctrl-C stops them at checkpoints.
+
+    logs       folder of a log for each
+    arguments  of trainers.train.train, JSON types; and films, of each training
+    ended      is called with each that ends
+    """
+    found: dict[int, SeedTraining] = {}
+    with TemporaryDirectory(prefix="spikedeploy-") as folder:
+        jobs = {f"seed-{seed}": seed for seed in seeds}
+
+        def note(end: JobEnd) -> None:
+            seed = jobs[end.job.name]
+            found[seed] = _ending(seed, end, Path(folder) / str(seed))
+            ended(found[seed])
+
+        whole = resumable.run(
+            [_job(seed, Path(folder), logs, arguments) for seed in seeds], count, note
+        )
+    return SeedTrainings([found[seed] for seed in seeds if seed in found], not whole)
+
+
+def _job(seed: int, folder: Path, logs: Path, arguments: Mapping[str, Any]) -> Job:
+    name = f"seed-{seed}"
+    given = {"place": str(folder / str(seed)), "seed": seed, **arguments}
+    return Job(name, _PERFORM, logs / f"{arguments['recipe']}-s{seed}.log", given)
+
+
+def perform(place: str, films: int = 0, **arguments: Any) -> bool:  # noqa: ANN401
+    """Train (a job of `resumable`), and write into the file `place` where; False if interrupted."""
+    from spikedeploy.shipping.training_films import TrainingFilms
+    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.train import train
+
+    interrupt = Interrupt()
+    run = train(quiet=True, interrupt=interrupt, film=TrainingFilms(films), **arguments)
+    write_text(Path(place), str(run))
+    return interrupt.share is None
+
+
+def _ending(seed: int, end: JobEnd, place: Path) -> SeedTraining:
+    """How a training ended, from its process and its run folder."""
+    if end.failed:
+        return SeedTraining(seed, failed=f"{end.last_line.removeprefix('error: ')} ({end.job.log})")
+    if not place.is_file():
+        return SeedTraining(seed, failed="stopped before its first checkpoint")
+    run = Path(place.read_text(encoding="utf-8"))
+    return SeedTraining(seed, str(run), _best(run), unfinished(run))
+
+
+def _best(run: Path) -> float | None:
+    file = run / "checkpoints/best.json"
+    if not file.is_file():
+        return None
+    found: float | None = json.loads(file.read_text(encoding="utf-8")).get("eval_return")
+    return found

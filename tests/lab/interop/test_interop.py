@@ -1,0 +1,221 @@
+"""`python -m lab interop`: what it asks, keeps, compares and writes; no other tool is needed."""
+
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lab.interop import measured, peers
+from lab.interop.cases import FOR, PLAIN, case, meant, raster
+from lab.interop.measured import measure
+from lab.interop.outcome import SpikesCompared, compared
+from lab.interop.page import page
+from lab.interop.peers import PEERS, pythons, versions
+from spikedeploy.runtime.artifact.artifact import save
+from spikedeploy.runtime.errors import ConfigError
+from tests.networks import popsan
+
+OWN = f"nir=={version('nir')}"
+TOOL = {peer.name: peer for peer in PEERS}
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save(popsan(), "policy.nir")
+    return Path("policy.nir")
+
+
+def layers(**changed):
+    found = {"a": np.zeros((5, 3)), "b": np.zeros((5, 2)), "output": np.ones((5, 2))}
+    return {**found, **changed}
+
+
+def test_equal_layers_are_equal():
+    found = compared(layers(), layers(output=np.ones((5, 2)) + 1e-6))
+    assert found == SpikesCompared(25, 0, None, "equal")
+
+
+def test_the_first_difference_is_the_earliest_in_time():
+    late, early = np.zeros((5, 3)), np.zeros((5, 2))
+    late[4, 0] = early[2, 1] = 1
+    found = compared(layers(a=late, b=early), layers())
+    assert (found.differ, found.first) == (2, (2, "b", 1))
+
+
+def test_outputs_of_another_node_or_size_are_not_equal():
+    assert compared(layers(output=np.zeros((5, 3))), layers()).output == "another shape"
+    assert compared(layers(output=np.zeros((5, 2))), layers()).output == "differs"
+
+
+def test_names_of_the_tool_need_not_be_ours():
+    renamed = {f"n00_{name}": rows for name, rows in layers().items() if name != "output"}
+    found = compared({**renamed, "output": np.ones((5, 2))}, layers())
+    assert found == SpikesCompared(25, 0, None, "equal")
+
+
+def test_a_missing_tool_is_a_row_and_a_measured_one_is_kept(file, monkeypatch):
+    said, places = [], {OWN: Path(sys.executable)}
+    rows = measure([file], places, Path("found.json"), said.append)
+    opened = [row for row in rows if row["opens"]]
+    assert {row["peer"] for row in opened} == {OWN}
+    assert len(said) == 1
+    assert all("same after write and read" in row["message"] for row in opened)
+    monkeypatch.setattr(measured, "answers", None)  # nobody is asked again
+    assert measure([file], places, Path("found.json"), said.append) == rows
+    save(popsan(seed=1), file)
+    with pytest.raises(TypeError):
+        measure([file], places, Path("found.json"), said.append)
+
+
+def test_the_page_says_what_came_of_each_case(file):
+    rows = measure([file], {}, Path("found.json"), print)
+    assert page(rows, "python -m lab interop").count("not installed") >= 8
+    equal = compared(layers(), layers()).record()
+    other = compared(layers(a=np.ones((5, 3))), layers()).record()
+    norse = [row for row in rows if row["peer"] == "norse"]
+    norse[0] |= {"opens": True, "meant": other, "like": other, "versions": {"norse": "1.1.0"}}
+    norse[1] |= {"opens": True, "meant": equal, "like": equal}
+    text = page(rows, "python -m lab interop policy.nir -o x.md")
+    assert "python -m lab interop policy.nir -o x.md" in text
+    assert "opens, 15 of 25 differ, first in timestep 0, `a`, neuron 0" in text
+    assert "; from `--like` 15 do" in text
+    assert "**equal**, 25 compared" in text
+    assert "Releases: norse 1.1.0." in text
+    assert "Not opened here: it asks for an older `nir`, and for samna." in text
+
+
+def test_the_page_counts_the_files_of_which_a_tool_computes_every_spike(file):
+    rows = measure([file], {}, Path("found.json"), print)
+    equal, other = (compared(layers(**a), layers()).record() for a in ({}, {"a": np.ones((5, 3))}))
+    for row, found in zip([r for r in rows if r["peer"] == "norse"], (other, equal), strict=True):
+        row |= {"opens": True, "meant": found, "like": found, "versions": {"norse": "1.1.0"}}
+    text = page(rows, "python -m lab interop policy.nir -o x.md")
+    assert "| Norse | 1 of 1 | 0 of 1 | 1 of 1: `policy.nir` |" in text
+    assert "| snnTorch | " not in text  # not installed
+
+
+def test_a_case_that_cannot_be_written_is_refused_in_words(file, tmp_path):
+    found = case(file, TOOL["rockpool"], FOR, tmp_path)
+    assert found.path is None
+    assert found.refused.startswith("--for rockpool: its neurons reset by 'subtract'")
+    assert case(file, TOOL["rockpool"], PLAIN, tmp_path).path == file
+
+
+def test_both_sides_get_the_same_spikes(file):
+    rows = raster(file)
+    assert np.array_equal(rows, raster(file))
+    assert set(meant(file, rows)) == {"n2", "n4", "n6", "output"}
+
+
+def test_sinabs_and_samna_are_never_asked(file):
+    assert TOOL["sinabs"].missing
+    places = {"sinabs": Path(sys.executable)}
+    rows = measure([file], places, Path("found.json"), print)
+    assert all(row["opens"] is None for row in rows if row["peer"] == "sinabs")
+
+
+def test_a_python_is_given_or_found(tmp_path):
+    found = tmp_path / "norse" / "bin"
+    found.mkdir(parents=True)
+    (found / "python").write_text("")
+    assert pythons(tmp_path, {})["norse"] == found / "python"
+    assert pythons(tmp_path, {"norse": Path(sys.executable)})["norse"] == Path(sys.executable)
+    with pytest.raises(ConfigError, match="there is no"):
+        pythons(tmp_path, {"norse": tmp_path / "none"})
+    with pytest.raises(ConfigError, match="there are norse, "):
+        pythons(tmp_path, {"brian2": Path(sys.executable)})
+
+
+def test_a_python_without_the_tool_is_as_none():
+    assert versions(TOOL["spikingjelly"], Path(sys.executable)) == {}
+
+
+def test_a_process_that_ends_early_refuses_the_rest(monkeypatch):
+    monkeypatch.setattr(peers, "_called", lambda *_: '{"opens": true, "message": ""}\n')
+    said = list(peers.answers(TOOL["norse"], Path(sys.executable), [{}, {}]))
+    assert [answer["opens"] for answer in said] == [True, False]
+    assert "ended" in said[1]["message"]
+
+
+def test_the_command_writes_and_keeps_what_is_not_its_own(lab, file):
+    words = ("interop", "policy.nir", "--folder", "none")
+    code, out, _ = lab(*words, "-o", "page.md", "--json")
+    assert code == 0
+    assert {row["file"] for row in json.loads(out)} == {"policy.nir"}
+    assert lab(*words, "-o", "page.md")[0] == 0  # again
+    Path("notes.md").write_text("mine")
+    code, _, err = lab(*words, "-o", "notes.md")
+    assert (code, "--force" in err) == (2, True)
+    assert Path("notes.md").read_text() == "mine"
+    code, _, err = lab("interop", "policy.onnx", "-o", "page.md")
+    assert (code, "no .nir file" in err) == (2, True)
+
+
+def test_the_page_in_the_documentation_is_that_of_its_records():
+    """Written by `python -m lab interop`, and not by hand."""
+    root = Path(__file__).parents[3]
+    text = (root / "docs/interop.md").read_text("utf-8")
+    rows = json.loads((root / "results/interop.json").read_text("utf-8"))
+    command = next(line for line in text.splitlines() if line.startswith("python -m lab interop"))
+    assert page(rows, command) == text
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[" * 50_000,
+        b'[{"file": 1}]',
+        b'{"file": "a"}',
+        b"[3]",
+        b'[\n  {\n    "file": "a"}]',
+    ],
+)
+def test_records_that_are_not_ours_are_refused_in_a_sentence(content, lab, file):
+    Path("x.json").write_bytes(content)
+    words = ("interop", "policy.nir", "--folder", "none", "-o", "page.md", "--records", "x.json")
+    for force in ((), ("--force",)):
+        code, _, err = lab(*words, *force)
+        assert code == 2
+        assert "--records x.json" in err
+        assert "Traceback" not in err
+    assert Path("x.json").read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"versions": 3},
+        {"message": None},
+        {"opens": "yes"},
+        {"opens": True},
+        {"opens": True, "meant": {}},
+    ],
+)
+def test_a_row_without_its_fields_is_refused(changed, file):
+    rows = [row for row in measure([file], {}, Path("none.json"), print) if row["peer"] == "norse"]
+    Path("found.json").write_text(json.dumps(rows))
+    assert measure([file], {}, Path("found.json"), print)
+    Path("found.json").write_text(json.dumps([{**rows[0], **changed}]))
+    with pytest.raises(ConfigError, match="does not hold what interop found"):
+        measure([file], {}, Path("found.json"), print)
+
+
+def test_page_and_records_are_two_files(lab, file):
+    for name in ("one.json", "./one.json"):
+        code, _, err = lab("interop", "policy.nir", "-o", "one.json", "--records", name)
+        assert code == 2
+        assert "same file" in err
+    assert not Path("one.json").exists()
+
+
+@pytest.mark.parametrize("place", ["/bin/cat", sys.executable, "policy.nir"])
+def test_what_is_no_python_with_the_tool_is_said(place, lab, file):
+    code, _, err = lab("interop", "policy.nir", "--python", f"spikingjelly={place}")
+    assert code == 2
+    assert "is not a Python with spikingjelly" in err

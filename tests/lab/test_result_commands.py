@@ -1,0 +1,142 @@
+"""Every file of results/ names the command that made it, which today's command line understands."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from functools import cache
+
+import pytest
+import typer
+
+from lab.experiments import EXPERIMENTS
+from spikedeploy import cli, envs
+from spikedeploy.commands.evidence import settings
+from spikedeploy.runtime.chips.chip import listed
+from spikedeploy.shipping.recorded_evaluation import recorded
+from tests.paths import ROOT
+
+RESULTS = ROOT / "results"
+INDEX = (RESULTS / "README.md").read_text("utf-8")
+REPORTS = sorted(RESULTS.glob("*/report.json"))
+SETTINGS = sorted(RESULTS.glob("pareto/*.json"))  # of an experiment, with its command
+QUOTED = r"`((?:spikedeploy|python) [^`]+)`"
+
+
+def command_of(path):
+    """The command in a JSON file of results."""
+    return json.loads(path.read_text("utf-8"))["command"]
+
+
+def index():
+    """(links, commands) of every row of results/README.md."""
+    for line in INDEX.splitlines():
+        if line.startswith("| ["):
+            yield re.findall(r"\]\(([^)]+)\)", line), re.findall(QUOTED, line)
+
+
+def shown(text):
+    """Commands that pages of results show: indented, or in backticks after 'Written by'."""
+    return re.findall(r"^    ((?:spikedeploy|python) .*)$", text, re.M) + re.findall(
+        rf"Written by {QUOTED}", text
+    )
+
+
+PAGES = {page: shown(page.read_text("utf-8")) for page in RESULTS.rglob("*.md")}
+COMMANDS = sorted(
+    {command_of(path) for path in (*REPORTS, *SETTINGS)}
+    | {command for commands in PAGES.values() for command in commands}
+    | {command for _, commands in index() for command in commands}
+)
+IN_DOCS = {
+    line.strip()
+    for page in ROOT.glob("docs/**/*.md")
+    for line in re.findall(r"^(?:    )?(python -m lab [^#\n]*)", page.read_text("utf-8"), re.M)
+}
+
+
+def parsed(words):
+    """The parameters of a command of ours, whose options exist and whose choices are valid."""
+    verb = typer.main.get_command(cli.app).commands[words[0]]
+    needs_files = words[0] == "visualize"  # of run folders, which are not in the repository
+    with verb.make_context(words[0], words[1:], resilient_parsing=needs_files) as context:
+        if needs_files:
+            verb.make_parser(context).parse_args(words[1:])
+        return context.params
+
+
+@pytest.mark.parametrize("line", [c for c in COMMANDS if c.startswith("spikedeploy ")])
+def test_a_command_is_understood_today(line):
+    words = shlex.split(line)[1:]
+    given = parsed(words)
+    if words[0] == "compare":
+        envs.spec(given["env"])
+        listed(given["chips"])
+        settings(line)
+
+
+@cache
+def helped(name):
+    """What a command of the lab says of its options."""
+    command = [sys.executable, "-m", "lab", name, "--help"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("line", sorted({c for c in COMMANDS if c.startswith("python ")} | IN_DOCS))
+def test_a_command_of_the_lab_has_the_options(line):
+    _, _, lab, name, *words = shlex.split(line.replace("[", " ").replace("]", " "))
+    assert lab == "lab"
+    if name == "experiment":
+        assert words[0] in EXPERIMENTS
+    options = [word.partition("=")[0] for word in words if word.startswith("-")]
+    assert [each for each in options if not re.search(rf"{each}\b", helped(name))] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_page_names_a_command(page):
+    assert PAGES[page] or page.name == "README.md"
+
+
+def test_everything_in_results_stands_in_its_index_with_a_command():
+    rows = list(index())
+    assert len(rows) >= 7
+    assert all(commands for _, commands in rows)
+    named = {link.partition("/")[0].partition(".")[0] for links, _ in rows for link in links}
+    assert {path.stem for path in RESULTS.iterdir()} - {"README"} == named
+
+
+@pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
+def test_the_pages_quote_the_command_that_a_report_names(path):
+    said = command_of(path)
+    assert PAGES[path.with_suffix(".md")] == [said]
+    link = f"{path.parent.name}/report.md"
+    for links, commands in index():
+        if link == links[0]:  # others of a row are "and so on"
+            assert commands[0] == said
+    assert any(link in links for links, _ in index())
+    for page in (ROOT / "README.md", ROOT / "docs/results.md"):
+        for block in re.split(r"\n\s*\n", page.read_text("utf-8")):
+            if f"results/{link})" in block and "|" not in block:
+                assert f"`{said}`" in block, page
+
+
+def test_the_page_of_an_experiment_shows_the_command_of_each_of_its_tasks():
+    for path in SETTINGS:
+        assert command_of(path) in PAGES[RESULTS / f"{path.parent.name}.md"]
+
+
+@pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
+def test_a_report_can_be_reproduced(path):
+    """Its command and its policies are read as `spikedeploy reproduce` reads them."""
+    found = recorded(str(path.parent), settings)
+    assert len(found.entries) == len(found.rows)
+    assert parsed(shlex.split(command_of(path))[1:])["episodes"] == len(found.seeds)
+
+
+@pytest.mark.parametrize(
+    "line", ["compare hexapod --colour red", "compare hexapod --limits never", "compare"]
+)
+def test_a_command_that_is_not_understood_is_found(line):
+    with pytest.raises(Exception, match=r"No such option|not one of|Missing"):
+        parsed(shlex.split(line))
