@@ -38,7 +38,7 @@ COMMANDS = {
     "rsl-rl-policy": "lab.peers.rsl_rl_policy",
     "sanafe-energy": "lab.peers.sanafe_energy",
     "sb3-models": "lab.peers.sb3_models",
-    "kill": "lab.kill.kill",
+    "kill": "lab.kill",
     "constraints": "lab.constraints",
 }
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from spikedeploy.console import as_called, discard_output, prepare_streams
-from spikedeploy.user_errors import exit_code, one_line
+from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
@@ -45,6 +45,7 @@ COMMANDS = {
         "doctor": "checks",
     },
 }
+_MOVED = ("experiment", "interop")  # to lab/, which is not installed
 _LEFT = 141  # as shells say of SIGPIPE
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -85,6 +86,10 @@ def _options(
 
 def main() -> None:
     """Run the command line."""
+    if sys.argv[1:2] and sys.argv[1] in _MOVED:
+        line = f"this is `python -m lab {sys.argv[1]}` in a checkout of spikedeploy"
+        print(f"error: {line}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
     run(app)
 
 

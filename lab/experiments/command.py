@@ -130,7 +130,7 @@ def experiment(
         "policies": tuple(policies) if policies else None, "levels": levels, "chip": chip,
         "runs": folder and str(folder), "quick": quick or None,
     }  # fmt: skip
-    run, asked = (
+    run_missing, asked = (
         getattr(import_module(module), function)
         for module, _, function in (path.partition(":") for path in EXPERIMENTS[name])
     )
@@ -145,7 +145,7 @@ def experiment(
         force,
         lambda at: marked(at / page, "python -m lab"),
     )
-    outcome = run(design, only or (), jobs, output, train)
+    outcome = run_missing(design, only or (), jobs, output, train)
     if json:
         files = [str(path) for path in outcome.files]
         print_json({**vars(outcome), "files": files})

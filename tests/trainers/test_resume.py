@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from lab.kill.kill_compare import differences
+from lab.kill import differences
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.interrupt import Interrupt

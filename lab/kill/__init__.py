@@ -1,1 +1,0 @@
-"""Trainings that are killed at any moment and resumed, compared with unbroken ones, bit by bit."""
