@@ -10,6 +10,7 @@ from pathlib import Path
 
 # command -> its module, whose main() reads the command line and may return an exit code
 COMMANDS = {
+    "tables": "lab.tables",
     "experiment": "lab.experiments.command",
     "chip-policies": "lab.experiments.chip_policies",
     "clocks": "lab.experiments.clocks",

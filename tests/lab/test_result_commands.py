@@ -72,7 +72,7 @@ def test_a_command_is_understood_today(line):
     given = parsed(words)
     if words[0] == "compare":
         envs.spec(given["env"])
-        listed(given["chips"])
+        listed(",".join(given["chips"] or ()))
         settings(line)
 
 

@@ -36,8 +36,7 @@ def spike(home, *words, cwd=None):
     return done, [line.split(" ")[0] for line in lines], lines
 
 
-def test_it_is_a_short_posix_script():
-    assert len((ROOT / "spike").read_text().splitlines()) <= 43
+def test_it_is_a_posix_script():
     subprocess.run(["sh", "-n", ROOT / "spike"], check=True)
 
 

@@ -395,9 +395,8 @@ def test_options_of_other_formats_are_refused(command, here):
 
 
 @pytest.mark.parametrize("name", LIBRARIES)
-def test_a_script_is_short_and_imports_numpy_and_its_tool_alone(name):
+def test_a_script_imports_numpy_and_its_tool_alone(name):
     text = (SCRIPTS / name).read_text("utf-8")
-    assert len(text.splitlines()) <= (240 if name == "host.py" else 180)
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

@@ -1,0 +1,165 @@
+"""Write the tables of README.md and docs/ that come from results/: `python -m lab tables`.
+
+A page says between which comments a table stands, which file of results/ it is taken from, and
+which part of that file is shown:
+
+    <!-- table: results/hexapod/report.md; rows: sac | linear; columns: policy | return | SOPs -->
+
+    | policy | return | SOPs |
+    …
+
+    <!-- end of table -->
+
+`rows` are names in the first column, in the order of the page; without it all rows are shown.
+`columns` are heads in the order of the page; without it all of the file's table. `keep` names
+columns that are written by hand on the page: their cells and the rows of the page stay, and the
+other columns are filled. Cells are copied as they stand in the file. A file may hold several
+tables: a row is looked up in all of them that begin with the same head.
+"""
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTHING = "–"
+_BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)(.*?)(\n<!-- end of table -->)", re.DOTALL)
+
+
+class TableError(Exception):
+    """A comment that asks for what no file of results has; one sentence."""
+
+
+class Table(NamedTuple):
+    """A table in Markdown: heads of its columns, and rows as wide as these."""
+
+    heads: list[str]
+    rows: list[list[str]]
+
+
+def pages() -> list[Path]:
+    """Pages that may hold tables of results."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def parse_tables(text: str) -> Iterator[Table]:
+    """Yield every table of a text in Markdown."""
+    for block in re.findall(r"(?:^\|.*\n?)+", text, re.MULTILINE):
+        heads, *lines = [
+            [cell.strip() for cell in line.strip().strip("|").split("|")]
+            for line in block.splitlines()
+        ]
+        yield Table(heads, lines[1:])  # the first line rules off the heads
+
+
+def join_tables(found: list[Table], columns: list[str]) -> Table:
+    """Return the first table that has the columns, or rows of several that begin with one head.
+
+    Raises TableError where no table, or no row of joined tables, has a column.
+    """
+    for table in found:
+        if set(columns) <= set(table.heads):
+            return table
+    cells: dict[str, dict[str, str]] = {}
+    for table in found:
+        if table.heads[0] == columns[0]:
+            for row in table.rows:
+                cells.setdefault(row[0], {}).update(zip(table.heads, row, strict=True))
+    missing = [head for head in columns if not any(head in row for row in cells.values())]
+    if missing:
+        raise TableError(f"there is no column {missing[0]!r}")
+    return Table(columns, [[row.get(head, NOTHING) for head in columns] for row in cells.values()])
+
+
+def select(table: Table, rows: list[str], columns: list[str]) -> Table:
+    """Return the rows with these names in the first column, and these columns, in this order."""
+    named = {row[0]: row for row in table.rows}
+    if missing := [name for name in rows if name not in named]:
+        raise TableError(f"there is no row {missing[0]!r}, only {', '.join(named)}")
+    places = [table.heads.index(head) for head in columns]
+    chosen = [named[name] for name in rows] if rows else table.rows
+    return Table(columns, [[row[place] for place in places] for row in chosen])
+
+
+def fill(page: Table, source: Table, keep: list[str]) -> Table:
+    """Return the page's table, its cells taken from the source but for the first and kept columns.
+
+    Rows are matched by their first cell; one that the source lacks has no numbers.
+    """
+    found = {row[0]: dict(zip(source.heads, row, strict=True)) for row in source.rows}
+    rows = [
+        [
+            cell if k == 0 or head in keep else found.get(row[0], {}).get(head, NOTHING)
+            for k, (head, cell) in enumerate(zip(page.heads, row, strict=True))
+        ]
+        for row in page.rows
+    ]
+    if absent := found.keys() - {row[0] for row in page.rows}:
+        raise TableError(f"the page has no row {min(absent)!r}, which the file has")
+    return Table(page.heads, rows)
+
+
+def make_table(request: str, before: str) -> str:
+    """Write the table that a comment asks for, where `before` stands now.
+
+    Raises TableError where the file, a row or a column is missing.
+    """
+    file, *parts = [part.strip() for part in request.split(";")]
+    options = {name.strip(): _names(text) for name, _, text in (p.partition(":") for p in parts)}
+    if unknown := options.keys() - {"rows", "columns", "keep"}:
+        raise TableError(f"{min(unknown)!r} is none of rows, columns, keep")
+    if not (ROOT / file).is_file():
+        raise TableError(f"there is no {file}")
+    found = list(parse_tables((ROOT / file).read_text(encoding="utf-8")))
+    if keep := options.get("keep", []):
+        (page,) = parse_tables(before)
+        wanted = [head for head in page.heads if head not in keep]
+        made = fill(page, join_tables(found, wanted), keep)
+    else:
+        columns = options.get("columns") or found[0].heads
+        made = select(join_tables(found, columns), options.get("rows", []), columns)
+    lines = [made.heads, ["---"] * len(made.heads), *made.rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def fill_page(text: str) -> str:
+    """Return a page with its tables written anew from results/."""
+
+    def written(match: re.Match[str]) -> str:
+        try:
+            return match[1] + make_table(match[2], match[3]) + match[4]
+        except TableError as error:
+            raise TableError(f"{match[2]}: {error}") from None
+
+    return _BLOCK.sub(written, text)
+
+
+def main() -> int:
+    """Write all pages anew, or with --check name those that would change."""
+    parser = argparse.ArgumentParser(prog="python -m lab tables", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 for a change")
+    check = parser.parse_args().check
+    changed = 0
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        try:
+            made = fill_page(text)
+        except TableError as error:
+            print(f"error: {page.relative_to(ROOT)}: {error}", file=sys.stderr)
+            return 1
+        if made != text:
+            changed += 1
+            print(f"{page.relative_to(ROOT)}: {'differs' if check else 'written'}")
+            if not check:
+                part = page.with_name(f"{page.name}.part")
+                part.write_text(made, encoding="utf-8")
+                part.replace(page)
+    return int(check and changed > 0)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split("|")]
