@@ -64,6 +64,11 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
     return AdaptedEnv(world, name, shown, success)
 
 
+def check_target(name: str) -> None:
+    """Import the module of a target; EnvError where it has not what the target names."""
+    _registration(name)
+
+
 def _registration(name: str) -> str | Registration:
     """What gymnasium.make takes; the module of a target is imported here."""
     found = _TARGET.fullmatch(name)

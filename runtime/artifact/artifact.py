@@ -61,6 +61,11 @@ class Artifact:
         if self.codec is not None:
             _check_width(self.graph, self.codec)
 
+    @property
+    def trained_for(self) -> str:
+        """The chip in whose integers the policy was trained; empty where it was for none."""
+        return self.provenance.chip if self.provenance else ""
+
 
 def save(artifact: Artifact, path: str | Path, older: str | None = None) -> None:
     """Write a file; equal artifacts give equal bytes, and an interruption leaves the old file.

@@ -41,7 +41,7 @@ def compile_program(
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip lacks capacity for the network, or something that the network asks for.
     """
-    _check_reset(artifact.convention, chip)
+    _check_reset(artifact, chip)
     _check_graded(artifact, chip)
     if not limits:
         chip = replace(chip, delay_max=_ENDLESS)
@@ -178,8 +178,15 @@ def _on_host(layer: Layer, chip_name: str) -> str:
     )
 
 
-def _check_reset(convention: Convention, chip: Chip) -> None:
+def _check_reset(artifact: Artifact, chip: Chip) -> None:
+    convention = artifact.convention
+    there = f"The policy was trained in the integers of {artifact.trained_for}: run it there."
     if convention.reset not in chip.resets:
+        if artifact.trained_for:
+            raise RuleError(
+                f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
+                f"{', '.join(map(repr, chip.resets))}. {there}"
+            )
         late = convention.reset not in ("zero", "subtract")
         how = " (snnTorch: reset_mechanism, and reset_delay=False)" if late else ""
         options = " or ".join(f"--reset {each}" for each in chip.resets)
@@ -188,7 +195,10 @@ def _check_reset(convention: Convention, chip: Chip) -> None:
             f"{', '.join(map(repr, chip.resets))}. Train with that reset{how}, give it as an "
             f"option ({options}), or run in float."
         )
-    chip.arithmetic.check_convention(convention, chip.name)
+    try:
+        chip.arithmetic.check_convention(convention, chip.name)
+    except RuleError as error:
+        raise (RuleError(f"{error} {there}") if artifact.trained_for else error) from error
 
 
 def _check_graded(artifact: Artifact, chip: Chip) -> None:
@@ -277,11 +287,13 @@ class DesignCheck:
     chip: its datasheet.
     rulings: of every rule on every node, then on the network, and the compiler's last.
     mapping: onto its cores.
+    program: what it becomes; None where it does not compile.
     """
 
     chip: Chip
     rulings: tuple[RuleResult, ...]
     mapping: CoreMapping
+    program: Program | None = None
 
     @property
     def passed(self) -> bool:
@@ -298,17 +310,18 @@ def check(artifact: Artifact, on: Chip) -> DesignCheck:
     plan = design(artifact, on, on.limits or _NONE)
     rulings = judged(plan) if on.limits is not None else []
     broken = any(ruling.failed for ruling in rulings)
-    return DesignCheck(on, (*rulings, _compiled(artifact, on, not broken)), plan.mapping)
+    program, ruling = _compiled(artifact, on, not broken)
+    return DesignCheck(on, (*rulings, ruling), plan.mapping, program)
 
 
-def _compiled(artifact: Artifact, on: Chip, limits: bool) -> RuleResult:
-    """Whether it compiles; without limits where a rule has already failed."""
+def _compiled(artifact: Artifact, on: Chip, limits: bool) -> tuple[Program | None, RuleResult]:
+    """Whether it compiles, and to what; without limits where a rule has already failed."""
     try:
         program = compile_program(artifact, on, limits=limits)
     except SpikedeployError as error:
-        return RuleResult(COMPILE, None, "fail", str(error))
+        return None, RuleResult(COMPILE, None, "fail", str(error))
     arithmetic, layers = program.chip.arithmetic, program.layers
     ranges = arithmetic.ranges(layers, _rows(artifact, program))
     carried = arithmetic.carried(layers, program.input)
     note = "; ".join(program.remarks if program.reads_membranes else (*carried, *ranges))
-    return RuleResult(COMPILE, None, "pass", "a program", note=note)
+    return program, RuleResult(COMPILE, None, "pass", "a program", note=note)

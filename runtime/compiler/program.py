@@ -46,6 +46,10 @@ class HostOutput:
     bias: Floats
 
 
+def _counted(timesteps: int) -> str:
+    return f"{timesteps} chip timestep{'s' * (timesteps != 1)}"
+
+
 def leaving(outlets: Sequence[HostOutput], spikes: Mapping[str, NDArray[Any]]) -> Floats:
     """Output (B, T, act) of all outlets side by side, from the spikes (B, T, N) of each layer."""
     return np.concatenate([_received(outlet, spikes) for outlet in outlets], axis=2)
@@ -161,6 +165,58 @@ class Program:
         if self.clock != "free":
             return slice(0, rows)
         return slice(layer.start, layer.start + rows - self._fill)
+
+    @cached_property
+    def trailing(self) -> tuple[int, int]:
+        """[timesteps] by which the output trails the input: along the shortest path, the longest.
+
+        0 where windows make up for the delays of the chip. Of paths without loops, through
+        connections with a weight that is not 0; (0, 0) where there is none.
+        """
+        starts = {layer.name: layer.start for layer in (*self.layers, *self.host)}
+        found = {self.input: (0, 0)}
+        for layer in (*self.layers, *self.host):
+            paths = [
+                tuple(n + starts.get(s.source, 0) + s.delay - layer.start for n in found[s.source])
+                for s in layer.synapses
+                if s.source in found and s.fan_out.any()
+            ]
+            if paths:
+                found[layer.name] = (min(p[0] for p in paths), max(p[1] for p in paths))
+        taps = [(tap.layer, tap.lag) for outlet in self.outlets for tap in outlet.taps]
+        taps = taps or [(self.output, self.readout.lag if self.readout else 0)]
+        ends = [(found[name], lag) for name, lag in taps if name in found]
+        if not ends:
+            return 0, 0
+        return min(f[0] + lag for f, lag in ends), max(f[1] + lag for f, lag in ends)
+
+    def control_steps_late(self, timesteps: int) -> tuple[int, int] | None:
+        """Control steps of T timesteps from an observation to the actions that it reaches.
+
+        The first that it reaches by the shortest path, and by the longest. None where states are
+        reset, so that no spike outlives its control step, which then acts on its own observation.
+        """
+        if self.convention.state == "reset":
+            return None
+        first, last = self.trailing
+        # what is sent in the first row arrives soonest, what is sent in the last row latest
+        return first // timesteps, (timesteps - 1 + last) // timesteps
+
+    @property
+    def fill(self) -> int:
+        """[timesteps] that an inference takes beyond its rows; 0 where the clock is pipelined."""
+        return 0 if self.clock == "pipelined" else self._fill
+
+    def describe_clock(self) -> str:
+        """How its layers advance, and what it costs: `free, 2 chip timesteps more an inference`."""
+        least, most = self.trailing
+        said = [self.clock, *["assumed"] * self.assumed_clock]
+        if self.fill:
+            said.append(f"{_counted(self.fill)} more an inference")
+        if most:
+            reach = f"{least} to {_counted(most)}" if least < most else _counted(most)
+            said.append(f"input reaches the output {reach} late")
+        return ", ".join(said)
 
     @property
     def assumed_clock(self) -> bool:

@@ -55,6 +55,8 @@ def reset(design: PlacedNetwork) -> Iterator[RuleResult]:
         else:
             reset_of = design.artifact.convention.reset
             remedy = _reset_remedy(reset_of, type(node).__name__, design.chip.resets)
+            if trained_for := design.artifact.trained_for:
+                remedy = f"Run it on {trained_for}, in whose integers it was trained."
             found = f"reset {design.artifact.convention.reset!r}"
             possible = tuple(f"reset {each!r}" for each in design.chip.resets)
             yield allowed("reset", name, found, possible, remedy)

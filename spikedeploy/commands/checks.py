@@ -33,7 +33,10 @@ def check(
     ],
     chip: Annotated[
         list[str] | None,
-        typer.Option(help="Chip; give it several times, or 'all'.", show_default="all"),
+        typer.Option(
+            help="Chip, or 'all'; several with commas between them, or the option again.",
+            show_default="all",
+        ),
     ] = None,
     dt: Dt = None,
     reset: Reset = None,

@@ -115,6 +115,7 @@ def export(
     """
     if film and to != "card":
         raise typer.BadParameter("--film goes with --to card")
+    _check_file(run)
     given = {"written_by": from_, "dt": dt, "reset": reset}
     if for_ or nir_compat:
         options = {**given, "state": state}
@@ -150,6 +151,15 @@ def export(
         )
     late = written.unfinished
     _end_with(written, json, [f"its training is unfinished: stopped at {late}"] if late else [])
+
+
+def _check_file(reference: str) -> None:
+    """Refuse a file that does not exist: as a run folder it would be missed in the wrong place."""
+    from spikedeploy import zoo
+    from spikedeploy.runtime.errors import ConfigError
+
+    if reference.endswith(zoo.SUFFIXES) and zoo.resolve(reference) is None:
+        raise ConfigError(f"{reference}: no such file")
 
 
 def _export_c(

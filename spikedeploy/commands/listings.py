@@ -23,17 +23,25 @@ def policies(
     from spikedeploy.console import print_json, print_table
     from spikedeploy.policies.registry import BUILT_IN, find
 
-    rows = []
-    for name in [*zoo.names(), *BUILT_IN]:
+    rows: list[dict[str, Any]] = []
+    apart = [f"{zoo.FOR_CHIPS}/{file.parent.name}/{file.stem}" for file in zoo.for_chips()]
+    for name in [*zoo.names(), *BUILT_IN, *apart]:
         candidate, card = find(name), zoo.card(name)
         row = {"name": name, "kind": candidate.kind, "env": candidate.env, "file": candidate.path}
-        rows.append({**row, "recipe": card.get("recipe"), "return_mean": zoo.mean_return(card)})
+        rows.append({**row, "recipe": card.get("recipe"), "chip": candidate.chip})
+        rows[-1]["return_mean"] = zoo.mean_return(card) if card.get("evaluation") else None
     if json:
         print_json(rows)
         return
     columns = ("name", "kind", "env", "recipe", "return_mean")
-    cells = [[_text(row[column]) for column in columns] for row in rows]
+    cells = [[_text(row[column]) for column in columns] for row in rows if row["name"] not in apart]
     print_table("Policies", ("name", "kind", "environment", "recipe", "return"), cells)
+    folders: dict[str, list[str]] = {}
+    for folder, _, last in (name.rpartition("/") for name in apart):
+        folders.setdefault(f"{folder}/", []).append(last)
+    cells = [[folder, ", ".join(names)] for folder, names in folders.items()]
+    heads = ("name begins with", "and ends with one of")
+    print_table("For one chip each, and the teachers that they imitate", heads, cells)
 
 
 def _policy(name: str, json: bool) -> None:
@@ -96,7 +104,7 @@ def _chip(name: str, json: bool) -> None:
 
     found = chip(name)
     if json:
-        print_json({**chip_list([found])[0], **entries.chip_json(found)})
+        print_json(chip_list([found])[0])
         return
     print_table(found.name, ("what", "found"), entries.chip_facts(found))
     print_table("What it computes with", entries.CHIP_FIELDS, entries.chip_fields(found))

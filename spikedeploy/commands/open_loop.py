@@ -118,7 +118,10 @@ def emulate(
 
 def drift(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A .nir file, run, or shipped name.")],
-    chip: Annotated[str, typer.Option(help="Chip.")] = "loihi1",
+    chip: Annotated[
+        str | None,
+        typer.Option(help="Chip.", show_default="what it was trained for, else loihi1"),
+    ] = None,
     input_: Annotated[
         Path | None,
         typer.Option("--input", exists=True, dir_okay=False, help="Spikes (T, *shape), .npy."),
@@ -178,6 +181,7 @@ def drift(
     from spikedeploy.reports.terminal import print_drift
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
+    from spikedeploy.shipping.export_c import chip_of
     from spikedeploy.shipping.exported_run import runnable, trained_in
 
     env = env or trained_in(file)
@@ -202,7 +206,7 @@ def drift(
     report = drift_report(
         file,
         artifact,
-        datasheet(chip),
+        datasheet(chip or chip_of(artifact)),
         inputs,
         quantisation(quantise, rounding, headroom, thresholds, weight_shift),
         calibrate,

@@ -126,14 +126,19 @@ def _for_chip(env: str | None, chip: str | None, given: list[str]) -> list[str]:
         return []
     settings = [f"policy.chip={dumps(chip)}"]
     if not any(each.replace(" ", "").startswith("teacher=") for each in given):
-        from spikedeploy import zoo
+        from spikedeploy import envs, zoo
+        from spikedeploy.envs.foreign import check_target, is_target
         from spikedeploy.runtime.errors import ConfigError
 
+        envs.spec(env)  # refuses a name that none has, before it asks for a teacher
+        if is_target(env):
+            check_target(env)
         teacher = zoo.teacher(env)
         if teacher is None:
             raise ConfigError(
                 f"no float teacher of {env} is shipped: give one with --set teacher=PATH, such as "
-                f"the run of `spikedeploy train {env} --recipe ppo-mlp`"
+                f"the run of `spikedeploy train {env} --recipe ppo-mlp`, or imitate a Python "
+                f"function of yours: `spikedeploy distill my_module:pilot --env {env} --for {chip}`"
             )
         settings.append(f"teacher={dumps(teacher)}")
     return settings

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
-from spikedeploy.comparison.accounting import accounted, break_even, static
+from spikedeploy.comparison.accounting import accounted, break_even, control_period, static
 from spikedeploy.comparison.agreement import median_divergence, pooled_equality, pooled_rmse
 from spikedeploy.comparison.episodes import Episode
 from spikedeploy.comparison.lineup import Entry
@@ -104,6 +104,7 @@ class Comparison:
         energy, latency = _priced(found.energy_j, tables), _priced(found.latency_s, tables)
         return {
             "clock": found.clock,
+            **self._late(found.control_steps_late),
             "sparsity": found.sparsity,
             "spikes_per_inference": found.spikes,
             "input_spikes_per_inference": found.input_spikes,
@@ -124,6 +125,14 @@ class Comparison:
             "static_energy_j": static(row.entry.chip, self.env, self.period),
             **break_even(found, _mean_costs(ann) if ann else None, tables),
         }
+
+    def _late(self, steps: tuple[int, int] | None) -> dict[str, Any]:
+        """From an observation to the first and the last action that it reaches, in time too."""
+        if steps is None or not any(steps):
+            return {}
+        period = self.period or control_period(self.env)
+        seconds = None if period is None else [n * period for n in steps]
+        return {"control_steps_late": list(steps), "late_s": seconds}
 
     def _performance(self, row: Row) -> dict[str, Any]:
         """Returns and successes, alone and beside the float ANN and the baseline."""
@@ -206,6 +215,7 @@ def _identity(row: Row) -> dict[str, Any]:
         "chip": row.entry.chip,
         "limits": row.entry.limits,
         "file": zoo.called(candidate.path),
+        **({"trained_for": candidate.chip} if candidate.chip else {}),
     }
 
 

@@ -21,10 +21,18 @@ class _Words(NamedTuple):
     field: str
     less: str
     equal: str
+    more: str
+    all_more: str
 
 
-_WALK = _Words("returns", "earn less", "earns as much")
-_RACE = _Words("successes", "finish less often", "finishes as often")
+_WALK = _Words("returns", "earn less", "earns as much", "earns more", "earn more")
+_RACE = _Words(
+    "successes",
+    "finish less often",
+    "finishes as often",
+    "finishes more often",
+    "finish more often",
+)
 
 
 def few(row: Row) -> bool:
@@ -41,13 +49,18 @@ def counted(row: Row) -> str:
 
 def summary(rows: Sequence[Row]) -> str:
     """What the chip keeps of the float twin, the smallest float policy as good, the controls."""
-    on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float" and r["reference"]]
+    on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float"]
+    # a row alone is what its numbers say
+    on_chip = [r for r in on_chip if r["reference"] or (len(rows) > 1 and not _twin(r))]
     racing, foreign = any(map(drives, rows)), any(row.get("foreign") for row in rows)
     told = _earns if foreign else _finishes if racing else _keeps
     words = _RACE if racing else _WALK
     sentences = []
     for row in on_chip:
         sentences.append(told(row))
+        if not _twin(row):
+            integers = f"the integers of {row['trained_for']}"
+            sentences.append(f"{row['policy']} was trained in {integers}, and has no float twin.")
         sentences.extend(() if few(row) else _smallest(row, rows, words))
     if any(map(few, on_chip)):
         sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
@@ -59,7 +72,19 @@ def summary(rows: Sequence[Row]) -> str:
     return " ".join(dict.fromkeys(filter(None, sentences)))  # some say the same of several rows
 
 
+def _twin(row: Row) -> bool:
+    """Whether a policy has a float twin: all but those that were trained in a chip's integers."""
+    return not row.get("trained_for")
+
+
+def _beside(row: Row) -> str:
+    """What a row on a chip is measured against."""
+    return "the twin" if _twin(row) else str(row["reference"])
+
+
 def _keeps(row: Row) -> str:
+    if not _twin(row):
+        return _earns(row)
     kept = [f"{row['ratio_to_reference']:.1%} of its float twin's return"]
     if row["ratio_to_float_ann"] is not None:
         kept.append(f"{row['ratio_to_float_ann']:.1%} of the float ANN's")
@@ -114,15 +139,30 @@ def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> list[str]:
         found.append(f"The one float policy here is shown to {words.less}.")
     elif count:
         found.append(f"None of the {count} float policies here {words.equal}.")
-    if scripts := [each["policy"] for each in equal if not each["training_seeds"]]:
-        found.append(_scripts(scripts, words, " either" if networks else ""))
+    scripts = [each for each in equal if not each["training_seeds"]]
+    better = [each["policy"] for each in scripts if _above(each, row, words)]
+    if rest := [each["policy"] for each in scripts if each["policy"] not in better]:
+        found.append(_scripts(rest, words, " either" if networks else ""))
+    if better:
+        verb = words.more if len(better) == 1 else words.all_more
+        found.append(f"The {_subject(better)} {verb} than {row['policy']}.")
     return found
 
 
 def _below(row: Row, other: Row, words: _Words) -> bool:
     """Whether a row is shown to be worse: the 95 % interval of the paired difference is below 0."""
-    difference = paired_difference(row[words.field], other[words.field], np.random.default_rng(0))
-    return difference.ci95[1] < 0
+    return _difference(row, other, words)[1] < 0
+
+
+def _above(row: Row, other: Row, words: _Words) -> bool:
+    """Whether a row is shown to be better: the 95 % interval is above 0."""
+    return _difference(row, other, words)[0] > 0
+
+
+def _difference(row: Row, other: Row, words: _Words) -> tuple[float, float]:
+    """The 95 % interval of the paired difference."""
+    rng = np.random.default_rng(0)
+    return paired_difference(row[words.field], other[words.field], rng).ci95
 
 
 def _trained(rows: Sequence[Row]) -> list[Row]:
@@ -142,8 +182,13 @@ def _named(baseline: Row, row: Row, words: _Words) -> str:
 
 
 def _scripts(names: Sequence[str], words: _Words, either: str) -> str:
-    subject = f"script {names[0]} is" if len(names) == 1 else f"scripts {' and '.join(names)} are"
-    return f"The {subject} not shown to {words.less}{either}."
+    verb = "is" if len(names) == 1 else "are"
+    return f"The {_subject(names)} {verb} not shown to {words.less}{either}."
+
+
+def _subject(names: Sequence[str]) -> str:
+    """`script gait`, `scripts gait and gap`."""
+    return f"script{'s' * (len(names) > 1)} {' and '.join(names)}"
 
 
 def _controls(rows: Sequence[Row]) -> str:
@@ -170,11 +215,12 @@ def _controls(rows: Sequence[Row]) -> str:
 
 def _finishes(row: Row) -> str:
     """How often an SNN on a chip finishes, beside its float twin."""
+    said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {counted(row)}"
+    if row["success_difference_mean"] is None:
+        return f"{said}."
     between = _between(row, "success_difference_ci95", "+.1f", 100)
-    return (
-        f"{row['policy']} on {row['chip']} finishes {_share(row)} of {counted(row)} "
-        f"({100 * row['success_difference_mean']:+.1f} points to its float twin{between})."
-    )
+    other = "its float twin" if _twin(row) else row["reference"]
+    return f"{said} ({100 * row['success_difference_mean']:+.1f} points to {other}{between})."
 
 
 def _race(rows: Sequence[Row]) -> str:
@@ -190,9 +236,12 @@ def _race(rows: Sequence[Row]) -> str:
 def _earns(row: Row) -> str:
     """What an SNN on a chip earns in an environment that is not ours, beside its float twin."""
     own = _between(row, "return_ci95", ",.4g").removeprefix(", ")
-    share = row["ratio_to_reference"]
-    kept = "" if share is None else f"{share:.1%} of its float twin's return, "
-    kept += f"{row['difference_mean']:+,.3g} to the twin{_between(row, 'difference_ci95', '+,.3g')}"
+    share, other = row["ratio_to_reference"], _beside(row)
+    whose = "its float twin's return" if _twin(row) else f"the return of {other}"
+    kept = "" if share is None else f"{share:.1%} of {whose}, "
+    if row["difference_mean"] is not None:
+        between = _between(row, "difference_ci95", "+,.3g")
+        kept += f"{row['difference_mean']:+,.3g} to {other}{between}"
     succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
     return (
         f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} "

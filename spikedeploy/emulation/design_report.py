@@ -1,19 +1,19 @@
 """A network file against the design rules of chips: whether it fits, and if not, why not."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip, listed
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
 from spikedeploy.runtime.design_rules.rule import RuleResult, Status
 from spikedeploy.runtime.design_rules.table import RULES
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, ConventionError
 
 ALL = "all"
 # statuses of a rule on several nodes: the first of these that occurs counts
@@ -28,12 +28,14 @@ class DesignReport:
     artifact  the network and its convention
     checks    one for each chip
     any_does  whether one chip that passes is enough, as for "all"
+    resets    chip that lacks its reset, and nothing else -> the reset with which it passes
     """
 
     file: str
     artifact: Artifact
     checks: Sequence[DesignCheck]
     any_does: bool
+    resets: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -48,7 +50,10 @@ class DesignReport:
             "file": self.file,
             "convention": self.artifact.convention.to_record(),
             "passed": self.passed,
-            "chips": [_chip(each) for each in self.checks],
+            "chips": [
+                {**_chip(each), "fits_with_reset": self.resets.get(each.chip.name)}
+                for each in self.checks
+            ],
         }
 
 
@@ -56,7 +61,7 @@ def design_report(reference: str, chips: Sequence[str], **convention: Any) -> De
     """The design rules of chips on a file.
 
     reference   a .nir file, or the name of a shipped policy that spikes
-    chips       names, or "all"
+    chips       names, each also several with commas between them, or "all"
     convention  options of artifact.load; they take precedence over the file
     """
     return report_of(reference, load(network_path(reference), **convention), chips)
@@ -64,9 +69,32 @@ def design_report(reference: str, chips: Sequence[str], **convention: Any) -> De
 
 def report_of(reference: str, artifact: Artifact, chips: Sequence[str]) -> DesignReport:
     """The design rules of chips on a network that was read from a file."""
-    names = tuple(CHIPS) if ALL in chips else tuple(dict.fromkeys(chips))
-    checks = [check_on(artifact, chip(name)) for name in names]
-    return DesignReport(reference, artifact, checks, ALL in chips)
+    named = [name for text in chips for name in listed(text)]
+    names = tuple(CHIPS) if ALL in named else tuple(dict.fromkeys(named))
+    # with its options, in which two chips of a report may differ
+    checks = [check_on(artifact, replace(chip(name), name=name)) for name in names]
+    resets = {each.chip.name: _fitting_reset(artifact, each) for each in checks}
+    found = {name: reset for name, reset in resets.items() if reset is not None}
+    return DesignReport(reference, artifact, checks, ALL in named, found)
+
+
+def _fitting_reset(artifact: Artifact, found: DesignCheck) -> str | None:
+    """The reset with which the network would pass, where it lacks no more than that.
+
+    None for a policy that was trained in the integers of a chip: with another reset it is another.
+    """
+    broken = {ruling.rule for ruling in found.rulings if ruling.failed}
+    if artifact.trained_for or "reset" not in broken or broken - {"reset", COMPILE}:
+        return None
+    return next((each for each in found.chip.resets if _passes(artifact, found.chip, each)), None)
+
+
+def _passes(artifact: Artifact, on: Chip, reset: str) -> bool:
+    try:
+        convention = artifact.convention.with_options({"reset": reset})
+    except ConventionError:  # several spikes of a timestep, which are subtracted
+        return False
+    return check_on(replace(artifact, convention=convention), on).passed
 
 
 def statuses(found: DesignCheck) -> dict[str, Status]:
@@ -99,7 +127,7 @@ def network_path(reference: str) -> Path:
 
 
 def _chip(found: DesignCheck) -> dict[str, Any]:
-    limits = found.chip.limits
+    limits, program = found.chip.limits, found.program
     placements = [
         {
             **asdict(placement),
@@ -111,6 +139,10 @@ def _chip(found: DesignCheck) -> dict[str, Any]:
         "chip": found.chip.name,
         "passed": found.passed,
         "membrane_output": found.chip.membrane_output,
+        "clock": program and program.clock,
+        "clock_assumed": program and program.assumed_clock,
+        "timesteps_more": program and program.fill,
+        "timesteps_late": program and program.trailing,
         "rules": statuses(found),
         "rulings": [ruling.as_json() for ruling in found.rulings],
         "mapping": {

@@ -49,6 +49,7 @@ class Emulation:
     remarks   of the compiler, on where the chip departs from the file; and SILENT
     measures  NeuroBench's numbers, memory and time; None likewise
     tables    energy tables to price by; empty for those of the chip
+    clock     how the layers advanced, in words; empty in float
     """
 
     artifact: Artifact
@@ -60,6 +61,7 @@ class Emulation:
     remarks: tuple[str, ...] = ()
     measures: Measures | None = None
     tables: Sequence[str] = ()
+    clock: str = ""
 
     def save(self, path: Path) -> None:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
@@ -117,6 +119,7 @@ class Emulation:
             "chip": self.chip,
             "timesteps": self.timesteps,
             "convention": self.artifact.convention.to_record(),
+            "clock": self.clock or None,
             "spikes": sum(int(rows.sum()) for rows in self._messages().values()),
             "sops": self._total("sop"),
             "bias_sops": self._total("bias_sop"),
@@ -194,7 +197,8 @@ def emulate_artifact(
     unlimited = on is not None and not limits and on.limits is not None
     silent = bool(spikes) and not any(rows.any() for rows in spikes.values())
     remarks = (*network.remarks, *[_UNLIMITED] * unlimited, *[SILENT] * silent)
-    emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks)
+    clock = "" if on is None else network.program.describe_clock()
+    emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks, clock=clock)
     try:
         raster, ledger = network.program.joined(rows), network.ledger
         measures = measured(artifact, network, raster, ledger)

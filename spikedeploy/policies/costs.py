@@ -18,6 +18,8 @@ connection_sparsity  NeuroBench's, of the file
 energy_j, latency_s  by each energy table, with an interval; latency as if one core did
                      everything
 clock                how layers advance (runtime.convention.Clock), and whether that is assumed
+control_steps_late   from an observation to the first and the last action that it reaches; None
+                     where states are reset, and it reaches its own
 energy_terms_j       by each table, then by term (runtime.metrics.energy_terms): those of the chip
                      add up to energy_j, or of a float network `operations` alone
 energy_unknown       by each table, terms that happen and that nothing prices
@@ -74,6 +76,7 @@ class Costs:
     messages_placed: float | None = None
     saturations: int | None = None
     clock: str | None = None
+    control_steps_late: tuple[int, int] | None = None
     energy_j: Mapping[str, EnergyEstimate] = field(default_factory=dict)
     latency_s: Mapping[str, EnergyEstimate] = field(default_factory=dict)
     energy_terms_j: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -115,6 +118,7 @@ def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
         **means,
         saturations=sum(saturations) if saturations else None,
         clock=costs[0].clock,
+        control_steps_late=costs[0].control_steps_late,
         energy_terms_j={
             table: {term: j for term, j in found.items() if term not in unknown[table]}
             for table, found in terms.items()

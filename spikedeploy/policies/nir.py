@@ -170,6 +170,7 @@ def costs(controller: NirController, played: Rollout) -> Costs:
         footprint_packed=packed_bytes(program) if controller.chip else None,
         connection_sparsity=connection_sparsity(graph),
         messages_placed=placed,
+        control_steps_late=program.control_steps_late(controller.codec.timesteps),
         messages_placed_j={} if placed is None else message_energies(placed),
     )
 

@@ -31,7 +31,7 @@ def print_report(report: DesignReport, everything: bool = True) -> None:
             print(f"✗ {line}")
     for each in report.checks:
         mark = _MARKS["pass" if each.passed else "fail"]
-        print(f"{mark} {each.chip.name}: {summary(each, alone)}")
+        print(f"{mark} {each.chip.name}: {summary(each, alone)}{_remedy(report, each, alone)}")
     if not everything:
         print("All rules: --rules")
 
@@ -59,16 +59,23 @@ def broken(found: DesignCheck) -> list[str]:
     return [ruling.describe(found.chip.name) for ruling in worsts if ruling.failed]
 
 
+def _remedy(report: DesignReport, found: DesignCheck, alone: bool) -> str:
+    """The reset with which the network would fit, where that is all that it lacks."""
+    reset = report.resets.get(found.chip.name)
+    return "" if reset is None else f"{'.' * alone} With --reset {reset}: fits."
+
+
 def summary(found: DesignCheck, alone: bool) -> str:
-    """The broken rules, and the first in full unless it stands above; or the number of cores."""
+    """The broken rules, and the first in full unless it stands above; or cores and clock."""
     if not found.passed:
         first = next(ruling for ruling in found.rulings if ruling.failed)
         names = list(dict.fromkeys(ruling.rule for ruling in found.rulings if ruling.failed))
         told = "" if alone else f". First {first.describe(found.chip.name)}"
         return f"breaks {', '.join(names)}{told}"
+    clock = f", clock {found.program.describe_clock()}" if found.program else ""
     if found.chip.limits is None:
-        return "no limits"
-    return f"{found.mapping.cores} cores" if found.mapping.cores else "fits"
+        return f"no limits{clock}"
+    return (f"{found.mapping.cores} cores" if found.mapping.cores else "fits") + clock
 
 
 def _print_chip(found: DesignCheck) -> None:

@@ -38,9 +38,20 @@ def chip_limits(chip: Chip) -> list[tuple[str, str, str]]:
 
 
 def chip_json(chip: Chip) -> dict[str, Any]:
-    """The fields and limits as plain data."""
-    named = {field: value for field, value, _ in chip_fields(chip)}
-    return {"fields": named, "limits": chip.limits and asdict(chip.limits)}
+    """Every field of the chip and of its arithmetic, and its limits, as plain data."""
+    found = {
+        field.name: getattr(of, field.name)
+        for of in (chip.arithmetic, chip)
+        for field in fields(of)
+        if field.name not in _SAID
+    }
+    data = {name: _data(value) for name, value in found.items()}
+    return {"fields": data, "limits": chip.limits and asdict(chip.limits)}
+
+
+def _data(value: Any) -> Any:  # noqa: ANN401
+    """A value as JSON holds it; a register by its fields."""
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 def _rows(of: Any, sources: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:  # noqa: ANN401

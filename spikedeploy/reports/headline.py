@@ -86,7 +86,8 @@ def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
     said = [earned, f"{difference(row)} to {twin}"]
     said += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
     kept = f"{row['ratio_to_reference']:.1%}"
-    return HeadlineNumber(f"return kept on {row['chip']}, of its float twin's", kept, tuple(said))
+    whose = f"{twin}'s" if row.get("trained_for") else "its float twin's"
+    return HeadlineNumber(f"return kept on {row['chip']}, of {whose}", kept, tuple(said))
 
 
 def _counted(row: Row, baselines: Iterable[Row], name: str) -> HeadlineNumber | None:

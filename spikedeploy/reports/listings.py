@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from spikedeploy.reports.energy_columns import COMMON_TABLE
+from spikedeploy.reports.entries import chip_json
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
 from spikedeploy.runtime.metrics.break_even import BREAK_EVEN_TABLES, YAN2024, break_even_rate
@@ -15,7 +16,16 @@ from spikedeploy.runtime.metrics.energy import (
     describe_certainty,
 )
 
-CHIP_COLUMNS = ("name", "neurons", "weights", "membrane", "resets", "readouts", "compared with")
+CHIP_COLUMNS = (
+    "name",
+    "neurons",
+    "weights",
+    "membrane",
+    "resets",
+    "readouts",
+    "clocks",
+    "compared with",
+)
 
 
 def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
@@ -26,6 +36,7 @@ def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
             *chip.arithmetic.describe(),
             ", ".join(chip.resets),
             "on the host" if chip.membrane_output == "none" else chip.membrane_output,
+            ", ".join(chip.clocks),
             chip.evidence,
         )
         for chip in chips
@@ -33,16 +44,18 @@ def chip_rows(chips: Iterable[Chip]) -> list[tuple[str, ...]]:
 
 
 def chip_list(chips: Iterable[Chip]) -> list[dict[str, Any]]:
-    """The same as plain data, with sources."""
+    """The same as plain data, with every field of the datasheets, and sources."""
     known = list(chips)
     return [
         {
             **dict(zip((c.replace(" ", "_") for c in CHIP_COLUMNS), row, strict=True)),
             "resets": each.resets,
+            "clocks": each.clocks,
             "membrane_output": each.membrane_output,
             "summary": each.summary,
             "energy_tables": each.energy_tables,
             "sources": each.sources,
+            **chip_json(each),
         }
         for each, row in zip(known, chip_rows(known), strict=True)
     ]

@@ -78,13 +78,29 @@ def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
 
 def _print_clocks(rows: Sequence[Row]) -> None:
     """Print how the layers of each network on a chip advance, a line."""
-    clocks: dict[str, list[str]] = {}
+    clocks: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if row.get("clock") and row["chip"] not in (None, "float"):
-            clocks.setdefault(row["clock"], []).append(label(row))
+            clocks.setdefault((row["clock"], _late(row)), []).append(label(row))
     if clocks:
-        each = (f"{clock} ({', '.join(names)})" for clock, names in clocks.items())
+        each = (f"{clock} ({', '.join(names)}){late}" for (clock, late), names in clocks.items())
         print_text(f"Clock: {'; '.join(each)}.")
+
+
+def _late(row: Row) -> str:
+    """`: an observation acts 1 to 2 control steps later (20 to 40 ms)`; empty where it does not."""
+    steps, seconds = row.get("control_steps_late"), row.get("late_s")
+    if not steps:
+        return ""
+    in_time = f" ({_span([1e3 * each for each in seconds])} ms)" if seconds else ""
+    unit = "control step" if steps == [1, 1] else "control steps"
+    return f": an observation acts {_span(steps)} {unit} later{in_time}"
+
+
+def _span(ends: Sequence[float]) -> str:
+    """`1 to 2`, or `2` where both are equal."""
+    least, most = (f"{each:.3g}" for each in ends)
+    return least if least == most else f"{least} to {most}"
 
 
 def print_run(document: Mapping[str, Any], everything: bool = False) -> None:
@@ -158,6 +174,7 @@ def print_emulation(emulation: Emulation) -> None:
     counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
     lines = {
         "convention": emulation.artifact.convention.describe(),
+        **({"clock": emulation.clock} if emulation.clock else {}),
         **{
             name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
         },

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from spikedeploy.policies.interface import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
+from spikedeploy.runtime.convention import CLOCKS
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
@@ -118,8 +119,9 @@ def export_c(
         )
     names = file_names(prefix, codec=True)
     check_output_folder("-o", folder, names, (file, policy), force, written_before)
-    # software updates a layer when it is told to, unless the chip's options say otherwise
-    program = compile_program(artifact, on, clock=on.clock or own_clock(artifact.convention))
+    # software updates a layer when it is told to, whatever the chip can; its options come first
+    clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
+    program = compile_program(artifact, software, clock=clock)
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
     origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
     files = policy_in_c(program, artifact.codec, seen, origin, prefix)
@@ -131,7 +133,7 @@ def export_c(
 
 def chip_of(artifact: Artifact) -> str:
     """The chip on which a policy runs where none is named: that of its training, or the default."""
-    return (artifact.provenance.chip if artifact.provenance else "") or DEFAULT_CHIP
+    return artifact.trained_for or DEFAULT_CHIP
 
 
 def nir_file(policy: str, to: str) -> Path:

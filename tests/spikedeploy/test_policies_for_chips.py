@@ -11,6 +11,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
 from spikedeploy.comparison.closed_loop import run_policy
 from spikedeploy.comparison.lineup import line_up, on_another_chip
+from spikedeploy.envs.errors import EnvError
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS
 from spikedeploy.runtime.chips.chip import chip
@@ -118,8 +119,29 @@ def test_an_environment_alone_goes_with_for(words):
 
 
 def test_without_a_shipped_teacher_one_is_asked_for():
-    with pytest.raises(ConfigError, match=r"no float teacher of Acrobot-v1 is shipped"):
+    said = r"no float teacher of Acrobot-v1 is shipped.*distill my_module:pilot --env Acrobot-v1"
+    with pytest.raises(ConfigError, match=said):
         train("Acrobot-v1", chip="odin")
+
+
+def test_a_misspelt_environment_is_said_before_a_teacher_is_asked_for():
+    with pytest.raises(EnvError, match=r"has no 'Reech'; did you mean 'Reach'\?"):
+        train("tests.own_env:Reech", chip="odin")
+
+
+def test_they_are_listed_beside_the_others(command):
+    out, rows = command("policies")[1], json.loads(command("policies", "--json")[1])
+    chips = {row["name"]: row["chip"] for row in rows}
+    for each in FILES:
+        name = f"chips/{each.parent.name}/{each.stem}"
+        assert chips[name] == each.stem
+        assert name.rpartition("/")[0] in out
+        assert each.stem in out
+
+
+def test_drift_is_of_the_chip_that_it_was_trained_for(command):
+    _, out, _ = command("drift", "chips/CartPole-v1/tinyodin", "--steps", 5, "--json")
+    assert json.loads(out)["chip"] == "tinyodin"
 
 
 def test_a_policy_whose_card_is_missing_or_of_another_is_trained_again(tmp_path, monkeypatch):

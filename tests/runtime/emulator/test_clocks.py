@@ -5,14 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spikedeploy import zoo
+from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.convention import CLOCKS, Convention
+from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, ConventionError, RuleError
 from spikedeploy.runtime.float_model.graph import FloatGraph
-from tests.networks import popsan
+from tests.networks import event_driven, popsan
 from tests.readouts import events, network
 
 BACKENDS = ["interpreter", "numpy", "numba"]
@@ -138,3 +141,30 @@ def test_a_free_chip_updates_every_neuron_until_the_last_layer_has_seen_the_last
     ]
     assert per_neuron == [8 * sum(free.neurons)] * 2
     assert len(EVENTS) == free.counts.shape[-1]
+
+
+def test_the_output_of_a_pipeline_trails_by_the_shortest_and_by_the_longest_path():
+    skipping = load(zoo.path("kart-grid/sparse"))
+    for artifact, late in ((popsan(), (3, 3)), (event_driven(), (1, 1)), (skipping, (1, 2))):
+        for clock in ("gated", "free"):
+            made_up_for = compile_program(artifact, chip("loihi1"), clock=clock)
+            assert (made_up_for.trailing, made_up_for.fill) == ((0, 0), max(late))
+        program = compile_program(artifact, chip("loihi1"), clock="pipelined")
+        assert (program.trailing, program.fill) == (late, 0)
+
+
+def test_the_first_action_that_an_observation_reaches_is_as_late_as_is_said():
+    artifact = event_driven()
+    late = compile_program(artifact, chip("loihi1"), clock="pipelined").control_steps_late(1)
+    moved = []
+    for observation in (np.zeros(3), np.full(3, 2.0)):
+        controller = SpikingController(artifact, chip("loihi1"), clock="pipelined")
+        moved.append([controller.act(seen) for seen in (observation, *np.zeros((3, 3)))])
+    differs = np.flatnonzero(np.any(np.array(moved[0]) != np.array(moved[1]), axis=1))
+    assert differs[0] == late[0] == 1
+
+
+def test_spikes_do_not_outlive_a_control_step_where_states_are_reset():
+    program = compile_program(popsan(), chip("loihi1"), clock="pipelined")
+    assert program.convention.state == "reset"
+    assert program.control_steps_late(5) is None

@@ -47,6 +47,11 @@ CHIP = {
     "chip": str,
     "passed": bool,
     "membrane_output": str,
+    "clock": (str, type(None)),
+    "clock_assumed": (bool, type(None)),
+    "timesteps_more": (int, type(None)),
+    "timesteps_late": (list, type(None)),
+    "fits_with_reset": (str, type(None)),
     "rules": dict,
     "rulings": list,
     "mapping": dict,
@@ -162,16 +167,52 @@ def test_without_rules_people_see_the_verdict_and_what_is_broken(command):
     _, out, _ = command("check", "hexapod/popsan")
     lines = out.splitlines()
     assert len(lines) == len(CHIPS) + 3  # the convention, a line for each chip, a hint
-    assert "✓ loihi1: 15 cores" in lines
+    free = "✓ loihi1: 15 cores, clock free, 3 chip timesteps more an inference"
+    assert free in lines
     assert "weight-bits" not in out
     code, out, _ = command("check", "hexapod/popsan", "--chip", "xylo-a2")
     assert code == 1
     assert "✗ rule fan-out: node 'lif1'" in out
     assert out.splitlines()[-2].startswith("✗ xylo-a2: breaks ")
     assert command("check", "hexapod/popsan", "--chip", "loihi1")[1].splitlines()[2:] == [
-        "✓ loihi1: 15 cores",
+        free,
         "All rules: --rules",
     ]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--chip", "loihi1,loihi1:clock=gated"],
+        ["--chip", "loihi1", "--chip", "loihi1:clock=gated"],
+    ],
+)
+def test_chips_keep_their_options_and_say_by_which_clock_they_run(words, command):
+    _, out, _ = command("check", "kart-grid/snn", *words)
+    assert out.splitlines()[2:4] == [
+        "✓ loihi1: 4 cores, clock free, 2 chip timesteps more an inference",
+        "✓ loihi1:clock=gated: 4 cores, clock gated, assumed, 2 chip timesteps more an inference",
+    ]
+
+
+def test_a_network_that_lacks_its_reset_alone_is_told_with_which_one_it_fits(command):
+    code, out, _ = command("check", "examples/net.nir", "--chip", "xylo-a2")
+    assert (code, "compile. With --reset subtract: fits." in out) == (1, True)
+    assert command("check", "examples/net.nir", "--chip", "xylo-a2", "--reset", "subtract")[0] == 0
+    _, out, _ = command("check", "kart-grid/snn", "--chip", "xylo-a2")  # which breaks more
+    assert "With --reset" not in out
+
+
+def test_a_policy_of_another_chip_is_sent_there_and_not_given_another_reset(command):
+    words = ("chips/CartPole-v1/xylo-a2", "--chip", "loihi1")
+    code, out, _ = command("check", *words)
+    assert code == 1
+    assert "Run it on xylo-a2, in whose integers it was trained." in out
+    assert "--reset" not in out
+    code, _, err = command("run", *words)
+    assert code == 1
+    assert "trained in the integers of xylo-a2: run it there." in err
+    assert "--reset" not in err
 
 
 def test_a_file_of_another_tool_needs_its_timestep(command, tmp_path):

@@ -152,6 +152,9 @@ def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
     assert found["sops"] > 0
     assert found["neuron_updates"] > 0
     assert found["convention"]["reset"] == "zero"
+    assert found["clock"] == "free, 3 chip timesteps more an inference"
+    _, out, _ = command(*words, "-o", tmp_path / "out.npz", "--force")
+    assert found["clock"] in " ".join(out.split())
     assert found["energy_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
 
 

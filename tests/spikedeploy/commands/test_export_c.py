@@ -76,6 +76,8 @@ def test_the_same_policy_is_written_again_and_other_files_are_not(command, file,
     [
         (("policy.nir", "--to", "c"), "name it, as in -o"),
         (("hexapod/gait", "--to", "c", "-o", "c"), "is no spiking policy"),
+        (("kept.nir", "--to", "c", "-o", "c"), "kept.nir: no such file"),
+        (("kept.nir",), "kept.nir: no such file"),
         (("hexapod/fourier", "--to", "c", "-o", "c"), "computes Gather"),
         (("hexapod/linear", "--to", "c"), "name it, as in -o"),
         (("hexapod/linear", "--to", "c", "-o", "c", "--chip", "loihi1"), "leave --chip out"),
@@ -227,3 +229,10 @@ def test_a_makefile_of_the_user_is_not_taken_for_a_part_of_an_export(tmp_path):
     to_c.write_texts(texts_of("old"), tmp_path)
     (tmp_path / "Makefile").write_text("all:\n")
     assert not export_c.written_before(tmp_path)
+
+
+@pytest.mark.parametrize("given", ["loihi1", "loihi1:clock=gated"])
+def test_c_of_a_gated_policy_assumes_nothing_of_a_chip(given, command, file):
+    words = ("export", file, "--to", "c", "-o", "c", "--observations", "5", "--chip", given)
+    code, out, _ = command(*words)
+    assert (code, "nothing published says" in out) == (0, False)

@@ -1,5 +1,6 @@
 """Event-driven policies as run folders and files: states through an episode, and what they cost."""
 
+import json
 import re
 
 import numpy as np
@@ -116,3 +117,18 @@ def test_a_program_says_where_its_readout_is_read(target, way, tmp_path):
 
 def test_a_chip_that_rounds_nothing_says_nothing(tmp_path):
     assert compile_program(load(shipped(tmp_path)[1]), chip("ideal")).remarks == ()
+
+
+def test_run_says_how_late_a_pipelined_policy_acts_in_control_steps_and_in_time(
+    world, tmp_path, command
+):
+    _, file = shipped(tmp_path)
+    _, out, _ = command("run", file, "--chip", "loihi1:clock=pipelined", "--json")
+    (row,) = json.loads(out)["rows"]
+    program = compile_program(load(file), chip("loihi1"), clock="pipelined")
+    assert row["control_steps_late"] == list(program.trailing) == [1, 2]
+    assert row["late_s"] == [0.02, 0.04]
+    _, out, _ = command("run", file, "--chip", "loihi1:clock=pipelined")
+    assert "an observation acts 1 to 2 control steps later (20 to 40 ms)" in " ".join(out.split())
+    _, out, _ = command("run", file, "--chip", "loihi1:clock=gated", "--json")
+    assert "control_steps_late" not in json.loads(out)["rows"][0]

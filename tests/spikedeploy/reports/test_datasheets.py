@@ -1,5 +1,8 @@
 """The table of chips in the documentation is what the command prints."""
 
+import json
+from dataclasses import fields
+
 import pytest
 
 from spikedeploy.reports.listings import CHIP_COLUMNS, chip_markdown, chip_rows
@@ -39,3 +42,16 @@ def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
 def test_a_row_says_what_the_datasheet_says(used, weights, membrane):
     row = dict(zip(CHIP_COLUMNS, chip_rows([used])[0], strict=True))
     assert (row["weights"], row["membrane"]) == (weights, membrane)
+
+
+@pytest.mark.parametrize("name", ["loihi1", "odin", "xylo-a2", "speck2f"])
+def test_machines_get_every_field_of_every_datasheet_with_its_value(name, command):
+    sheet = chip(name)
+    listed = next(e for e in json.loads(command("chips", "--json")[1]) if e["name"] == name)
+    names = {f.name for of in (sheet, sheet.arithmetic) for f in fields(of)}
+    elsewhere = {"arithmetic", "evidence"}  # neurons, weights, membrane; compared_with
+    assert names <= {*listed["fields"], *listed, *elsewhere}
+    assert listed["fields"]["delay_max"] == sheet.delay_max
+    assert listed["fields"]["clocks"] == list(sheet.clocks)
+    assert json.loads(command("chips", name, "--json")[1]) == listed
+    assert f" {', '.join(sheet.clocks)} | " in command("chips", "--markdown")[1]

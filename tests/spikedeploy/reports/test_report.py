@@ -200,6 +200,20 @@ def test_a_script_that_earns_as_much_is_named_as_one():
     assert "The one float policy here is shown to earn less. The script gait is not shown" in found
 
 
+def test_a_script_that_earns_more_is_said_to():
+    rows = [row("sac", "ann", ratio=0.9), row("mine:pilot", "ann", ratio=3.0, training_seeds=None)]
+    found = summary([*rows, row("popsan", "snn", "loihi1")])
+    assert "The script mine:pilot earns more than popsan." in found
+    assert "mine:pilot is not shown" not in found
+
+
+def test_a_policy_in_the_integers_of_a_chip_stands_beside_its_teacher():
+    alone = {"foreign": True, "return_ci95": (2900.0, 3100.0), "trained_for": "odin"}
+    found = summary([row("sac", "ann"), row("mine", "snn", "odin", reference="sac", **alone)])
+    assert "of the return of sac, -20.4 to sac, 95% interval -40 to +1" in found
+    assert "mine was trained in the integers of odin, and has no float twin." in found
+
+
 def test_the_sentence_says_what_the_intervals_cover_while_each_row_is_of_one_training():
     one = [row("sac", "ann"), row("linear", "control", ratio=0.6)]
     assert summary(one).endswith(
