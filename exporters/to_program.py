@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program, Readout
+from spikedeploy.runtime.convention import State
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
@@ -128,6 +129,7 @@ class ChipRun:
     program: with biases as weights of axons of the input, behind those that it had: all that the
         host injects. Delays are those from a spike to its arrival; no layer waits to start.
     timesteps: of a control step, or of the run of a raster.
+    state: "reset" where each control step begins from zero states; else they go on.
     inject: the host's rows go into so many of them, from the first on.
     windows: for each layer the timesteps after which the host reads it.
     biases: for each axon of a bias the timesteps in which it spikes.
@@ -138,6 +140,7 @@ class ChipRun:
     inject: int
     windows: Mapping[str, slice]
     biases: tuple[slice, ...]
+    state: State = "kept"
 
     def rows(self, spikes: NDArray[Any]) -> NDArray[np.uint8]:
         """What the host injects (timesteps, M) for the spikes (inject, M) of the input."""
@@ -148,9 +151,20 @@ class ChipRun:
             raster[timesteps, axon] = 1
         return raster
 
+    def ran(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
+        """What all control steps of a run with the raster (T, M) do, from zero states.
 
-def chip_run(program: Program, rows: int) -> ChipRun:
+        The batch is of inferences where states are reset in each, else of the whole run.
+        """
+        length = self.timesteps if self.state == "reset" else len(raster)
+        parts = raster.reshape(-1, length, raster.shape[1])
+        return Interpreter(self.program, len(parts)).run(parts)
+
+
+def chip_run(program: Program, rows: int, state: State = "kept") -> ChipRun:
     """How a chip runs windows of so many input rows of a program.
+
+    state: of a control step; a raster is a single inference, in which none is reset.
 
     Raises ConfigError where the chip would have to hold a layer.
     """
@@ -177,6 +191,7 @@ def chip_run(program: Program, rows: int) -> ChipRun:
         inject=rows,
         windows=windows,
         biases=tuple(slice(first, first + rows) for first in starts),
+        state=state,
     )
 
 
@@ -218,6 +233,7 @@ def program_text(
             "clock": clock,
             "control_step": {
                 "timesteps": run.timesteps,
+                "state": run.state,
                 "inject": [0, run.inject],
                 "read": [reads[0][0], reads[-1][1]],
                 "bias_axons": [[each.start, each.stop] for each in run.biases],
@@ -230,7 +246,7 @@ def program_text(
     )
 
 
-def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source: str) -> str:
+def expected_text(run: ChipRun, raster: NDArray[np.uint8], text: str, source: str) -> str:
     """The text of expected.json.
 
     raster: (T, M) of the whole run in chip timesteps, axons of biases included.
@@ -238,7 +254,7 @@ def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source
     """
     events = np.argwhere(raster)
     counts = raster[tuple(events.T)]
-    ran = Interpreter(program, 1).run(raster[None])
+    program = run.program
     return as_rows(
         {
             "made_by": MARK,
@@ -248,18 +264,20 @@ def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source
             "program_sha256": hashlib.sha256(text.encode()).hexdigest(),
             "timesteps": len(raster),
             "input_events": np.repeat(events, counts, axis=0).tolist(),
-            "recorded": {name: _recorded(program, layer) for name, layer in ran.items()},
+            "recorded": {
+                name: _recorded(program, layer) for name, layer in run.ran(raster).items()
+            },
         }
     )
 
 
 def _recorded(program: Program, layer: LayerTrace) -> dict[str, Any]:
     """What a layer did, by quantity: (T, N); floats are left out, which no tool rounds alike."""
-    found: dict[str, Any] = {"spikes": layer.spikes[0].astype(np.int64).tolist()}
+    spikes, currents = np.concatenate(layer.spikes), np.concatenate(layer.current)
+    found: dict[str, Any] = {"spikes": spikes.astype(np.int64).tolist()}
     states = program.chip.arithmetic.state_bits
     if layer.membrane.dtype.kind != "f":
-        found["membrane"] = layer.membrane[0].tolist()
-        currents = layer.current[0]
+        found["membrane"] = np.concatenate(layer.membrane).tolist()
         each = [currents] if currents.ndim == 2 else list(currents.swapaxes(0, 1))
         if len(states) > 1:
             found |= {name: rows.tolist() for name, rows in zip(QUANTITIES, each, strict=False)}
@@ -304,6 +322,8 @@ class KitPlayer:
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The action for an observation."""
         run = self._run
+        if run.state == "reset":
+            self._chip = Interpreter(run.program, 1)
         self.rows.append(run.rows(self._codec.encode(observation[None], self._state)[0]))
         found = self._chip.run(self.rows[-1][None])
         output = np.zeros((1, run.inject, len(self._bias))) + self._bias
