@@ -45,9 +45,11 @@ class ChipTool:
     """The tool of a chip for which the kit has a script.
 
     script: its name in exporters/kit/.
-    name: of the tool.
+    name: of the tool, as the files that its script writes have it.
     install: what installs it, for a terminal.
     offline: what runs without a board; empty where nothing does.
+    needs: what the board needs beside it, in sentences.
+    board: for a terminal, what installs that and runs the script on the board.
     page: of docs/.
     delay: [timesteps] from a spike to its arrival, where it has only one; 0 where any.
     """
@@ -56,6 +58,8 @@ class ChipTool:
     name: str
     install: str
     offline: str
+    needs: str
+    board: str
     page: str
     delay: int = 0
 
@@ -64,7 +68,10 @@ _LAVA = ChipTool(
     "run_lava.py",
     "lava",
     "python3.10 -m venv lava && lava/bin/pip install lava-nc==0.10.0",
-    "lava's simulator of fixed-point neurons (Loihi1SimCfg, Loihi2SimCfg)",
+    "lava's simulator of fixed-point neurons (Loihi1SimCfg, Loihi2SimCfg); Python 3.10 alone",
+    "It is a Loihi 2, and needs Intel's `lava-loihi` beside lava-nc, which members of its research "
+    "community (INRC) get, on a host of the community's cloud; the variables are your site's.",
+    "SLURM=1 LOIHI_GEN=N3C1 lava/bin/python run_lava.py --board --steps 5",
     "board-loihi.md",
 )
 _NENGO = ChipTool(
@@ -72,14 +79,23 @@ _NENGO = ChipTool(
     "nengo-loihi",
     "python3 -m venv nengo && nengo/bin/pip install nengo-loihi==1.1.0 nengo==4.1.0",
     "nengo-loihi's emulator (target sim)",
+    "It is a Loihi 1, and needs NxSDK 0.9 or 1.0, which Intel gives to members of its research "
+    "community (INRC), in the same environment.",
+    "nengo/bin/python run_nengo_loihi.py --board --steps 5",
     "board-loihi.md",
     delay=1,
 )
 _XYLO = ChipTool(
     "run_xylo.py",
-    "rockpool",
+    "xylo",
     "python3 -m venv xylo && xylo/bin/pip install xylosim==0.1.3 numpy",
-    "xylosim, SynSense's simulator (--sim)",
+    "xylosim, SynSense's simulator (--sim), which is built from source: it needs a C++ compiler",
+    "It needs Rockpool and samna, which installs itself from SynSense's server when it is first "
+    "imported. Rockpool 3.1.0 zeroes the states of a Xylo Audio 2, not those of xylo-a3 and "
+    "xylo-imu: policies that need it run there with --sim alone.",
+    """xylo/bin/pip install "rockpool[xylo]==3.1.0"
+xylo/bin/python -c "import samna"
+xylo/bin/python run_xylo.py --steps 5""",
     "board-xylo.md",
 )
 TOOLS = {
@@ -95,6 +111,10 @@ TOOLS = {
         "python3 -m venv speck && speck/bin/pip install --no-deps sinabs==3.1.3 nirtorch==2.6 pbr "
         "&& speck/bin/pip install 'torch<2.14' nir==1.0.8 numpy",
         "sinabs' layers, which need no samna",
+        "It needs samna, which installs itself from SynSense's server when it is first imported.",
+        """speck/bin/pip install sinabs==3.1.3
+speck/bin/python -c "import samna"
+speck/bin/python run_sinabs.py --board --steps 5""",
         "board-speck.md",
     ),
     "spinnaker2": ChipTool(
@@ -102,6 +122,8 @@ TOOLS = {
         "py-spinnaker2",
         "python3 -m venv s2 && s2/bin/pip install git+https://gitlab.com/spinnaker2/py-spinnaker2",
         "its Brian2 back-end (--sim); not run by us: the package is not on PyPI",
+        "It needs the address of the board's Ethernet.",
+        "S2_IP=192.168.1.2 s2/bin/python run_spinnaker2.py",
         "board-spinnaker2.md",
     ),
 }
@@ -243,6 +265,36 @@ def program_text(
             "host": dict(host),
             "remarks": list(program.remarks),
         }
+    )
+
+
+_CLOCKS = {
+    "gated": "in each timestep the layers update one after the other, and a spike arrives in the "
+    "timestep in which it is emitted",
+    "pipelined": "all layers update in each timestep, and a spike arrives in the next one, so that "
+    "each layer lags a timestep behind the one before it, in the next control step too",
+    "free": "all layers update in each timestep, a spike arrives the `delay` of its synapses later, "
+    "and the host waits for it",
+}
+
+
+def clock_text(run: ChipRun, clock: str) -> str:
+    """What the clock means for those who drive a chip, in sentences."""
+    more = run.timesteps - run.inject
+    rows = f"{run.inject} rows of input take {run.timesteps} timesteps"
+    if more:
+        rows += f", {more} more, until the last layer has seen the last row"
+    reads = ", ".join(
+        f"`{name}` in {window.start} to {window.stop - 1}" for name, window in run.windows.items()
+    )
+    states = {
+        "reset": "All states are zeroed before each control step, also those of spikes under way; "
+        "the script does it between two of them.",
+        "kept": "States go on from the first timestep to the last.",
+    }
+    return (
+        f"`{clock}`: {_CLOCKS[clock]}. {rows}: counted from 0, the host injects in 0 to "
+        f"{run.inject - 1}, and reads {reads}. {states[run.state]}"
     )
 
 

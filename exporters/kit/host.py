@@ -18,7 +18,7 @@ from zipfile import BadZipFile
 try:
     import numpy as np
 except ImportError as error:
-    raise SystemExit(f"{error}; install what README.md names, or pip install numpy") from error
+    raise SystemExit(f"{error}: install numpy; README.md has the steps") from error
 
 HERE = Path(__file__).resolve().parent
 PARTS = 256  # of a step of a delta encoder
@@ -30,7 +30,7 @@ def needs(what):
     try:
         yield
     except ImportError as error:
-        raise SystemExit(f"{error}; install {what} (README.md has the steps)") from error
+        raise SystemExit(f"{error}: install {what}; README.md has the steps") from error
 
 
 def main(make_chip, tool, options=()):
@@ -230,12 +230,13 @@ def environment(name):
     """spikedeploy's, module:Class, or one registered with gymnasium; and how it takes actions."""
     module, _, short = name.partition(":")
     if module == "spikedeploy":
-        with needs("spikedeploy, by `pip install .` in a checkout of it,"):
+        with needs("spikedeploy by `pip install .` in a checkout of its repository"):
             from spikedeploy.envs import make
         return make(short), lambda action: action
-    with needs("gymnasium, or put that module beside this file,"):
+    with needs("that module, or put it beside host.py"):
         made = getattr(import_module(module), short, None) if short else None
-        if not callable(made):
+    if not callable(made):
+        with needs("gymnasium"):
             import gymnasium
     try:
         env = made() if callable(made) else gymnasium.make(name)

@@ -139,9 +139,9 @@ class XyloBoard:
         if resets(program) and program["chip"] != "xylo-a2":
             # in Rockpool 3.1.0, reset_state of syns65302 warns that it does not work yet, and that
             # of syns63300 is a module's without states: neither changes the dev kit
-            sys.exit(f"Rockpool 3.1.0 cannot zero the states of {program['chip']}; run it --sim")
+            sys.exit(f"Rockpool 3.1.0 cannot zero the states of {program['chip']}: use --sim")
         # importing these imports samna, which on its first import installs itself
-        with needs('"rockpool[xylo]==3.1.0", or run --sim'):
+        with needs('"rockpool[xylo]==3.1.0", or run it with --sim'):
             from rockpool.devices.xylo.helper import find_xylo_hdks
         module = import_module(f"rockpool.devices.xylo.{MODULES[program['chip']]}")
         kits, _, versions = find_xylo_hdks()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy import zoo
+from spikedeploy import envs, zoo
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
@@ -25,6 +25,7 @@ from spikedeploy.exporters.to_program import (
     ChipTool,
     KitPlayer,
     chip_run,
+    clock_text,
     expected_text,
     host_record,
     missing_of,
@@ -137,7 +138,7 @@ def export_program(
     text = program_text(run, compiled.clock, _placement(artifact, on), host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
     expected = expected_text(run, rows, text, said)
-    readme = _readme(tool, folder, origin, chip_name, source, episode, host)
+    readme = _readme(tool, run, compiled.clock, origin, source, episode, host)
     verdict = _replayed(text, expected)
     # first what says whose the folder is, last what names the program: a part is no kit
     write_text(folder / PROGRAM, text)
@@ -271,30 +272,41 @@ def _write_episode(path: Path, episode: Rollout) -> None:
 
 def _readme(
     tool: ChipTool,
-    folder: Path,
+    run: ChipRun,
+    clock: str,
     origin: str,
-    chip_name: str,
     source: str,
     episode: Rollout | None,
     host: Mapping[str, Any],
 ) -> str:
-    short = "" if episode is None else episode.env_id
-    loop = Template(script("loop.md")).substitute(
-        script=tool.script, env=short, name=tool.name, python=_python(tool)
-    )
-    closed = loop if episode is not None else f"No loop: {host.get('missing', 'a raster')}."
+    """The text of README.md."""
+    python = _python(tool)
+    flags = " --sim" if "--sim" in tool.offline else ""
+    closed = f"No loop: {host.get('missing', 'a raster')}."
+    if episode is not None:
+        ours = episode.env_id in {entry.id for entry in envs.ENVS.values()}
+        pip = f"{python} -m pip install"
+        closed = Template(script("loop.md")).substitute(
+            run=f"{python} {tool.script}{flags}",
+            board=tool.board.splitlines()[-1].removesuffix(" --steps 5"),
+            name=tool.name,
+            env=f"spikedeploy:{episode.env_id}" if ours else episode.env_id,
+            needs=f"{pip} CHECKOUT     # of spikedeploy" if ours else f"{pip} gymnasium",
+            reset=", with `reset` between two of them" if run.state == "reset" else "",
+        )
     return Template(script(README)).substitute(
         origin=origin,
-        chip=chip_name,
-        tool=tool.name,
+        chip=run.program.chip.name,
+        clock=clock_text(run, clock),
         install=tool.install,
         offline=tool.offline,
         script=tool.script,
-        python=_python(tool),
-        flags=" --sim" if "--sim" in tool.offline else "",
-        board="" if "--sim" in tool.offline else " --board",
+        python=python,
+        flags=flags,
+        needs=tool.needs,
+        board=tool.board,
         source=source,
-        loop=closed,
+        loop=closed.rstrip(),
         name=tool.name,
         page=tool.page,
     )
