@@ -273,8 +273,8 @@ _CLOCKS = {
     "timestep in which it is emitted",
     "pipelined": "all layers update in each timestep, and a spike arrives in the next one, so that "
     "each layer lags a timestep behind the one before it, in the next control step too",
-    "free": "all layers update in each timestep, a spike arrives the `delay` of its synapses later, "
-    "and the host waits for it",
+    "free": "all layers update in each timestep, a spike arrives `delay` timesteps of its synapses "
+    "later, and the host waits for it",
 }
 
 
