@@ -121,7 +121,8 @@ CASES = {
         Case("sparse", "loihi1", "hexapod/sparse", clock="pipelined"),
         Case("recurrent", "loihi1", _NET, raster=_RASTER),
         Case("loihi2", "loihi2", _NET, raster=_RASTER),
-        Case("reset", "loihi2", f"{_CHIPS}/loihi2"),
+        # pipelined, so that spikes are under way where states are reset
+        Case("reset", "loihi2", f"{_CHIPS}/loihi2", clock="pipelined", steps=20),
     ),
     "nengo-loihi": (
         Case(
