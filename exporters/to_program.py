@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program, Readout
+from spikedeploy.runtime.convention import State
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
@@ -44,9 +45,11 @@ class ChipTool:
     """The tool of a chip for which the kit has a script.
 
     script: its name in exporters/kit/.
-    name: of the tool.
+    name: of the tool, as the files that its script writes have it.
     install: what installs it, for a terminal.
     offline: what runs without a board; empty where nothing does.
+    needs: what the board needs beside it, in sentences.
+    board: for a terminal, what installs that and runs the script on the board.
     page: of docs/.
     delay: [timesteps] from a spike to its arrival, where it has only one; 0 where any.
     """
@@ -55,6 +58,8 @@ class ChipTool:
     name: str
     install: str
     offline: str
+    needs: str
+    board: str
     page: str
     delay: int = 0
 
@@ -63,7 +68,10 @@ _LAVA = ChipTool(
     "run_lava.py",
     "lava",
     "python3.10 -m venv lava && lava/bin/pip install lava-nc==0.10.0",
-    "lava's simulator of fixed-point neurons (Loihi1SimCfg, Loihi2SimCfg)",
+    "lava's simulator of fixed-point neurons (Loihi1SimCfg, Loihi2SimCfg); Python 3.10 alone",
+    "It is a Loihi 2, and needs Intel's `lava-loihi` beside lava-nc, which members of its research "
+    "community (INRC) get, on a host of the community's cloud; the variables are your site's.",
+    "SLURM=1 LOIHI_GEN=N3C1 lava/bin/python run_lava.py --board --steps 5",
     "board-loihi.md",
 )
 _NENGO = ChipTool(
@@ -71,14 +79,23 @@ _NENGO = ChipTool(
     "nengo-loihi",
     "python3 -m venv nengo && nengo/bin/pip install nengo-loihi==1.1.0 nengo==4.1.0",
     "nengo-loihi's emulator (target sim)",
+    "It is a Loihi 1, and needs NxSDK 0.9 or 1.0, which Intel gives to members of its research "
+    "community (INRC), in the same environment.",
+    "nengo/bin/python run_nengo_loihi.py --board --steps 5",
     "board-loihi.md",
     delay=1,
 )
 _XYLO = ChipTool(
     "run_xylo.py",
-    "rockpool",
+    "xylo",
     "python3 -m venv xylo && xylo/bin/pip install xylosim==0.1.3 numpy",
-    "xylosim, SynSense's simulator (--sim)",
+    "xylosim, SynSense's simulator (--sim), which is built from source: it needs a C++ compiler",
+    "It needs Rockpool and samna, which installs itself from SynSense's server when it is first "
+    "imported. Rockpool 3.1.0 zeroes the states of a Xylo Audio 2, not those of xylo-a3 and "
+    "xylo-imu: policies that need it run there with --sim alone.",
+    """xylo/bin/pip install "rockpool[xylo]==3.1.0"
+xylo/bin/python -c "import samna"
+xylo/bin/python run_xylo.py --steps 5""",
     "board-xylo.md",
 )
 TOOLS = {
@@ -94,6 +111,10 @@ TOOLS = {
         "python3 -m venv speck && speck/bin/pip install --no-deps sinabs==3.1.3 nirtorch==2.6 pbr "
         "&& speck/bin/pip install 'torch<2.14' nir==1.0.8 numpy",
         "sinabs' layers, which need no samna",
+        "It needs samna, which installs itself from SynSense's server when it is first imported.",
+        """speck/bin/pip install sinabs==3.1.3
+speck/bin/python -c "import samna"
+speck/bin/python run_sinabs.py --board --steps 5""",
         "board-speck.md",
     ),
     "spinnaker2": ChipTool(
@@ -101,6 +122,8 @@ TOOLS = {
         "py-spinnaker2",
         "python3 -m venv s2 && s2/bin/pip install git+https://gitlab.com/spinnaker2/py-spinnaker2",
         "its Brian2 back-end (--sim); not run by us: the package is not on PyPI",
+        "It needs the address of the board's Ethernet.",
+        "S2_IP=192.168.1.2 s2/bin/python run_spinnaker2.py",
         "board-spinnaker2.md",
     ),
 }
@@ -128,6 +151,7 @@ class ChipRun:
     program: with biases as weights of axons of the input, behind those that it had: all that the
         host injects. Delays are those from a spike to its arrival; no layer waits to start.
     timesteps: of a control step, or of the run of a raster.
+    state: "reset" where each control step begins from zero states; else they go on.
     inject: the host's rows go into so many of them, from the first on.
     windows: for each layer the timesteps after which the host reads it.
     biases: for each axon of a bias the timesteps in which it spikes.
@@ -138,6 +162,7 @@ class ChipRun:
     inject: int
     windows: Mapping[str, slice]
     biases: tuple[slice, ...]
+    state: State = "kept"
 
     def rows(self, spikes: NDArray[Any]) -> NDArray[np.uint8]:
         """What the host injects (timesteps, M) for the spikes (inject, M) of the input."""
@@ -148,9 +173,20 @@ class ChipRun:
             raster[timesteps, axon] = 1
         return raster
 
+    def ran(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
+        """What all control steps of a run with the raster (T, M) do, from zero states.
 
-def chip_run(program: Program, rows: int) -> ChipRun:
+        The batch is of inferences where states are reset in each, else of the whole run.
+        """
+        length = self.timesteps if self.state == "reset" else len(raster)
+        parts = raster.reshape(-1, length, raster.shape[1])
+        return Interpreter(self.program, len(parts)).run(parts)
+
+
+def chip_run(program: Program, rows: int, state: State = "kept") -> ChipRun:
     """How a chip runs windows of so many input rows of a program.
+
+    state: of a control step; a raster is a single inference, in which none is reset.
 
     Raises ConfigError where the chip would have to hold a layer.
     """
@@ -177,6 +213,7 @@ def chip_run(program: Program, rows: int) -> ChipRun:
         inject=rows,
         windows=windows,
         biases=tuple(slice(first, first + rows) for first in starts),
+        state=state,
     )
 
 
@@ -218,6 +255,7 @@ def program_text(
             "clock": clock,
             "control_step": {
                 "timesteps": run.timesteps,
+                "state": run.state,
                 "inject": [0, run.inject],
                 "read": [reads[0][0], reads[-1][1]],
                 "bias_axons": [[each.start, each.stop] for each in run.biases],
@@ -230,7 +268,37 @@ def program_text(
     )
 
 
-def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source: str) -> str:
+_CLOCKS = {
+    "gated": "in each timestep the layers update one after the other, and a spike arrives in the "
+    "timestep in which it is emitted",
+    "pipelined": "all layers update in each timestep, and a spike arrives in the next one, so that "
+    "each layer lags a timestep behind the one before it, in the next control step too",
+    "free": "all layers update in each timestep, a spike arrives `delay` timesteps of its synapses "
+    "later, and the host waits for it",
+}
+
+
+def clock_text(run: ChipRun, clock: str) -> str:
+    """What the clock means for those who drive a chip, in sentences."""
+    more = run.timesteps - run.inject
+    rows = f"{run.inject} rows of input take {run.timesteps} timesteps"
+    if more:
+        rows += f", {more} more, until the last layer has seen the last row"
+    reads = ", ".join(
+        f"`{name}` in {window.start} to {window.stop - 1}" for name, window in run.windows.items()
+    )
+    states = {
+        "reset": "All states are zeroed before each control step, also those of spikes under way; "
+        "the script does it between two of them.",
+        "kept": "States go on from the first timestep to the last.",
+    }
+    return (
+        f"`{clock}`: {_CLOCKS[clock]}. {rows}: counted from 0, the host injects in 0 to "
+        f"{run.inject - 1}, and reads {reads}. {states[run.state]}"
+    )
+
+
+def expected_text(run: ChipRun, raster: NDArray[np.uint8], text: str, source: str) -> str:
     """The text of expected.json.
 
     raster: (T, M) of the whole run in chip timesteps, axons of biases included.
@@ -238,7 +306,7 @@ def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source
     """
     events = np.argwhere(raster)
     counts = raster[tuple(events.T)]
-    ran = Interpreter(program, 1).run(raster[None])
+    program = run.program
     return as_rows(
         {
             "made_by": MARK,
@@ -248,18 +316,20 @@ def expected_text(program: Program, raster: NDArray[np.uint8], text: str, source
             "program_sha256": hashlib.sha256(text.encode()).hexdigest(),
             "timesteps": len(raster),
             "input_events": np.repeat(events, counts, axis=0).tolist(),
-            "recorded": {name: _recorded(program, layer) for name, layer in ran.items()},
+            "recorded": {
+                name: _recorded(program, layer) for name, layer in run.ran(raster).items()
+            },
         }
     )
 
 
 def _recorded(program: Program, layer: LayerTrace) -> dict[str, Any]:
     """What a layer did, by quantity: (T, N); floats are left out, which no tool rounds alike."""
-    found: dict[str, Any] = {"spikes": layer.spikes[0].astype(np.int64).tolist()}
+    spikes, currents = np.concatenate(layer.spikes), np.concatenate(layer.current)
+    found: dict[str, Any] = {"spikes": spikes.astype(np.int64).tolist()}
     states = program.chip.arithmetic.state_bits
     if layer.membrane.dtype.kind != "f":
-        found["membrane"] = layer.membrane[0].tolist()
-        currents = layer.current[0]
+        found["membrane"] = np.concatenate(layer.membrane).tolist()
         each = [currents] if currents.ndim == 2 else list(currents.swapaxes(0, 1))
         if len(states) > 1:
             found |= {name: rows.tolist() for name, rows in zip(QUANTITIES, each, strict=False)}
@@ -304,6 +374,8 @@ class KitPlayer:
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The action for an observation."""
         run = self._run
+        if run.state == "reset":
+            self._chip = Interpreter(run.program, 1)
         self.rows.append(run.rows(self._codec.encode(observation[None], self._state)[0]))
         found = self._chip.run(self.rows[-1][None])
         output = np.zeros((1, run.inject, len(self._bias))) + self._bias

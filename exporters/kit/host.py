@@ -2,19 +2,35 @@
 
 A chip of run_*.py is a class with `run(rows)`: rows (T, M) of input spikes in, and out for each
 layer {"current" | "membrane" | "spikes": (T, N)} after each timestep; states go on from call to
-call. Whatever it cannot measure it leaves out. `stop()` lets go of the chip.
+call. Whatever it cannot measure it leaves out. `reset()` makes all states zero, spikes that are
+under way included: it is called between control steps where program.json has the state "reset".
+`stop()` lets go of the chip.
 """
 
 import argparse
 import hashlib
 import json
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from zipfile import BadZipFile
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError as error:
+    raise SystemExit(f"{error}: install numpy; README.md has the steps") from error
 
 HERE = Path(__file__).resolve().parent
 PARTS = 256  # of a step of a delta encoder
+
+
+@contextmanager
+def needs(what):
+    """Say in a sentence what to install where an import fails."""
+    try:
+        yield
+    except ImportError as error:
+        raise SystemExit(f"{error}: install {what}; README.md has the steps") from error
 
 
 def main(make_chip, tool, options=()):
@@ -31,7 +47,7 @@ def main(make_chip, tool, options=()):
         help="close the loop: a gymnasium id or module:Class; without one, "
         "the recorded observations of episode.npz",
     )
-    parser.add_argument("--steps", type=int, help="control steps, or timesteps of the raster")
+    parser.add_argument("--steps", type=int, help="control steps; timesteps if states go on")
     for flag, text in options:
         parser.add_argument(flag, action="store_true", help=text)
     arguments = parser.parse_args()
@@ -39,17 +55,13 @@ def main(make_chip, tool, options=()):
         parser.error("--steps: at least 1")
     program, expected = read("program.json"), read("expected.json")
     check(program, expected)
-    try:
-        chip, name = make_chip(program, arguments), tool.replace(" ", "-")
-    except ImportError as error:
-        raise SystemExit(
-            f"{error}: what the board needs is not here; README.md names it"
-        ) from error
+    with needs("what the board needs"):
+        chip = make_chip(program, arguments)
     try:
         if arguments.loop:
-            path = HERE / f"loop_{name}.npz"
+            path = HERE / f"loop_{tool}.npz"
             return close_loop(program, chip, arguments.loop, arguments.steps, path)
-        return play(program, expected, chip, arguments.steps, tool, HERE / f"{name}.json")
+        return play(program, expected, chip, arguments.steps, tool, HERE / f"{tool}.json")
     finally:
         chip.stop()
 
@@ -71,6 +83,7 @@ def check(program, expected):
         steps, width = expected["timesteps"], program["input"]["width"]
         events = np.array(expected["input_events"], np.int64).reshape(-1, 2)
         fits = steps > 0 and (events >= 0).all() and (events < [steps, width]).all()
+        fits &= not resets(program) or steps % program["control_step"]["timesteps"] == 0
         for layer in program["layers"]:
             tables = expected["recorded"][layer["name"]].values()
             fits &= all(np.shape(table) == (steps, layer["neurons"]) for table in tables)
@@ -80,20 +93,32 @@ def check(program, expected):
         raise SystemExit("expected.json does not fit program.json; export the kit again")
 
 
+def resets(program):
+    """Whether all states are zero at the start of each control step."""
+    return program["control_step"].get("state") == "reset"
+
+
 def play(program, expected, chip, steps, tool, path):
     """Run expected.json's input on the chip, and write what it did like expected.json."""
-    steps = min(steps or expected["timesteps"], expected["timesteps"])
+    length = program["control_step"]["timesteps"] if resets(program) else 0
+    steps = min((steps or expected["timesteps"]) * max(length, 1), expected["timesteps"])
     events = np.array(expected["input_events"], np.int64).reshape(-1, 2)
     events = events[events[:, 0] < steps]
     rows = np.zeros((steps, program["input"]["width"]), np.int64)
     np.add.at(rows, tuple(events.T), 1)
-    found = chip.run(rows)
+    found = []
+    for first in range(0, steps, length or steps):
+        if first:
+            chip.reset()
+        found.append(chip.run(rows[first : first + (length or steps)]))
     recorded = {
         layer: {
-            quantity: np.asarray(table).astype(np.int64).tolist()
-            for quantity, table in tables.items()
+            quantity: np.concatenate([each[layer][quantity] for each in found])
+            .astype(np.int64)
+            .tolist()
+            for quantity in tables
         }
-        for layer, tables in found.items()
+        for layer, tables in found[0].items()
     }
     trace = {
         **expected,
@@ -201,6 +226,35 @@ class Codec:
         return np.tanh(scores) if self.codec["squash"] == "tanh" else scores
 
 
+def environment(name):
+    """spikedeploy's, module:Class, or one registered with gymnasium; and how it takes actions."""
+    module, _, short = name.partition(":")
+    if module == "spikedeploy":
+        with needs("spikedeploy by `pip install .` in a checkout of its repository"):
+            from spikedeploy.envs import make
+        return make(short), lambda action: action
+    with needs("that module, or put it beside host.py"):
+        made = getattr(import_module(module), short, None) if short else None
+    if not callable(made):
+        with needs("gymnasium"):
+            import gymnasium
+    try:
+        env = made() if callable(made) else gymnasium.make(name)
+    except Exception as error:  # of somebody else's code
+        raise SystemExit(f"--loop {name}: {error}") from error
+    space = env.action_space
+    if hasattr(space, "start"):
+        return env, lambda action: int(action) + int(space.start)
+    low, high = np.array(space.low, float), np.array(space.high, float)
+
+    def scaled(action):
+        """From [-1, 1] to the bounds."""
+        share = (np.clip(action, -1.0, 1.0).reshape(low.shape) + 1.0) / 2.0
+        return (low + share * (high - low)).astype(space.dtype)
+
+    return env, scaled
+
+
 def close_loop(program, chip, env_name, steps, path):
     """Drive the environment through the chip; compare with the episode of episode.npz."""
     codec = Codec(program)
@@ -212,21 +266,18 @@ def close_loop(program, chip, env_name, steps, path):
     steps = min(steps or len(episode["action"]), len(episode["action"]))
     env = None
     if env_name != "recorded":
-        import gymnasium
-
-        name, _, short = env_name.partition(":")
-        if name == "spikedeploy":
-            from spikedeploy.envs import make
-        env = make(short) if name == "spikedeploy" else gymnasium.make(env_name)
+        env, units = environment(env_name)
         observation, _ = env.reset(seed=int(episode["seed"]))
         if np.shape(observation) != episode["observation"][0].shape:
             raise SystemExit(f"--loop {env_name} observes other numbers than the policy")
     actions, rewards = [], []
     for step in range(steps):
         seen = episode["observation"][step] if env is None else observation
+        if step and resets(program):
+            chip.reset()
         actions.append(codec.decode(chip.run(codec.encode(seen))))
         if env is not None:
-            observation, reward, terminated, truncated, _ = env.step(actions[-1])
+            observation, reward, terminated, truncated, _ = env.step(units(actions[-1]))
             rewards.append(float(reward))
             if terminated or truncated:
                 break

@@ -10,21 +10,23 @@ Every process advances once in each timestep, and a Dense delivers one timestep 
 
 import sys
 
-import numpy as np
-from host import main
-from lava.magma.core import run_configs
-from lava.magma.core.run_conditions import RunSteps
-from lava.proc.dense.process import DelayDense, Dense
-from lava.proc.io.sink import RingBuffer as Sink
-from lava.proc.io.source import RingBuffer as Source
-from lava.proc.lif.process import LIF
-from lava.utils.weightutils import SignMode
+from host import main, needs, np
+
+with needs("lava-nc==0.10.0, with Python 3.10"):
+    from lava.magma.core import run_configs
+    from lava.magma.core.run_conditions import RunSteps
+    from lava.proc.dense.process import DelayDense, Dense
+    from lava.proc.io.sink import RingBuffer as Sink
+    from lava.proc.io.source import RingBuffer as Source
+    from lava.proc.lif.process import LIF
+    from lava.utils.weightutils import SignMode
 
 
 class LavaChip:
     """The program's neurons and connections as lava's processes."""
 
     def __init__(self, program, arguments):
+        self.program, self.arguments = program, arguments
         # lava-loihi is for Loihi 2, whose default neuron is that of lava's Loihi 1
         simulated = "Loihi2SimCfg" if program["chip"] == "loihi2" else "Loihi1SimCfg"
         name = "Loihi2HwCfg" if arguments.board else simulated
@@ -60,6 +62,20 @@ class LavaChip:
                 found[name]["membrane"].append(neurons.v.get().astype(np.int64))
                 found[name]["spikes"].append(self.sinks[name].data.get()[:, 0].astype(np.int64))
         return {name: {q: np.array(r) for q, r in each.items()} for name, each in found.items()}
+
+    def reset(self):
+        """Zero currents, membranes, and the sums that connections deliver in the next timestep.
+
+        Those are all variables of lava.proc.lif and lava.proc.dense that change; Var.set writes
+        them between two runs. On a board, sums under way have no such name: a fresh run there.
+        """
+        if self.arguments.board:
+            self.stop()
+            self.__init__(self.program, self.arguments)
+            return
+        changing = [var for each in self.layers.values() for var in (each.u, each.v)]
+        for var in [*changing, *(dense.a_buff for dense in self.kept)]:
+            var.set(np.zeros(var.shape, np.int32))
 
     def stop(self):
         """End lava's processes, which else keep the script from ending."""

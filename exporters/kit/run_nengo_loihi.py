@@ -11,12 +11,13 @@ the host or of a neuron arrives one timestep later; all neurons update in each.
 import sys
 import warnings
 
-import numpy as np
-from host import main
-from nengo_loihi.block import Axon, LoihiBlock, Synapse
-from nengo_loihi.builder import Model
-from nengo_loihi.inputs import SpikeInput
-from nengo_loihi.probe import LoihiProbe
+from host import main, needs, np
+
+with needs("nengo-loihi==1.1.0 and nengo==4.1.0"):
+    from nengo_loihi.block import Axon, LoihiBlock, Synapse
+    from nengo_loihi.builder import Model
+    from nengo_loihi.inputs import SpikeInput
+    from nengo_loihi.probe import LoihiProbe
 
 KEYS = {"current": "current", "membrane": "voltage", "spikes": "spiked"}
 LARGEST = 2**23 - 1  # of a membrane
@@ -26,6 +27,7 @@ class NengoChip:
     """The program as blocks, axons and probes of nengo-loihi."""
 
     def __init__(self, program, arguments):
+        self.program, self.arguments = program, arguments
         model = Model(dt=program["dt"])
         self.input, self.t = SpikeInput(program["input"]["width"], label="input"), 0
         model.add_input(self.input)
@@ -61,6 +63,11 @@ class NengoChip:
         for (name, quantity), probe in self.probes.items():
             found[name][quantity] = np.array(self.machine.collect_probe_output(probe))
         return found
+
+    def reset(self):
+        """Begin afresh: neither the emulator nor HardwareInterface can zero states in a run."""
+        self.stop()
+        self.__init__(self.program, self.arguments)
 
     def stop(self):
         """Let go of the board."""

@@ -12,11 +12,12 @@ after another, so that counts of a board may differ where events of both signs m
 
 import sys
 
-import numpy as np
-import sinabs.layers
-import torch
-from host import main
-from sinabs.activation import MembraneReset, MembraneSubtract, MultiSpike, SingleSpike
+from host import main, needs, np
+
+with needs("sinabs==3.1.3 and torch"):
+    import sinabs.layers
+    import torch
+    from sinabs.activation import MembraneReset, MembraneSubtract, MultiSpike, SingleSpike
 
 
 class SinabsChip:
@@ -50,6 +51,14 @@ class SinabsChip:
                     found[name]["spikes"].append(spikes[0, 0].numpy())
                     found[name]["membrane"].append(layer.v_mem[0].numpy().copy())
         return {name: {q: np.array(r) for q, r in each.items()} for name, each in found.items()}
+
+    def reset(self):
+        """Zero the membranes by reset_states, of sinabs' layers or of its DynapcnnNetwork.
+
+        The latter writes zeros into the membranes of the chip by samna, and sleeps more than 1 s.
+        """
+        for each in self.parts[1::2] if self.board is None else [self.board]:
+            each.reset_states()
 
     def stop(self):
         """Nothing to let go of."""

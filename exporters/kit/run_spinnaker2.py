@@ -4,16 +4,18 @@
     python run_spinnaker2.py            the board; its address is in the variable S2_IP
 
 NOT RUN by us, on neither: py-spinnaker2 is not on PyPI (https://gitlab.com/spinnaker2/py-spinnaker2).
-The calls are those that public scripts for it make. There is no --loop: a run goes from its first
-timestep to its last, and the host sees spikes when it has ended; encoder and decoder stay there.
+The calls are those that public scripts for it make. A run goes from zero states to its last
+timestep, and the host sees spikes when it has ended: --loop is for policies that reset their states
+in each control step, which is then a run.
 """
 
 import os
 import sys
 
-import numpy as np
-from host import main
-from spinnaker2 import snn
+from host import main, needs, np, resets
+
+with needs("py-spinnaker2 from https://gitlab.com/spinnaker2/py-spinnaker2"):
+    from spinnaker2 import snn
 
 RESETS = {"subtract": "reset_by_subtraction", "zero": "reset_to_v_reset"}
 
@@ -22,9 +24,9 @@ class Spinnaker2Chip:
     """The program as populations and projections of py-spinnaker2."""
 
     def __init__(self, program, arguments):
-        if arguments.loop:
-            sys.exit("py-spinnaker2 runs from the first timestep to the last: no closed loop here")
-        self.program, self.sim = program, arguments.sim
+        if arguments.loop and not resets(program):
+            sys.exit("a run of py-spinnaker2 begins from zero states, which this policy keeps")
+        self.program, self.arguments, self.sim = program, arguments, arguments.sim
         self.network = snn.Network("kit")
         width = program["input"]["width"]
         self.input = snn.Population(size=width, neuron_model="spike_list", params={}, name="input")
@@ -57,6 +59,10 @@ class Spinnaker2Chip:
                 spikes[np.array(times, int), neuron] = 1
             found[name] = {"spikes": spikes}
         return found
+
+    def reset(self):
+        """Make the network anew: each run begins from zero states."""
+        self.__init__(self.program, self.arguments)
 
     def stop(self):
         """Nothing to let go of."""

@@ -9,9 +9,9 @@ timestep, hidden spikes in the next.
 """
 
 import sys
+from importlib import import_module
 
-import numpy as np
-from host import main
+from host import main, needs, np, resets
 
 
 def specification(program):
@@ -69,7 +69,8 @@ class XylosimChip:
     """The program in xylosim."""
 
     def __init__(self, program, arguments):
-        from xylosim.v2 import XyloLayer, XyloSynapse
+        with needs("xylosim==0.1.3"):
+            from xylosim.v2 import XyloLayer, XyloSynapse
 
         self.program = program
         spec, self.first = specification(program)
@@ -120,6 +121,10 @@ class XylosimChip:
         }
         return split(self.program, self.first, hidden, output)
 
+    def reset(self):
+        """Zero all states and spikes, as Rockpool's XyloSim.reset_state does."""
+        self.layer.reset_all()
+
     def stop(self):
         """Nothing to let go of."""
 
@@ -131,11 +136,13 @@ class XyloBoard:
     """The program on a dev kit, by Rockpool's XyloSamna."""
 
     def __init__(self, program, arguments):
+        if resets(program) and program["chip"] != "xylo-a2":
+            # in Rockpool 3.1.0, reset_state of syns65302 warns that it does not work yet, and that
+            # of syns63300 is a module's without states: neither changes the dev kit
+            sys.exit(f"Rockpool 3.1.0 cannot zero the states of {program['chip']}: use --sim")
         # importing these imports samna, which on its first import installs itself
-        from importlib import import_module
-
-        from rockpool.devices.xylo.helper import find_xylo_hdks
-
+        with needs('"rockpool[xylo]==3.1.0", or run it with --sim'):
+            from rockpool.devices.xylo.helper import find_xylo_hdks
         module = import_module(f"rockpool.devices.xylo.{MODULES[program['chip']]}")
         kits, _, versions = find_xylo_hdks()
         if not kits:
@@ -160,6 +167,10 @@ class XyloBoard:
         hidden = {name: np.array(rows)[:, :size] for name, rows in hidden.items()}
         output = {"current": seen["Isyn_out"], "membrane": seen["Vmem_out"], "spikes": spikes}
         return split(self.program, self.first, hidden, output)
+
+    def reset(self):
+        """Zero the states by XyloSamna.reset_state, which sets samna's clear_network_state."""
+        self.board.reset_state()
 
     def stop(self):
         """Nothing to let go of: samna closes the dev kit as the script ends."""

@@ -43,6 +43,7 @@ class Case:
     raster: input of a file without a codec; random where a network without one is made.
     env: in which the loop is closed; empty is recorded observations.
     clock: None is the network's own, or free.
+    steps: control steps, or timesteps of a raster.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Case:
     raster: str | None = None
     env: str = ""
     clock: Clock | None = None
+    steps: int = STEPS
 
 
 def policy(neurons: Callable[[int], nir.NIRNode], convention: Convention) -> Artifact:
@@ -108,6 +110,7 @@ def biased_chain(reset: str) -> Artifact:
     return Artifact(nir.NIRGraph(nodes, list(pairwise(names))), None, convention, None)
 
 
+_CHIPS = "chips/CartPole-v1"
 _NET, _RASTER = str(ROOT / "examples" / "net.nir"), str(ROOT / "examples" / "raster.npy")
 CASES = {
     "lava": (
@@ -115,15 +118,23 @@ CASES = {
         Case("sparse", "loihi1", "hexapod/sparse", clock="pipelined"),
         Case("recurrent", "loihi1", _NET, raster=_RASTER),
         Case("loihi2", "loihi2", _NET, raster=_RASTER),
+        # pipelined, so that spikes are under way where states are reset
+        Case("reset", "loihi2", f"{_CHIPS}/loihi2", clock="pipelined", steps=20),
     ),
     "nengo-loihi": (
         Case(
             "sparse", "loihi1-nengo", "hexapod/sparse", env="spikedeploy:hexapod", clock="pipelined"
         ),
         Case("recurrent", "loihi1-nengo", _NET, raster=_RASTER),
+        Case("reset", "loihi1-nengo", "hexapod/popsan", steps=5),
     ),
-    "xylosim": (Case("cartpole", "xylo-a2", xylo_policy, flags=("--sim",)),),
+    "xylosim": (
+        Case("cartpole", "xylo-a2", xylo_policy, flags=("--sim",)),
+        Case("reset", "xylo-a2", f"{_CHIPS}/xylo-a2", flags=("--sim",), env="CartPole-v1"),
+        Case("units", "xylo-a2", "chips/Pendulum-v1/xylo-a2", flags=("--sim",), env="Pendulum-v1"),
+    ),
     "sinabs": (
+        Case("reset", "speck2f", f"{_CHIPS}/speck2f", env="CartPole-v1"),
         Case("cartpole", "speck2f", speck_policy, env="CartPole-v1"),
         Case("subtract", "speck2f", lambda: biased_chain("subtract")),
         Case("zero", "speck2f", lambda: biased_chain("zero")),
@@ -156,14 +167,11 @@ def ran(case: Case, python: Path, folder: Path) -> Iterator[str]:
     """What came of the kit's script, of its trace, and of its loop."""
     kit = written(case, folder)
     yield called(python, kit, case.flags)
-    trace = folder / f"{_NAMES.get(kit.tool.script, kit.tool.name)}.json"
+    trace = folder / f"{kit.tool.name}.json"
     yield _output([sys.executable, "-m", "spikedeploy", "verify", str(trace)], ROOT)
     if "episode.npz" in kit.names:
         loop = ("--loop", case.env) if case.env else ("--loop",)
         yield called(python, kit, (*case.flags, *loop))
-
-
-_NAMES = {"run_xylo.py": "xylo"}
 
 
 def written(case: Case, folder: Path) -> WrittenKit:
@@ -180,7 +188,7 @@ def written(case: Case, folder: Path) -> WrittenKit:
             raster = folder.parent / f"{case.name}.npy"
             drawn = np.random.default_rng(2).random((STEPS, width)) < 0.4
             np.save(raster, drawn.astype(np.uint8))
-    kit = export_program(network, case.chip, folder, STEPS, raster, env, case.clock)
+    kit = export_program(network, case.chip, folder, case.steps, raster, env, case.clock)
     recorded = json.loads((folder / "expected.json").read_text("utf-8"))["recorded"]
     if silent := [name for name, each in recorded.items() if _silent(kit, name, each)]:
         raise DiffersError(f"layer {silent[0]} never spikes, so that the kit shows little")

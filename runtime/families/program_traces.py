@@ -1,7 +1,8 @@
 """Recorded runs of an exported program: `expected.json`, and what a tool or a board wrote like it.
 
 Such a trace names the file of its program, which lies beside it, and the digest of that file. Its
-input is a list of events [timestep, axon], one for each spike.
+input is a list of events [timestep, axon], one for each spike. Where the program resets its states
+in each control step, the trace is one inference from zero states after another.
 """
 
 import hashlib
@@ -32,13 +33,14 @@ def program_trace(fields: Fields, folder: Path) -> TraceFile:
     """The trace in the fields of a file in that folder."""
     beside = _program_fields(fields, folder)
     timesteps = fields.whole("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
-    program = program_in(beside, Work(beside, timesteps))
+    inference = _inference(beside.group("control_step"), fields, timesteps)
+    program = program_in(beside, Work(beside, timesteps, inference))
     groups = fields.group("recorded")
     recorded = {}
     for layer in program.layers:
         if groups.name(layer.name) is not None:
             recorded[layer.name] = _recorded(groups.group(layer.name), layer, timesteps)
-    raster = _raster(fields, program, timesteps)
+    raster = _raster(fields, program, timesteps).reshape(-1, inference, program.width)
     fields.text("chip")
     unread = (fields.unread - PROSE - _USE) | groups.unread | (beside.unread - PROSE - _USE)
     if not any(recorded.values()):
@@ -51,6 +53,17 @@ def program_trace(fields: Fields, folder: Path) -> TraceFile:
         blind_at_spikes=False,
         unread=tuple(sorted(unread)),
     )
+
+
+def _inference(step: Fields, fields: Fields, timesteps: int) -> int:
+    """Timesteps from zero states to the next reset, or to the end of the trace."""
+    if step.text("state") != "reset":
+        return timesteps
+    length = step.whole("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
+    if timesteps % length:
+        limit = f"States are reset every {length} timesteps: record whole control steps."
+        raise fields.wrong("timesteps", f"holds {timesteps}", limit)
+    return length
 
 
 def _program_fields(fields: Fields, folder: Path) -> Fields:
@@ -76,7 +89,7 @@ def _program_fields(fields: Fields, folder: Path) -> Fields:
 
 
 def _raster(fields: Fields, program: Program, timesteps: int) -> NDArray[np.uint8]:
-    """(1, T, M) spikes; an event that is listed n times is n of them."""
+    """(T, M) spikes; an event that is listed n times is n of them."""
     counts = np.zeros((timesteps, program.width), np.int64)
     if fields.filled("input_events"):
         events = fields.array("input_events", axes=2, least=0, most=_MOST_EVENTS)
@@ -91,7 +104,7 @@ def _raster(fields: Fields, program: Program, timesteps: int) -> NDArray[np.uint
     if (repeated := int(counts.max())) > most:
         limit = f"{program.chip.name} takes {most} on an axon in a timestep."
         raise fields.wrong("input_events", f"repeat one {repeated} times", limit)
-    return counts.astype(np.uint8)[None]
+    return counts.astype(np.uint8)
 
 
 def _recorded(spec: Fields, layer: Layer, timesteps: int) -> dict[str, Integers]:

@@ -66,8 +66,10 @@ class TraceFile:
 
     source: who recorded it.
     program: what ran, on the chip as the source models it.
-    raster: (1, T, M) spikes that went in; counts where the chip takes several in a timestep.
-    recorded: layer -> quantity -> (T, N); quantities as in QUANTITIES.
+    raster: (B, T, M) spikes that went in; counts where the chip takes several in a timestep. Each
+        of the B inferences begins from zero states.
+    recorded: layer -> quantity -> (B T, N), one inference behind the other; quantities as in
+        QUANTITIES.
     blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
     unread: fields that the reader does not use.
     remarks: as in Verdict.

@@ -44,7 +44,7 @@ def _verdict(recorded: TraceFile) -> Verdict:
     return Verdict(
         chip=recorded.program.chip.name,
         source=recorded.source,
-        steps=recorded.raster.shape[1],
+        steps=recorded.raster.shape[0] * recorded.raster.shape[1],
         compared=sum(int(mask.sum()) for mask in masks.values()),
         passed_over=passed_over,
         why=_BLIND if passed_over else "",
@@ -55,11 +55,13 @@ def _verdict(recorded: TraceFile) -> Verdict:
 
 
 def _quantities(layer: LayerTrace) -> dict[str, Integers]:
-    """What a layer did, by quantity: (T, N)."""
-    current = layer.current[0]
+    """What a layer did, by quantity: (T, N), one inference behind the other."""
+    current, membrane, spikes = (
+        np.concatenate(each) for each in (layer.current, layer.membrane, layer.spikes)
+    )
     currents = [current] if current.ndim == 2 else list(current.swapaxes(0, 1))
     named = dict(zip(QUANTITIES, currents, strict=False))
-    return {**named, "membrane": layer.membrane[0], "spikes": layer.spikes[0].astype(np.int64)}
+    return {**named, "membrane": membrane, "spikes": spikes.astype(np.int64)}
 
 
 def _masks(

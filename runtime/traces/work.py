@@ -19,10 +19,12 @@ class Work:
     """What a replay of so many timesteps computes.
 
     spec: the fields, for messages.
+    inference: timesteps of each of those that are computed side by side; 0 where there is one.
     """
 
     spec: Fields
     timesteps: int
+    inference: int = 0
     layers: int = 0
     neurons: int = 0
     synapses: int = 0
@@ -36,11 +38,12 @@ class Work:
         self.layers += 1
         self.neurons, self.synapses = self.neurons + neurons, self.synapses + synapses
         self.axons += axons
-        self._check("layers", self.layers * self.timesteps, _MOST_TICKS)
+        turns = self.inference or self.timesteps
+        self._check("layers", self.layers * turns, _MOST_TICKS)
         self._check("neurons", self.neurons * self.timesteps, _MOST_STATES)
         self._check("neurons", self.neurons, _MOST_NEURONS, timesteps="")
         self._check("synapses", self.synapses * self.timesteps, _MOST_PRODUCTS)
-        self._check("axons and aliases", self.axons * self.timesteps, _MOST_ONE_BY_ONE)
+        self._check("axons and aliases", self.axons * turns, _MOST_ONE_BY_ONE)
 
     def check_input(self, counts: Integers) -> None:
         """Refuse more input spikes (T, M) than are replayed one by one."""

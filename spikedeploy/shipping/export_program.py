@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy import zoo
+from spikedeploy import envs, zoo
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
@@ -24,6 +25,7 @@ from spikedeploy.exporters.to_program import (
     ChipTool,
     KitPlayer,
     chip_run,
+    clock_text,
     expected_text,
     host_record,
     missing_of,
@@ -32,7 +34,7 @@ from spikedeploy.exporters.to_program import (
     tool_of,
 )
 from spikedeploy.files import write_text
-from spikedeploy.make_env import make_env
+from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
@@ -41,7 +43,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.design_rules.rule import design
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.traces.trace_file import Verdict
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.seeds import VALIDATION
@@ -138,8 +140,9 @@ def export_program(
     origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
     text = program_text(run, compiled.clock, _placement(artifact, on), host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
-    expected = expected_text(run.program, rows, text, said)
-    readme = _readme(tool, folder, origin, chip_name, source, episode, host)
+    expected = expected_text(run, rows, text, said)
+    readme = _readme(tool, run, compiled.clock, origin, source, episode, host)
+    verdict = _replayed(text, expected)
     # first what says whose the folder is, last what names the program: a part is no kit
     write_text(folder / PROGRAM, text)
     if episode is not None:
@@ -149,12 +152,23 @@ def export_program(
     scripts = {HOST: script(HOST), tool.script: script(tool.script)}
     for name, content in {**scripts, README: readme, EXPECTED: expected}.items():
         write_text(folder / name, content)
-    verdict = verify(folder / EXPECTED)
-    if not verdict.equal:
-        raise TypeError(f"what was written is not what was compiled: {verdict.difference}")
     kept = tuple(name for name in names if name != EPISODE or episode is not None)
     missing = [f"no closed loop: {host['missing']}"] if "missing" in host else []
     return WrittenKit(folder, kept, tool, verdict, source, (*compiled.remarks, *missing))
+
+
+def _replayed(text: str, expected: str) -> Verdict:
+    """What `verify` says of a kit before it is written."""
+    with TemporaryDirectory() as apart:
+        Path(apart, PROGRAM).write_text(text, "utf-8")
+        Path(apart, EXPECTED).write_text(expected, "utf-8")
+        try:
+            verdict = verify(Path(apart, EXPECTED))
+        except TraceError as error:
+            raise ConfigError(f"--to program: {error} Give fewer --observations.") from error
+    if not verdict.equal:
+        raise TypeError(f"what was written is not what was compiled: {verdict.difference}")
+    return verdict
 
 
 def _written_before(folder: Path) -> bool:
@@ -174,19 +188,13 @@ def _clock_of(artifact: Artifact, on: Chip) -> Clock:
 
 
 def _in_control_steps(policy: str, artifact: Artifact, compiled: Program) -> ChipRun:
-    """The chip timesteps of a control step; refused where a chip that runs on has none."""
+    """The chip timesteps of a control step."""
     if artifact.codec is None:
         raise ConfigError(
             f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
             "--input spikes.npy."
         )
-    if artifact.convention.state == "reset":
-        raise ConfigError(
-            f"--to program: the policy resets all states before each of its inferences of "
-            f"{artifact.codec.timesteps} timesteps, which a chip that runs on does not do. Give a "
-            "raster with --input, or export a policy that keeps its states."
-        )
-    return chip_run(compiled, artifact.codec.timesteps)
+    return chip_run(compiled, artifact.codec.timesteps, artifact.convention.state)
 
 
 def _check_delays(program: Program, tool: ChipTool) -> None:
@@ -231,12 +239,15 @@ def _episode(
     """Input (T, M) of the policy's first control steps in its environment, and that episode."""
     if artifact.codec is None or (missing := missing_of(compiled, artifact.codec)):
         raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
-    where = named or world_of(policy, artifact)
+    found = artifact.provenance.env if artifact.provenance else ""
+    where = named or world_of(policy, artifact) or found
     if not where:
         raise ConfigError(
-            f"--to program: {policy} names no environment of ours. Name one with --env, or give a "
-            "raster: --input spikes.npy."
+            f"--to program: {policy} names no environment. Name one with --env, or give a raster: "
+            "--input spikes.npy."
         )
+    if where == found:
+        confirm(found, named, policy)
     player, env = KitPlayer(compiled, artifact.codec, run), make_env(where, {})
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
@@ -264,30 +275,41 @@ def _write_episode(path: Path, episode: Rollout) -> None:
 
 def _readme(
     tool: ChipTool,
-    folder: Path,
+    run: ChipRun,
+    clock: str,
     origin: str,
-    chip_name: str,
     source: str,
     episode: Rollout | None,
     host: Mapping[str, Any],
 ) -> str:
-    short = "" if episode is None else episode.env_id
-    loop = Template(script("loop.md")).substitute(
-        script=tool.script, env=short, name=tool.name, python=_python(tool)
-    )
-    closed = loop if episode is not None else f"No loop: {host.get('missing', 'a raster')}."
+    """The text of README.md."""
+    python = _python(tool)
+    flags = " --sim" if "--sim" in tool.offline else ""
+    closed = f"No loop: {host.get('missing', 'a raster')}."
+    if episode is not None:
+        ours = episode.env_id in {entry.id for entry in envs.ENVS.values()}
+        pip = f"{python} -m pip install"
+        closed = Template(script("loop.md")).substitute(
+            run=f"{python} {tool.script}{flags}",
+            board=tool.board.splitlines()[-1].removesuffix(" --steps 5"),
+            name=tool.name,
+            env=f"spikedeploy:{episode.env_id}" if ours else episode.env_id,
+            needs=f"{pip} CHECKOUT     # of spikedeploy" if ours else f"{pip} gymnasium",
+            reset=", with `reset` between two of them" if run.state == "reset" else "",
+        )
     return Template(script(README)).substitute(
         origin=origin,
-        chip=chip_name,
-        tool=tool.name,
+        chip=run.program.chip.name,
+        clock=clock_text(run, clock),
         install=tool.install,
         offline=tool.offline,
         script=tool.script,
-        python=_python(tool),
-        flags=" --sim" if "--sim" in tool.offline else "",
-        board="" if "--sim" in tool.offline else " --board",
+        python=python,
+        flags=flags,
+        needs=tool.needs,
+        board=tool.board,
         source=source,
-        loop=closed,
+        loop=closed.rstrip(),
         name=tool.name,
         page=tool.page,
     )
