@@ -52,26 +52,26 @@ _SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
     },
 }
 
-# operations of each student at the end, and on the way there; and sizes
+# operations of each student at the end, and on the way there; and sizes. The students of a task
+# have as many levels, so that all learn from as many walks for as many updates
 _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
     ("hexapod", "sparse"): {"budget": 56, "levels": [210, 140, 105, 84, 68], "polish": 3},
-    ("hexapod", "sparse-linear"): {"budget": 50, "levels": [160, 100, 70], "walks": 25},
-    ("hexapod", "small-mlp"): {"budget": 70, "levels": [400, 250, 180, 130, 95], "walks": 25},
-    ("hexapod", "small-linear"): {"budget": 100, "levels": [600, 300, 180], "walks": 25},
+    ("hexapod", "sparse-linear"): {"budget": 50, "levels": [200, 150, 110, 85, 65], "polish": 3},
+    ("hexapod", "small-mlp"): {"budget": 70, "levels": [400, 250, 180, 130, 95], "polish": 3},
+    ("hexapod", "small-linear"): {"budget": 100, "levels": [600, 400, 280, 200, 140], "polish": 3},
     ("hexapod-command", "sparse"): {
         "budget": 300,
         "levels": [1_600, 1_000, 700, 480, 360],
         "rate_cost": 4_000,
         "policy": {"hidden": 128},
     },
-    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [600], "walks": 25},
+    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [1_200, 900, 700, 500, 400]},
     ("hexapod-command", "small-mlp"): {
         "budget": 240,
         "levels": [1_500, 800, 550, 400, 300],
-        "walks": 25,
         "policy": {"hidden": [48, 32]},
     },
-    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [700], "walks": 25},
+    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [1_200, 900, 700, 600, 500]},
     **{
         (env, student): settings
         for env in KART_ENVS
@@ -81,12 +81,16 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
                 "levels": [60, 48, 40, 36],
                 "policy": {"integrated": True},
             },
-            "sparse-linear": {"budget": 10, "levels": [20, 14]},
-            "small-mlp": {"budget": 30, "levels": [60, 40], "policy": {"hidden": [8]}},
-            "small-linear": {"budget": 30, "levels": [60, 40]},
+            "sparse-linear": {"budget": 10, "levels": [28, 20, 16, 13]},
+            "small-mlp": {
+                "budget": 30,
+                "levels": [60, 48, 40, 35],
+                "policy": {"hidden": [8]},
+            },
+            "small-linear": {"budget": 30, "levels": [60, 48, 40, 35]},
             "delta-mlp": {
                 "budget": 25,
-                "levels": [60, 40, 32],
+                "levels": [60, 48, 40, 32],
                 "policy": {"hidden": 8},
                 "chip": "loihi2",
             },
@@ -95,13 +99,14 @@ _SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
     # graded spikes run on no other chip
     ("hexapod", "delta-mlp"): {
         "budget": 70,
-        "levels": [250, 160, 110, 85],
+        "levels": [250, 180, 140, 110, 85],
+        "polish": 3,
         "policy": {"hidden": 8},
         "chip": "loihi2",
     },
     ("hexapod-command", "delta-mlp"): {
         "budget": 480,
-        "levels": [1_600, 1_000, 700, 560],
+        "levels": [1_600, 1_100, 800, 650, 550],
         "rate_cost": 4_000,
         "policy": {"hidden": 64},
         "chip": "loihi2",

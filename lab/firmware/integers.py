@@ -62,7 +62,7 @@ def main() -> None:
     rows = []
     for task in _DENSE:
         if options.only in ("", task):
-            for policy in ("sparse", *_DENSE[task]):
+            for policy in ("sparse-gated", *_DENSE[task]):
                 rows += _measured(f"{task}/{policy}", options)
     print(json.dumps(rows) if options.json else integer_table(rows))
     if options.write:
@@ -79,7 +79,7 @@ def _measured(name: str, options: argparse.Namespace) -> list[dict]:
     if len(found) == 2:
         return found
     with tempfile.TemporaryDirectory() as folder:
-        measure = _sparse if name.endswith("/sparse") else _dense
+        measure = _sparse if name.endswith("/sparse-gated") else _dense
         found = measure(name, options, Path(folder))
     if options.rows:
         with options.rows.open("a") as file:
@@ -108,7 +108,7 @@ def _sparse(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
 
 def _dense(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
     """A dense policy in 8-bit weights, and in float by emlearn."""
-    file, seen = zoo.path(name), _seen(f"{name.split('/')[0]}/sparse")
+    file, seen = zoo.path(name), _seen(f"{name.split('/')[0]}/sparse-gated")
     integer, floats = folder / "int8", folder / "float"
     export_int8(file, name, None, integer)
     must(["make", "-s", "CC=gcc", "test", "lib"], integer)

@@ -114,17 +114,15 @@ _CHIPS = "chips/CartPole-v1"
 _NET, _RASTER = str(ROOT / "examples" / "net.nir"), str(ROOT / "examples" / "raster.npy")
 CASES = {
     "lava": (
-        Case("sparse-free", "loihi1", "hexapod/sparse"),
-        Case("sparse", "loihi1", "hexapod/sparse", clock="pipelined"),
+        Case("sparse-free", "loihi1", "hexapod/sparse-gated"),
+        Case("sparse", "loihi1", "hexapod/sparse"),
         Case("recurrent", "loihi1", _NET, raster=_RASTER),
         Case("loihi2", "loihi2", _NET, raster=_RASTER),
         # pipelined, so that spikes are under way where states are reset
         Case("reset", "loihi2", f"{_CHIPS}/loihi2", clock="pipelined", steps=20),
     ),
     "nengo-loihi": (
-        Case(
-            "sparse", "loihi1-nengo", "hexapod/sparse", env="spikedeploy:hexapod", clock="pipelined"
-        ),
+        Case("sparse", "loihi1-nengo", "hexapod/sparse", env="spikedeploy:hexapod"),
         Case("recurrent", "loihi1-nengo", _NET, raster=_RASTER),
         Case("reset", "loihi1-nengo", "hexapod/popsan", steps=5),
     ),

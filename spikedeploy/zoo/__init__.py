@@ -19,7 +19,8 @@ TEACHER = "teacher"  # in a folder of policies for chips
 
 def policies(env: str | None = None) -> list[Path]:
     """The shipped policy files, of one environment (short name) or of all, ordered by name."""
-    return sorted(p for p in FOLDER.glob(f"{env or '*'}/*") if p.suffix in SUFFIXES)
+    found = (p for p in FOLDER.glob(f"{env or '*'}/*") if p.suffix in SUFFIXES)
+    return sorted(found, key=lambda p: (p.parent, p.stem))
 
 
 def names() -> list[str]:

@@ -101,6 +101,8 @@ class Neurons:
     def __init__(self, node, convention):
         kind = node["type"]
         self.subtract = convention["reset"] == "subtract"
+        # timesteps from a spike to where it acts
+        self.delay = int(convention.get("clock") == "pipelined")
         self.a, self.leak, gain = None, 0.0, node["r"]
         if kind in ("IF", "I"):
             self.b, gain = np.ones(gain.shape), convention["dt"] * gain
@@ -117,10 +119,12 @@ class Neurons:
     def reset(self):
         """Currents and membranes of 0."""
         self.current, self.membrane = np.zeros(self.gain.shape), np.zeros(self.gain.shape)
+        self.arriving = [np.zeros(self.gain.shape)] * self.delay
 
     def step(self, x):
         """Spikes or membranes (N,) of the next timestep."""
-        drive = self.gain * x
+        self.arriving.append(x)
+        drive = self.gain * self.arriving.pop(0)
         self.current = drive if self.a is None else self.a * self.current + drive
         self.membrane = self.b * self.membrane + self.current + self.leak
         if self.threshold is None:
@@ -161,7 +165,7 @@ class Policy:
         known = tree["metadata"]["spikedeploy"]
         self.codec, self.convention = known["codec"], known["convention"]
         if self.convention["delay"] or {"spikes", "floor"} & self.convention.keys():
-            sys.exit("only delay 0, at most one spike above the threshold, and no floor")
+            sys.exit("only delays of the clock, at most one spike above the threshold, no floor")
         self.nodes = tree["nodes"]
         edges = [(a.decode(), b.decode()) for a, b in tree["edges"]]
         self.sources = {name: [a for a, b in edges if b == name] for name in self.nodes}

@@ -37,7 +37,7 @@ def recounted(policy, rollout, folder):
 def acted(artifact, path, observed):
     """The float twin on a random walk of observations, which it writes as a rollout."""
     rng = np.random.default_rng(3)
-    seen = rng.normal(0, 0.5, (STEPS + 1, observed)).cumsum(axis=0)
+    seen = rng.normal(0, 1.0, (STEPS + 1, observed)).cumsum(axis=0)
     seen = artifact.codec.normaliser.mean + artifact.codec.normaliser.std * seen
     controller = SpikingController(artifact)
     controller.reset(0)

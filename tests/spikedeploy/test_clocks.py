@@ -18,8 +18,8 @@ POLICIES = ("hexapod", "hexapod-command")
 WINDOW = {"gated": slice(None), "pipelined": slice(None), "free": slice(1, None, 3)}
 
 
-def shipped(env_id):
-    return ROOT / "spikedeploy" / "zoo" / env_id / "sparse.nir"
+def shipped(env_id, name="sparse-gated"):
+    return ROOT / "spikedeploy" / "zoo" / env_id / f"{name}.nir"
 
 
 def walk(env_id, policy):
@@ -67,9 +67,10 @@ def test_the_clocks_are_different_policies():
 
 
 @pytest.mark.parametrize("env_id", POLICIES)
-def test_the_float_twin_is_the_reader_with_a_gated_clock(env_id):
-    mine = walk(env_id, ClockedPolicy(shipped(env_id), "gated"))
-    ours = walk(env_id, SpikingController(load(shipped(env_id))))
+@pytest.mark.parametrize(("name", "clock"), [("sparse-gated", "gated"), ("sparse", "pipelined")])
+def test_the_float_twin_is_the_reader_in_the_clock_of_its_training(env_id, name, clock):
+    mine = walk(env_id, ClockedPolicy(shipped(env_id, name), clock))
+    ours = walk(env_id, SpikingController(load(shipped(env_id, name))))
     np.testing.assert_array_equal(ours[0], mine[0])
     assert ours[2] == mine[2]
 

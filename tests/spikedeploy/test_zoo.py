@@ -33,7 +33,8 @@ def test_it_acts_in_the_environment_of_its_folder(path):
     player = open_policy(candidate, "loihi1" if candidate.kind == "snn" else None, world)
     observation, _ = world.reset(seed=10_000)
     player.reset(10_000)
-    actions = np.stack([player.act(observation), player.act(-observation)])
+    # through a pipeline an observation acts one or two control steps later
+    actions = np.stack([player.act(sign * observation) for sign in (1, -1, 1, -1, -1, -1)])
     assert actions.shape[1:] == world.action_space.shape
     assert np.ptp(actions) > 0
     if isinstance(world.action_space, gymnasium.spaces.Box):

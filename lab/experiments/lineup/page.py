@@ -22,7 +22,7 @@ _INTRODUCTION = """\
 A row of `spikedeploy compare` is one training. Here the shipped policies that imitate a float
 teacher are trained again, by the recipes and settings of their cards, with other seeds; the shipped
 file is one of the trainings. `popsan-256` is `popsan` with 256 neurons in each hidden layer instead
-of 512, and not shipped. The trainings of `sparse`, where it is shown, are those of the pareto
+of 512, and not shipped. The trainings of `sparse-gated`, where it is shown, are those of the pareto
 experiment: with reward, at the last level of pruning, on loihi1, without a record of success. All
 are evaluated in the same episodes, on seeds from 10,000 on that no training and no choice of a
 checkpoint saw; spiking policies run on the chip, the others in float.
@@ -33,8 +33,8 @@ risk the mean of the worst 5 %. The teachers are one training each: no interval 
 variance over seeds. Lowest and highest are mean returns of one training, operations are means.
 Bootstrap intervals over five trainings are too narrow: for five normal values they cover the mean
 in 84 % of cases instead of 95 %, so one that narrowly excludes 100 % is weak evidence. The shipped
-float policies were trained with seed 0. The shipped `sparse` was chosen by validation, and was then
-trained with reward, which the others were not.
+float policies were trained with seed 0. The shipped `sparse-gated` was chosen by validation, and
+was then trained with reward, which the others were not.
 MACs are multiply-accumulates with an input that is not 0, SOPs synaptic operations, both of a
 control step and without neuron updates and encoder."""
 

@@ -1,4 +1,4 @@
-"""Table and sentences of a task: each policy over its trainings, beside `sac` and `sparse`."""
+"""Table and sentences of a task: each policy over its trainings, beside sac and sparse-gated."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.csv_rows import Record
 from spikedeploy.reports.markdown import markdown_text
 
-_SPARSE = "sparse"
+_SPARSE = "sparse-gated"
 
 
 def sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
@@ -20,7 +20,7 @@ def sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
     tuned = [
         row
         for row in pareto.read(table)
-        if (row["student"], row["trained_by"], row["place"]) == (_SPARSE, "reward", "loihi1")
+        if (row["student"], row["trained_by"], row["place"]) == ("sparse", "reward", "loihi1")
     ]
     last = min((row["level"] for row in tuned), default=0)
     shipped = zoo.card(f"{env}/{_SPARSE}").get("seed")

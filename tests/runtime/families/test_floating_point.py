@@ -80,7 +80,7 @@ def test_eight_bits_change_few_spikes_and_sixteen_fewer(reset, integrator):
 
 
 def test_the_model_with_delays_takes_a_skip_past_a_layer_and_the_one_without_refuses_it():
-    walker = load(zoo.path("hexapod/sparse"))
+    walker = load(zoo.path("hexapod/sparse-gated"))
     (readout,) = compile_program(walker, chip("spinnaker2-lif")).layers[-1:]
     assert {s.source: s.delay for s in readout.synapses} == {"input": 2, "lif1": 1}
     with pytest.raises(RuleError, match=r"rule delay: .* of 2 timesteps; spinnaker2 has at most 1"):

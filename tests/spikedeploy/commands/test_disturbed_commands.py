@@ -68,7 +68,7 @@ def test_compare_breaks_the_chip_and_neither_float_twin_nor_baselines(command):
     assert seen(whole, "ann", None) == seen(broken, "ann", None)
     faulty = [row for row in broken["rows"] if "faults" in row]
     assert [(row["policy"].split(" · ")[0], row["chip"]) for row in faulty] == [
-        ("snn", "loihi1"), ("sparse", "loihi1"),
+        ("snn", "loihi1"), ("sparse", "loihi1"), ("sparse-gated", "loihi1"),
     ]  # fmt: skip
     assert not any("faults" in row for row in whole["rows"])
 

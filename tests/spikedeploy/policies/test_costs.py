@@ -202,6 +202,7 @@ ON_SEVERAL_CORES = (
     "hexapod/popsan.nir",
     "hexapod-command/popsan.nir",
     "hexapod-command/sparse.nir",
+    "hexapod-command/sparse-gated.nir",
 )
 SHIPPED = [path for path in zoo.policies() if path.suffix == ".nir"]
 

@@ -185,7 +185,7 @@ def test_a_policy_in_the_integers_of_a_chip_is_evaluated_on_that_chip(tmp_path):
     run = toy_stroll_env.run_folder(tmp_path / "runs", policy)
     file = publish_run(str(run), "whole", 1, tmp_path / "zoo", processes=1)[0]
     card = json.loads(file.with_suffix(".json").read_text())
-    assert [row["chip"] for row in card["evaluation"]] == ["float", "tinyodin"]
+    assert [row["chip"] for row in card["evaluation"]] == ["tinyodin"]
 
 
 def test_a_file_of_another_checkpoint_lies_beside_that_of_the_best(tmp_path):

@@ -24,7 +24,7 @@ def test_an_environment_is_enough(tmp_path):
 
 def test_all_that_is_shipped_is_taken_where_no_policy_is_named():
     names = {job.policy for job in expand(SweepGrid("x", ("kart-grid",))).jobs}
-    assert names == {"ann", "linear", "small", "snn", "sparse"}
+    assert names == {"ann", "linear", "small", "snn", "sparse", "sparse-gated"}
 
 
 def test_axes_take_one_value_or_many(tmp_path):
