@@ -82,6 +82,7 @@ def test_its_datasheet_has_a_row_beside_the_others():
         membrane,
         "zero",
         "on the host",
+        "gated, pipelined, free",
         "compared with nothing",
     )
 

@@ -166,7 +166,8 @@ def test_a_chip_is_printed_in_full(name, command):
     found = json.loads(command("chips", name, "--json")[1])
     assert found["name"] == name
     assert (found["limits"] is None) == (chip(name).limits is None)
-    assert all(field in out for field in found["fields"])
+    named = [field for field, value in found["fields"].items() if value not in (None, [], "")]
+    assert all(field in out for field in named)
 
 
 @pytest.mark.parametrize("name", TABLES)
