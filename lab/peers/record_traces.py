@@ -36,8 +36,11 @@ Trace = dict[str, Any]
 
 
 def golden_traces() -> list[Path]:
-    """The traces whose tool is here: not those of RTL, nor of a board, which others recorded."""
-    elsewhere = ("rtl", "board")
+    """The traces whose tool is here: not those of RTL, nor of a board, which others recorded.
+
+    What our own commands put out (commands/) is no trace.
+    """
+    elsewhere = ("rtl", "board", "commands")
     return sorted(path for path in GOLDEN.rglob("*.json") if path.parent.name not in elsewhere)
 
 

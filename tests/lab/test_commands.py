@@ -30,4 +30,4 @@ def test_every_command_is_listed():
 def test_an_unknown_command_is_refused_in_a_sentence():
     ended = called("energy")
     assert ended.returncode == 2
-    assert ended.stderr.startswith("error: no 'energy' in lab; there are experiment, ")
+    assert ended.stderr.startswith("error: no 'energy' in lab; there are tables, ")
