@@ -4,12 +4,8 @@ Each exporter is a function `(policy, origin, path, ...) -> Path`, named in the 
 format is one new file and one new line here.
 
 to_nir       a spiking policy as `.nir`
-from_nir     such a file as a torch policy again
 to_onnx      a float policy as `.onnx`; a spiking one by spiking_onnx
 spiking_onnx a spiking policy as one step in ONNX, states in and out
-onnx_encoders  its encoders
-onnx_graph   builds an ONNX graph node by node
-raster       input spikes of a policy in torch, drawn with the generator of the chip
 parity       a written file against its policy: NIR spike by spike, ONNX action by action
 check        one line of a parity report, and its counters
 importers/   the same network in the scaling that another tool's import accepts; takes no torch

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
 
 from spikedeploy.exporters import spiking_onnx
 from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
-from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS
-from spikedeploy.exporters.raster import raster as presynaptic
+from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS
 from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
@@ -44,8 +44,25 @@ from spikedeploy.trainers.policies import (
     DeltaSnnPolicy,
     Policy,
     PopsanPolicy,
+    SpikingMlpPolicy,
 )
 from spikedeploy.trainers.policies.delta_graph import event_channels, hidden_node, live_neurons
+from spikedeploy.trainers.policies.encoders import TorchRateEncoder
+
+# (B, T) -> random bytes (B, T, M), as the methods of Xorshift
+RandomBytes = Callable[[int, int], NDArray[np.uint8]]
+
+
+def input_spikes_of(policy: SpikingMlpPolicy, observation: Tensor, rng: RandomBytes) -> Tensor:
+    """Return the input spikes (T, B, M) for the observations (B, obs)."""
+    encoder = policy.encoder
+    if not (isinstance(encoder, TorchRateEncoder) and encoder.mode == "bernoulli"):
+        return policy.encode(observation)
+    drawn = torch.from_numpy(rng(len(observation), policy.timesteps))
+    # s[t] = byte[t] < n
+    spikes = drawn.transpose(0, 1) < encoder.levels(policy.normalizer(observation))
+    return spikes.to(observation.dtype)
+
 
 _FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
 
@@ -103,11 +120,7 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     codec = _codec(stated, path)
     graph, program = FloatGraph(stated), compiled(stated, chip("ideal"))
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
-    to_numpy, to_ideal, to_single = (
-        _ImplementationPair(),
-        _ImplementationPair(),
-        _ImplementationPair(),
-    )
+    to_numpy, to_ideal, to_single = (_ImplementationPair() for _ in range(3))
     for batch in batches(observations):
         raster = codec.encode(batch)
         by_numpy = _decoded(codec, _by_numpy(graph, raster))
@@ -129,11 +142,7 @@ def _chip_checks(
     codec = _codec(stated, path)
     graph, program = FloatGraph(stated), compiled(stated, policy.target)
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
-    to_chip, to_single, to_float = (
-        _ImplementationPair(),
-        _ImplementationPair(),
-        _ImplementationPair(),
-    )
+    to_chip, to_single, to_float = (_ImplementationPair() for _ in range(3))
     for batch in batches(observations):
         raster = codec.encode(batch)
         by_machine = _decoded(codec, _by_machine(program, raster))
@@ -209,7 +218,7 @@ def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _PolicyOutput
         spikes = policy.trace(observation)
         action = spikes.pop("action")
         return _PolicyOutput(_arrays(spikes), _numbers(action), None)
-    input_spikes = presynaptic(policy, observation, Xorshift(0, policy.observations).draw)
+    input_spikes = input_spikes_of(policy, observation, Xorshift(0, policy.observations).draw)
     spikes = policy.trace(observation, input_spikes.transpose(0, 1))
     action = spikes.pop("action")
     if policy.head == "continuous":

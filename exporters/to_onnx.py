@@ -18,8 +18,7 @@ import onnx
 from numpy.typing import NDArray
 from torch import Tensor
 
-from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS, OnnxGraph
-from spikedeploy.exporters.spiking_onnx import spiking_to_onnx
+from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS, OnnxGraph, spiking_to_onnx
 from spikedeploy.exporters.to_nir import artifact
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance

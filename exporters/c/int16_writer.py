@@ -6,9 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.declarations import Declarations, bytes_of, literal, narrowest
-from spikedeploy.exporters.c.int16_codec import Int16Codec, Int16Term
-from spikedeploy.exporters.c.int16_interface import Int16Observations
-from spikedeploy.exporters.c.int16_tanh import BETWEEN, PER_UNIT, TABLE
+from spikedeploy.exporters.c.int16 import (
+    BETWEEN,
+    PER_UNIT,
+    TABLE,
+    Int16Codec,
+    Int16Observations,
+    Int16Term,
+)
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.templates import filled, template
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from spikedeploy.exporters.c.int16_interface import Int16Observations
+from spikedeploy.exporters.c.int16 import Int16Observations
 from spikedeploy.exporters.c.templates import filled, template
 
 ZEPHYR = ("zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig")

@@ -8,21 +8,177 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.c.costs import CCosts, costs
-from spikedeploy.exporters.c.declarations import Declarations, bytes_of
-from spikedeploy.exporters.c.decoder import DecoderWriter
-from spikedeploy.exporters.c.encoders import encoder_gaps
-from spikedeploy.exporters.c.int16_codec import Int16Codec, Int16Player, int16_codec
+from spikedeploy.exporters.c.codec import DecoderWriter, encoder_gaps
+from spikedeploy.exporters.c.declarations import Declarations, bytes_of, narrowest_of
+from spikedeploy.exporters.c.int16 import Int16Codec, Int16Player, int16_codec
 from spikedeploy.exporters.c.int16_writer import codec_files, selftest_files
 from spikedeploy.exporters.c.network import NetworkWriter
 from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
-from spikedeploy.exporters.c.plan import Plan
-from spikedeploy.exporters.c.refusals import check_codec, check_prefix, check_program
+from spikedeploy.exporters.c.plan import Plan, check_codec, check_prefix, check_program
 from spikedeploy.exporters.c.templates import filled, template
-from spikedeploy.exporters.c.vectors import Recorded, driven, few, observed, vectors
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.backend import Recording
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.trainers import atomic
+
+# numbers of a self-test, about; at least two inferences are recorded
+_NUMBERS = 60_000
+_INFERENCES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Inferences of an episode from its beginning; S of them, each of T timesteps.
+
+    observation: (S, obs); None where the network runs alone.
+    raster: (S, T, M) input spikes.
+    layers: what each layer did, name -> (S, T, N).
+    action: (S, act); None likewise.
+    """
+
+    observation: NDArray[np.float64] | None
+    raster: NDArray[np.uint8]
+    layers: dict[str, Recording]
+    action: NDArray[np.float64] | None
+
+
+def observed(plan: Plan, observation: NDArray[np.float64]) -> Recorded:
+    """What the interpreter makes of observations (S, obs) of one episode, with the seed 0."""
+    if plan.codec is None:
+        raise TypeError("a network without a codec has no observations")
+    machine = Machine(plan.program, 1, "none", trace=True, backend="interpreter")
+    raster = plan.codec.encode_episode(observation)
+    found, actions = [], []
+    for rows in raster:
+        actions.append(plan.codec.decode(machine.infer(rows[None])).reshape(-1))
+        found.append(machine.recordings)
+    action = np.array(actions, np.float64)
+    return Recorded(observation, raster, _joined(found), action)
+
+
+def driven(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
+    """What the interpreter makes of input spikes (S, T, M), from zero states."""
+    machine = Machine(plan.program, 1, "none", trace=True, backend="interpreter")
+    found = []
+    for rows in raster:
+        machine.infer(rows[None])
+        found.append(machine.recordings)
+    return Recorded(None, raster, _joined(found), None)
+
+
+def few(plan: Plan, timesteps: int) -> int:
+    """Inferences that make a self-test of moderate size."""
+    each = timesteps * sum(plan.sizes.values())
+    return int(np.clip(_NUMBERS // each, 2, _INFERENCES))
+
+
+def vectors(plan: Plan, recorded: Recorded) -> str:
+    """vectors.h: the recorded numbers as C."""
+    out = Declarations()
+    inferences, timesteps, _ = recorded.raster.shape
+    rows = recorded.raster.reshape(inferences * timesteps, -1)
+    reset = timesteps if plan.program.convention.state == "reset" else len(rows)
+    names = [layer.name for layer in plan.program.layers]
+    sizes = [plan.sizes[name] for name in names]
+    at, channels = np.nonzero(rows)
+    out.constant("vector_events", np.searchsorted(at, np.arange(len(rows) + 1)), "uint32_t")
+    out.constant("vector_channels", _some(channels), plan.id_kind)
+    if recorded.observation is None:
+        out.constant("vector_times", _some(rows[at, channels]), "uint8_t")
+    else:
+        out.constant("vector_observation", recorded.observation.astype(np.float64))
+        out.constant("vector_action", _actions(recorded))
+    out.constant("vector_first", np.cumsum([0, *sizes]), "uint32_t")
+    for quantity in ("current", "membrane", "spikes"):
+        values = [getattr(recorded.layers[name], quantity) for name in names]
+        every = np.concatenate([v.reshape(len(rows), -1).astype(np.int64) for v in values], axis=1)
+        out.constant(f"vector_{quantity}", every, narrowest_of(every))
+    counts = {"INFERENCES": inferences, "ROWS": len(rows), "RESET": reset, "NEURONS": sum(sizes)}
+    defines = [f"#define VECTOR_{name} {value}u" for name, value in counts.items()]
+    return "\n".join(["#include <math.h>", "#include <stdint.h>", "", *defines, "", out.text, ""])
+
+
+def _actions(recorded: Recorded) -> NDArray[np.float64]:
+    if recorded.action is None:
+        raise TypeError("no actions were recorded")
+    return recorded.action
+
+
+def _some(values: NDArray[np.integer]) -> NDArray[np.integer]:
+    """The values, or one 0: C has no empty arrays."""
+    return values if values.size else np.zeros(1, np.int64)
+
+
+def _joined(parts: list[dict[str, Recording]]) -> dict[str, Recording]:
+    """Recordings (1, T, N) of inferences as (S, T, N)."""
+    return {
+        name: Recording(
+            *(
+                np.concatenate([getattr(part[name], quantity) for part in parts])
+                for quantity in ("current", "membrane", "spikes")
+            )
+        )
+        for name in parts[0]
+    }
+
+
+@dataclass(frozen=True)
+class CCosts:
+    """Memory, and operations of an inference.
+
+    rom: constants [bytes]; the code comes on top, which the compiler decides, and which has the
+        weights of projections with few synapses.
+    ram: static variables [bytes]; the stack comes on top, less than 1 kB without the C library.
+    sops, sops_max: synaptic operations, the mean of those recorded and the most there can be.
+    events, events_max: input spikes, likewise.
+    neuron_updates: each neuron in each timestep.
+    """
+
+    rom: int
+    ram: int
+    sops: float
+    sops_max: int
+    events: float
+    events_max: int
+    neuron_updates: int
+
+
+def costs(plan: Plan, raster: NDArray[np.uint8], rom: int, ram: int) -> CCosts:
+    """Costs of a plan; raster: (S, T, M) input spikes of an episode, for the typical operations."""
+    layers, timesteps = plan.program.layers, raster.shape[1]
+    each = sum(_most(plan, synapses) for layer in layers for synapses in layer.synapses)
+    machine = Machine(plan.program, 1, "total")
+    for rows in raster:
+        machine.infer(rows[None])
+    return CCosts(
+        rom=rom,
+        ram=ram,
+        sops=machine.ledger.per_inference("sop"),
+        sops_max=timesteps * each,
+        events=float(raster.sum(axis=(1, 2), dtype=np.int64).mean()),
+        events_max=timesteps * plan.events_max * plan.times_max[plan.program.input],
+        neuron_updates=timesteps * sum(layer.size for layer in layers),
+    )
+
+
+def _most(plan: Plan, synapses: Synapses) -> int:
+    """Synaptic operations of a projection in a timestep, where all that can spike does."""
+    fan_out = synapses.fan_out
+    encoder = plan.codec.encoder if plan.codec else None
+    if synapses.source == plan.program.input and isinstance(encoder, DeltaEncoder):
+        return _most_of_delta(fan_out, encoder)
+    return int(fan_out.sum()) * plan.times_max[synapses.source]
+
+
+def _most_of_delta(fan_out: NDArray[np.int64], encoder: DeltaEncoder) -> int:
+    """The same of a delta code: an observation moves up or down, and not both."""
+    signs = fan_out.reshape(encoder.observed, 2, encoder.most)
+    of_sign = signs.sum(axis=2) if encoder.code == "unary" else signs.max(axis=2)
+    return int(of_sign.max(axis=1).sum())
+
 
 MARK = "exported by spikedeploy as C"
 MAKEFILE, RECORD = "Makefile", "interface.json"

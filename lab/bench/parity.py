@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 import spikedeploy.zoo
+from lab.bench.from_nir import from_nir
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters.from_nir import from_nir
 from spikedeploy.exporters.parity import check
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.emulator.controllers import SpikingController

@@ -63,7 +63,7 @@ class TorchController:
         return action if self.policy.head == "discrete" else action.astype(np.float64)
 
     def _scores(self, batch: "Tensor") -> "Tensor":
-        from spikedeploy.exporters.raster import raster
+        from spikedeploy.exporters.parity import input_spikes_of
         from spikedeploy.trainers.policies import DeltaSnnPolicy, SpikingMlpPolicy
 
         if isinstance(self.policy, DeltaSnnPolicy) and self._state is not None:
@@ -71,7 +71,8 @@ class TorchController:
             return self._torch.cat(steps)
         if not isinstance(self.policy, SpikingMlpPolicy):
             return self.policy.scores(batch)
-        return self.policy.forward_spikes(raster(self.policy, batch, self._rng.draw_sequence)).mean
+        spikes = input_spikes_of(self.policy, batch, self._rng.draw_sequence)
+        return self.policy.forward_spikes(spikes).mean
 
 
 def policy_of(run: str | Path, checkpoint: str | None = None) -> "Policy":

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters.c.costs import CCosts
 from spikedeploy.exporters.c.to_c import (
     MAKEFILE,
     MARK,
     RECORD,
+    CCosts,
     file_names,
     policy_in_c,
     write_texts,

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters.c.int8_mlp import Int8Mlp, quantise, read_onnx
-from spikedeploy.exporters.c.int8_writer import dense_names, mlp_in_c
-from spikedeploy.exporters.c.refusals import check_prefix
+from spikedeploy.exporters.c.int8 import Int8Mlp, dense_names, mlp_in_c, quantise, read_onnx
+from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder
 from spikedeploy.policies.onnx import OnnxController

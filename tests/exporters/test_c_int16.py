@@ -10,11 +10,8 @@ import pytest
 import yaml
 
 from spikedeploy import zoo
-from spikedeploy.exporters.c.int8_mlp import FloatMlp, Int8Mlp, quantise, read_onnx
-from spikedeploy.exporters.c.int8_writer import mlp_in_c
-from spikedeploy.exporters.c.int16_codec import Int16Player, int16_codec
-from spikedeploy.exporters.c.int16_interface import Int16Observations
-from spikedeploy.exporters.c.int16_tanh import ONE, tanh_q15
+from spikedeploy.exporters.c.int8 import FloatMlp, Int8Mlp, mlp_in_c, quantise, read_onnx
+from spikedeploy.exporters.c.int16 import ONE, Int16Observations, Int16Player, int16_codec, tanh_q15
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.to_c import policy_in_c, write, write_texts
 from spikedeploy.policies.onnx import OnnxController

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.exporters.c.encoders import exponents
+from spikedeploy.exporters.c.codec import exponents
 from spikedeploy.exporters.c.to_c import policy_in_c, write
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip

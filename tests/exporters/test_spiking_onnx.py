@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spikedeploy.cli import app
-from spikedeploy.exporters.onnx_encoders import LEVELS_STATE
-from spikedeploy.exporters.spiking_onnx import KIND, NEXT, checks, spiking_to_onnx
+from spikedeploy.exporters.spiking_onnx import KIND, LEVELS_STATE, NEXT, checks, spiking_to_onnx
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.codec.codec import Codec

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from spikedeploy.exporters.c import to_c
-from spikedeploy.exporters.c.refusals import check_prefix
+from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.exporters.c.to_c import file_names
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError

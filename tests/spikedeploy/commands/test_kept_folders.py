@@ -2,7 +2,7 @@
 
 import pytest
 
-from spikedeploy.exporters.c.refusals import check_prefix
+from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.sweeps.store import is_sweep
 from spikedeploy.tuning.page import PAGE, is_study

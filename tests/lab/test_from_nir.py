@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 import torch
 
+from lab.bench.from_nir import from_nir
 from spikedeploy import zoo
-from spikedeploy.exporters.from_nir import from_nir
 from spikedeploy.exporters.parity import check
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies import PopsanPolicy, SpikingMlpPolicy
+from tests.delta_policies import delta_policy, followed, walk
+from tests.exporters.test_delta_files import SHAPES, failed, written
 from tests.networks import popsan
 
 ORIGIN = Provenance(
@@ -60,3 +62,27 @@ def test_a_network_of_another_tool_is_refused_in_one_line(tmp_path):
     save(foreign, tmp_path / "foreign.nir")
     with pytest.raises(ArtifactError, match="only what spikedeploy exported"):
         from_nir(tmp_path / "foreign.nir")
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_file_read_back_is_the_same_policy(shape, tmp_path):
+    policy = delta_policy(**shape, left=1.0)
+    path = written(policy, tmp_path)
+    again = from_nir(path)
+    assert again.spec() == policy.spec()
+    found, expected = again.state_dict(), policy.state_dict()
+    if not policy.hidden:  # readouts decay as currents do
+        del found["_gamma"], expected["_gamma"]
+    for name, tensor in expected.items():
+        torch.testing.assert_close(found[name], tensor, rtol=1e-6, atol=1e-7, msg=name)
+    for name in ("into.weight", "out.weight", "past.weight", "step", "action_bias"):
+        assert torch.equal(found[name], expected[name]), name
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_pruned_file_read_back_acts_alike(shape, tmp_path):
+    policy = delta_policy(**shape, left=0.3)
+    again = from_nir(written(policy, tmp_path))
+    one, other = (followed(each, walk(100))[0] for each in (policy.double(), again.double()))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+    assert not failed(check(again, tmp_path / "policy.nir", walk(100)))

@@ -1,17 +1,28 @@
-"""An 8-bit network as C: loops that keep sums in registers; of pruned layers what is left.
+"""A float network quantised to 8-bit weights: the specification that C of it equals bit for bit.
 
-Where the compiler has the packed multiplication of ARM's DSP extension (two products of 16 bits and
-their sum in one instruction), weights are read in pairs; the integers are the same.
+Each layer is  acc = bias + sum_i x_i (w_i 2**k_i)  in 32 bits, with x of 16 bits, w of 8 bits, and
+for each input a power of two k_i >= 0 that makes the most of its eight bits. The
+normaliser is folded into the first layer: its clip is that of the observations, which whoever
+converts them keeps (`Int16Observations`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.declarations import Declarations, literal, narrowest_of
-from spikedeploy.exporters.c.int8_mlp import Int8Layer, Int8Mlp
+from spikedeploy.exporters.c.int16 import (
+    LARGEST,
+    LEAST_FRACTION,
+    Int16Observations,
+    linear_q15,
+    tanh_q15,
+)
 from spikedeploy.exporters.c.int16_writer import (
     host_file,
     interface_gaps,
@@ -20,11 +31,235 @@ from spikedeploy.exporters.c.int16_writer import (
     tanh_gaps,
 )
 from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
-from spikedeploy.exporters.c.refusals import check_prefix
+from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.exporters.c.templates import filled, template
 from spikedeploy.exporters.c.to_c import MARK, printable
+from spikedeploy.runtime.codec.codec import Normaliser
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
 
 Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+Activation = Literal["relu", "tanh", "none"]
+
+_WEIGHT = 127
+_ACCUMULATED = 2**30  # largest magnitude of a sum: half of what 32 bits hold
+_ACTIVATIONS: dict[str, Activation] = {"Relu": "relu", "Tanh": "tanh", "Identity": "none"}
+
+
+@dataclass(frozen=True, eq=False)
+class FloatMlp:
+    """A float network as its file has it: clip((x - mean) / std), then affine layers.
+
+    weights: (in, out) each; biases: (out,) each; activations: after each layer.
+    """
+
+    normaliser: Normaliser
+    weights: tuple[Floats, ...]
+    biases: tuple[Floats, ...]
+    activations: tuple[Activation, ...]
+    chooses: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Int8Layer:
+    """acc = bias + sum_i x_i (weight_i 2**shift_i), and what becomes of it.
+
+    weight: (in, out) within +-127.
+    shift: (in,) power of two of each input.
+    bias: (out,) in 2**-fraction, as acc is.
+    activation: "relu": max(acc, 0) >> drop; "tanh": Q15; "none": acc itself.
+    """
+
+    weight: Integers
+    shift: Integers
+    bias: Integers
+    fraction: int
+    activation: Activation
+    drop: int = 0
+
+    @property
+    def factors(self) -> Integers:
+        """Weights (in, out) with their powers of two."""
+        return self.weight << self.shift[:, None]
+
+    def accumulate(self, x: Integers) -> Integers:
+        """Sums (..., out) of inputs (..., in)."""
+        return np.asarray(x @ self.factors + self.bias)
+
+    def __call__(self, x: Integers) -> Integers:
+        """Outputs (..., out) of inputs (..., in)."""
+        acc = self.accumulate(x)
+        if self.activation == "relu":
+            return np.maximum(acc, 0) >> self.drop
+        return tanh_q15(acc, self.fraction) if self.activation == "tanh" else acc
+
+
+@dataclass(frozen=True, eq=False)
+class Int8Mlp:
+    """A quantised network: int16 observations to Q15 actions, or to an index."""
+
+    observations: Int16Observations
+    layers: tuple[Int8Layer, ...]
+    chooses: bool
+
+    @property
+    def scores(self) -> int:
+        """Numbers of the last layer."""
+        return len(self.layers[-1].bias)
+
+    @property
+    def actions(self) -> int:
+        """Numbers of an action."""
+        return 1 if self.chooses else self.scores
+
+    @property
+    def weights(self) -> int:
+        """Weights that are not 0."""
+        return sum(int(np.count_nonzero(layer.weight)) for layer in self.layers)
+
+    def act(self, o: Integers) -> Integers:
+        """Actions (..., act) of int16 observations (..., obs)."""
+        for layer in self.layers[:-1]:
+            o = layer(o)
+        last = self.layers[-1]
+        acc = last.accumulate(o)
+        if self.chooses:
+            return np.asarray(acc.argmax(axis=-1)[..., None])
+        squash = tanh_q15 if last.activation == "tanh" else linear_q15
+        return squash(acc, last.fraction)
+
+    def floats(self, action: Integers) -> NDArray[np.float64]:
+        """Actions (..., act) as the environment takes them; an index stays one."""
+        return action.astype(np.float64) if self.chooses else action / 2.0**15
+
+
+def quantise(policy: FloatMlp) -> Int8Mlp:
+    """The network in 8-bit weights."""
+    observations, normaliser = Int16Observations.of(policy.normaliser), policy.normaliser
+    mean, std = normaliser.mean.astype(np.float64), normaliser.std.astype(np.float64)
+    # x = (o - centre) unit
+    unit, centre = 2.0**-observations.exponent / std, mean * 2.0**observations.exponent
+    largest = np.full(len(unit), LARGEST + 1)
+    layers = []
+    for k, activation in enumerate(policy.activations):
+        weight = unit[:, None] * policy.weights[k]
+        layer = _quantised(weight, policy.biases[k], centre, largest, activation)
+        layers.append(layer)
+        centre = np.zeros(len(layer.bias))
+        if activation == "tanh":
+            unit, largest = np.full(len(layer.bias), 2.0**-15), np.full(len(layer.bias), LARGEST)
+        else:
+            reached = _reached(layer, largest) >> layer.drop
+            unit, largest = np.full(len(reached), 2.0 ** (layer.drop - layer.fraction)), reached
+    return Int8Mlp(observations, tuple(layers), policy.chooses)
+
+
+def _quantised(
+    weight: Floats, bias: Floats, centre: Floats, largest: Integers, activation: Activation
+) -> Int8Layer:
+    """A layer of real weights (in, out) of integer inputs, as fine as 32 bits let it be.
+
+    centre: (in,) inputs at which the sums are the bias: there, rounding of weights changes nothing.
+    largest: (in,) magnitudes of the inputs.
+    """
+    row = np.abs(weight).max(axis=1)
+    total = float((np.abs(bias) + np.abs(weight).T @ (largest + np.abs(centre))).max()) or 1.0
+    fraction = int(np.floor(np.log2(_ACCUMULATED / total)))
+    if not LEAST_FRACTION <= fraction < 60:
+        raise ConfigError(
+            f"--to c: a layer sums up to {total:.3g}, which leaves {fraction} of 32 bits behind "
+            f"the point; at least {LEAST_FRACTION} are needed. Scale its weights down."
+        )
+    with np.errstate(divide="ignore"):
+        shift = np.ceil(np.log2(row * 2.0**fraction / _WEIGHT))
+    shift = np.where(row > 0, np.maximum(shift, 0), 0).astype(np.int64)
+    fixed = np.rint(weight * 2.0**fraction / 2.0 ** shift[:, None]).astype(np.int64)
+    offset = np.rint(bias * 2.0**fraction - (centre * 2.0**shift) @ fixed).astype(np.int64)
+    layer = Int8Layer(fixed, shift, offset, fraction, activation)
+    if activation != "relu":
+        return layer
+    drop = max(0, int(_reached(layer, largest).max()).bit_length() - 15)
+    return Int8Layer(fixed, shift, offset, fraction, activation, drop)
+
+
+def _reached(layer: Int8Layer, largest: Integers) -> Integers:
+    """Largest magnitude (out,) of the sums of a layer."""
+    return np.asarray(np.abs(layer.bias) + largest @ np.abs(layer.factors))
+
+
+def read_onnx(path: Path) -> FloatMlp:
+    """The network in an ONNX file of our exporters; ConfigError where it is of another kind."""
+    import onnx
+    from onnx import numpy_helper
+
+    from spikedeploy.trainers.onnx_session import session
+
+    session(path)  # refuses what is damaged or larger than it says
+    model = onnx.load(path)
+    said = {entry.key: entry.value for entry in model.metadata_props}
+    graph = model.graph
+    kinds = [node.op_type for node in graph.node]
+    if kinds[:3] != ["Sub", "Div", "Clip"] or not _alternates(kinds[3:]):
+        raise ConfigError(
+            f"--to c: {path.name} computes {' '.join(kinds[:8])} ...; C of float networks is "
+            "written for a scaled and clipped observation before affine layers (Gemm) with Relu, "
+            "Tanh or Identity. Export a policy such as mlp-8."
+        )
+    value: dict[str, Any] = {each.name: numpy_helper.to_array(each) for each in graph.initializer}
+    try:
+        affine = [_affine(node, value) for node in graph.node[3::2]]
+        mean, std = (value[graph.node[k].input[1]].astype(np.float64) for k in (0, 1))
+        low, high = (float(value[name]) for name in graph.node[2].input[1:3])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ArtifactError(
+            f"{path} lacks a constant that its graph names. Export it again"
+        ) from error
+    if low != -high:
+        raise ConfigError(f"--to c: {path.name} clips from {low} to {high}, not evenly.")
+    activations = [_ACTIVATIONS[kind] for kind in kinds[4::2]]
+    if "none" in activations[:-1] or activations[-1] == "relu":
+        raise ConfigError(f"--to c: {path.name} has activations {', '.join(activations)}.")
+    weights, biases = zip(*affine, strict=True)
+    _check_shapes(path, len(mean), weights)
+    chooses = said.get("head") == "discrete" or graph.output[0].name == "logits"
+    return FloatMlp(
+        Normaliser(mean, std, high), tuple(weights), tuple(biases), tuple(activations), chooses
+    )
+
+
+def _alternates(kinds: Sequence[str]) -> bool:
+    """Whether affine maps and activations take turns."""
+    return (
+        len(kinds) >= 2
+        and len(kinds) % 2 == 0
+        and set(kinds[::2]) == {"Gemm"}
+        and set(kinds[1::2]) <= set(_ACTIVATIONS)
+    )
+
+
+def _affine(node: Any, value: dict[str, Any]) -> tuple[Floats, Floats]:  # noqa: ANN401
+    """Weight (in, out) and bias (out,) of a Gemm."""
+    options = {each.name: each.i if each.type == 2 else each.f for each in node.attribute}
+    if {options.get("alpha", 1.0), options.get("beta", 1.0)} != {1.0} or options.get("transA", 0):
+        raise ConfigError("--to c: a Gemm with alpha, beta or transA is not written in C.")
+    weight = value[node.input[1]].astype(np.float64)
+    bias = value[node.input[2]].astype(np.float64)
+    return (weight.T if options.get("transB", 0) else weight), bias.reshape(-1)
+
+
+def _check_shapes(path: Path, observed: int, weights: Sequence[Floats]) -> None:
+    """Refuse layers that do not follow one another."""
+    width = observed
+    for k, weight in enumerate(weights):
+        if weight.ndim != 2 or weight.shape[0] != width or not np.isfinite(weight).all():
+            raise ArtifactError(
+                f"{path}: layer {k + 1} has a weight of shape {weight.shape}, and {width} inputs; "
+                "all must be finite. Export it again"
+            )
+        width = weight.shape[1]
+
 
 _BLOCK = 9  # outputs whose sums a core keeps in registers, at most
 _STRAIGHT = 4096  # weights of a pruned network that are written as statements of their own

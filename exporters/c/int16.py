@@ -1,31 +1,110 @@
-"""The codec in 16-bit integers: the specification that codec_i16.c equals bit for bit.
+"""The interface in 16-bit integers: what codec_i16.c equals bit for bit.
 
-Observations come in as `Int16Observations` has them, actions leave as Q15 or as an index. Between
-them is the network of the program, unchanged. All of it is 32-bit integer arithmetic.
+Observations are integers with a power of two each, chosen from the normaliser's range; actions are
+Q15, or an index; tanh is a table with straight lines between its entries.
 """
 
 from dataclasses import dataclass, field
+from math import ceil, floor, log2
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.c.int16_interface import Int16Observations
-from spikedeploy.exporters.c.int16_tanh import (
-    LEAST_FRACTION,
-    linear_q15,
-    score_fraction,
-    tanh_q15,
-)
 from spikedeploy.exporters.c.plan import Plan
-from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.delta import LARGEST as X_LARGEST
 from spikedeploy.runtime.codec.delta import PARTS, Code, DeltaEncoder
-from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
+
+
+LARGEST = 2**15 - 1
+_EXPONENTS = 126  # of either sign: what an int8_t of C holds
+
+
+@dataclass(frozen=True, eq=False)
+class Int16Observations:
+    """Fixed-point numbers that stand for observations.
+
+        o = rint(clip(value 2**exponent, low, high))
+
+    exponent: (obs,) bits behind the binary point; may be negative.
+    low, high: (obs,) the clip of the normaliser in these units, within int16.
+    """
+
+    exponent: Integers
+    low: Integers
+    high: Integers
+
+    @classmethod
+    def of(cls, normaliser: Normaliser) -> "Int16Observations":
+        """The finest powers of two at which mean +- clip standard deviations fit in 16 bits."""
+        mean, std = normaliser.mean.astype(np.float64), normaliser.std.astype(np.float64)
+        reach = np.abs(mean) + normaliser.clip * std
+        with np.errstate(all="ignore"):
+            exponent = np.floor(np.log2(LARGEST / reach))
+        bad = ~(np.abs(exponent) <= _EXPONENTS)
+        if bad.any():
+            k = int(np.flatnonzero(bad)[0])
+            raise ConfigError(
+                f"--to c: observation {k} reaches {reach[k]:.3g}, which no int16 with an exponent "
+                f"from -{_EXPONENTS} to {_EXPONENTS} stands for. Train with a finite normaliser "
+                "clip and observations in ordinary units."
+            )
+        scale = 2.0**exponent
+        low = np.rint((mean - normaliser.clip * std) * scale)
+        high = np.rint((mean + normaliser.clip * std) * scale)
+        return cls(exponent.astype(np.int64), low.astype(np.int64), high.astype(np.int64))
+
+    def quantise(self, observation: NDArray[np.floating]) -> Integers:
+        """Integers (..., obs) of observations in their own units."""
+        if not np.isfinite(observation).all():
+            raise ObservationError("the observation holds a number that is not finite")
+        scaled = np.asarray(observation, np.float64) * 2.0**self.exponent
+        return np.asarray(np.rint(np.clip(scaled, self.low, self.high)), np.int64)
+
+
+ONE = 2**15 - 1  # the action 1.0 in Q15
+PER_UNIT = 5  # bits: 32 entries for each unit of the score
+BETWEEN = 10  # bits of the place between two entries
+_LAST = 5.5  # tanh is 1 within half a unit of Q15 from here on
+
+TABLE = np.rint(ONE * np.tanh(np.arange(ceil(_LAST * 2**PER_UNIT) + 1) / 2**PER_UNIT)).astype(
+    np.int64
+)
+LEAST_FRACTION = PER_UNIT + BETWEEN
+
+
+def tanh_q15(score: Integers, fraction: int) -> Integers:
+    """Q15 of tanh(score 2**-fraction), fraction >= LEAST_FRACTION; within 5 units of the real one.
+
+    z = |score|,  i = z >> (fraction - 5),  f = ten bits behind i
+    y = T[i] + ((T[i + 1] - T[i]) f + 512 >> 10),  and 32767 where the table ends
+    """
+    size = np.abs(score)
+    place = size >> (fraction - PER_UNIT)
+    inside = np.minimum(place, len(TABLE) - 2)
+    between = (size >> (fraction - LEAST_FRACTION)) & (2**BETWEEN - 1)
+    step = TABLE[inside + 1] - TABLE[inside]
+    line = TABLE[inside] + ((step * between + 2 ** (BETWEEN - 1)) >> BETWEEN)
+    found: Integers = np.sign(score) * np.where(place < len(TABLE) - 1, line, ONE)
+    return found
+
+
+def linear_q15(score: Integers, fraction: int) -> Integers:
+    """Q15 of the score itself, within [-1, 1]."""
+    found: Integers = np.clip(score >> (fraction - 15), -ONE, ONE)
+    return found
+
+
+def score_fraction(largest: float) -> int:
+    """Bits behind the point with which scores up to this magnitude leave one of 31 bits free."""
+    return floor(30 - log2(max(largest, 2.0**-14)))
+
 
 _INT32 = 2**31 - 1
 _INT16 = 2**15
@@ -184,7 +263,7 @@ def int16_codec(plan: Plan) -> Int16Codec | str:
         return "it is written for inferences of one timestep that keep their states"
     if plan.kind != "int32_t":
         return "the states of the network need more than 32 bits"
-    if any(plan.times_max[t.layer] > 1 for t in plan.terms if not _silent(plan, t)):
+    if any(plan.times_max[t.layer] > 1 for t in plan.terms if plan.is_spiking(t)):
         return "a neuron that the output reads can spike several times in a timestep"
     try:
         observations = Int16Observations.of(codec.normaliser)
@@ -243,54 +322,29 @@ def _scored(
     plan: Plan, codec: Codec, observations: Int16Observations, delta: Int16Delta
 ) -> Int16Codec | str:
     """The decoder: weights of scores in a common unit, as fine as 32 bits let them be."""
-    bias, weights = scores(plan)
+    spiking = [plan.is_spiking(term) for term in plan.terms]
     bounds = [
-        plan.states_max(term.layer) if _silent(plan, term) else plan.times_max[term.layer]
-        for term in plan.terms
+        plan.times_max[term.layer] if spikes else plan.states_max(term.layer)
+        for term, spikes in zip(plan.terms, spiking, strict=True)
     ]
+    weights = []
+    for first, part in plan.score_weights:
+        weight = np.zeros((len(part), len(plan.bias)))
+        weight[:, first : first + part.shape[1]] = part
+        weights.append(weight)
     parts = zip(bounds, weights, strict=True)
-    largest = np.abs(bias) + sum(bound * np.abs(w).sum(axis=0) for bound, w in parts)
+    largest = np.abs(plan.bias) + sum(bound * np.abs(w).sum(axis=0) for bound, w in parts)
     fraction = score_fraction(float(largest.max()))
     if not LEAST_FRACTION <= fraction < 60:
         return "the scores of its actions need more than 32 bits"
-    total, terms = np.rint(bias * 2.0**fraction), []
-    for term, weight in zip(plan.terms, weights, strict=True):
+    total, terms = np.rint(plan.bias * 2.0**fraction), []
+    for term, spikes, weight in zip(plan.terms, spiking, weights, strict=True):
         most = np.abs(weight).max(initial=0) or 1.0
-        drop = max(0, int(_WEIGHT_BITS - fraction - np.ceil(np.log2(most))))
-        drop = drop if _silent(plan, term) else 0
+        drop = 0 if spikes else max(0, int(_WEIGHT_BITS - fraction - np.ceil(np.log2(most))))
         fixed = np.rint(weight * 2.0 ** (fraction + drop)).astype(np.int64)
         # bits that are dropped are half a unit in the mean
         total += fixed.sum(axis=0) // 2 if drop else 0
-        terms.append(Int16Term(term.layer, _silent(plan, term), term.lag, drop, fixed))
+        terms.append(Int16Term(term.layer, not spikes, term.lag, drop, fixed))
     return Int16Codec(
         observations, delta, total.astype(np.int64), tuple(terms), fraction, codec.squash
     )
-
-
-def _silent(plan: Plan, term: ReadoutTerm) -> bool:
-    return not plan.program.layer(term.layer).spiking
-
-
-def scores(plan: Plan) -> tuple[Floats, list[Floats]]:
-    """Bias (scores,) of the output, and the weights (N, scores) of each term of the plan."""
-    program, weights, first = plan.program, [], 0
-    if program.outlets:
-        bias = np.concatenate([outlet.bias for outlet in program.outlets])
-        places = [(o.port.size, len(o.taps)) for o in program.outlets]
-    else:
-        size = plan.sizes[program.output]
-        bias = np.zeros(size) if program.readout is None else program.readout.bias
-        places = [(len(bias), 1)]
-    terms = iter(plan.terms)
-    for size, taps in places:
-        for _ in range(taps):
-            term = next(terms)
-            inner = np.eye(plan.sizes[term.layer]) if term.weight is None else term.weight
-            if _silent(plan, term):
-                scale = program.layer(term.layer).scale
-                inner = np.broadcast_to(scale, (len(inner),))[:, None] * inner
-            weight = np.zeros((len(inner), len(bias)))
-            weight[:, first : first + size] = inner
-            weights.append(weight)
-        first += size
-    return bias, weights
