@@ -31,12 +31,12 @@ from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec
-from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.codec.rate import Xorshift
 from spikedeploy.runtime.compiler.compile import compile_program as compiled
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.policies import (

@@ -27,7 +27,7 @@ from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.program_record import program_record
-from spikedeploy.runtime.traces.trace_file import QUANTITIES
+from spikedeploy.runtime.traces.verify import QUANTITIES
 
 MARK = "spikedeploy export --to program"
 PROGRAM, EXPECTED, EPISODE, README, HOST = (

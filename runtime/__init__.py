@@ -29,7 +29,7 @@ EXPORTS = {
     "Codec": "spikedeploy.runtime.codec.codec:Codec",
     "Convention": "spikedeploy.runtime.convention:Convention",
     "DeltaEncoder": "spikedeploy.runtime.codec.delta:DeltaEncoder",
-    "FloatGraph": "spikedeploy.runtime.float_model.graph:FloatGraph",
+    "FloatGraph": "spikedeploy.runtime.float_model:FloatGraph",
     "Normaliser": "spikedeploy.runtime.codec.codec:Normaliser",
     "PRESETS": "spikedeploy.runtime.artifact.presets.preset:PRESETS",
     "PopulationEncoder": "spikedeploy.runtime.codec.population:PopulationEncoder",

@@ -25,7 +25,7 @@ class Convention:
     reset: after a spike the membrane is set to v_reset ("zero"; exporters write v_reset = 0), or
         threshold - v_reset is subtracted from it ("subtract"), both in the next timestep
         ("zero-delayed", "subtract-delayed"); "subtract-ahead" and "none" are snnTorch's too
-        (runtime.float_model.neurons has the equations).
+        (runtime.float_model has the equations).
     integrator: decay factors are 1 - dt/tau ("euler") or exp(-dt/tau) ("exponential").
     delay: [timesteps] of an Affine, Linear or convolution: y[t] = W x[t - delay] + b. Recurrent
         connections take one timestep in any case.

@@ -150,23 +150,3 @@ class Provenance:
             checkpoint=record.text("checkpoint") if "checkpoint" in record else "",
             chip=record.text("chip") if "chip" in record else "",
         )
-
-
-def whole_numbers(name: str, field: str, value: object, axes: int, minimum: int) -> tuple[int, ...]:
-    """One integer for each axis, given for each or once for all; else ArtifactError."""
-    found = np.asarray(value)
-    if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)} or not found.size:
-        raise ArtifactError(
-            f"node {name!r}: {field} is {_short(value)}; it must be whole numbers, one or {axes}. "
-            "Correct the node."
-        )
-    if found.min() < minimum:
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {found.min()}; it must be {minimum} or more. "
-            "Correct the node."
-        )
-    return tuple(int(n) for n in np.broadcast_to(found, (axes,)))
-
-
-def _short(value: object) -> str:
-    return str(value.tolist() if isinstance(value, np.ndarray) else value)[:40]

@@ -1,7 +1,7 @@
 """Recorded traces read in the two calls that `verify` makes."""
 
 from spikedeploy.runtime.traces.fields import read_json
-from spikedeploy.runtime.traces.trace_file import trace_in
+from spikedeploy.runtime.traces.verify import trace_in
 
 
 def recorded_trace(path):

@@ -40,7 +40,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.emulator.interpreter import trace
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.shipping.export_c import export_c
 
 NAMES = ("kart-grid/snn", "hexapod/popsan")

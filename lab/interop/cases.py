@@ -12,7 +12,7 @@ from spikedeploy.exporters.check import random_spikes
 from spikedeploy.exporters.importers.rewritten import arguments, for_importer
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.errors import SpikedeployError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 
 TIMESTEPS = 400

@@ -16,8 +16,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.float_model.graph import FloatGraph
-from spikedeploy.runtime.float_model.neurons import FloatNeurons
+from spikedeploy.runtime.float_model import FloatGraph, FloatNeurons
 
 Floats = NDArray[np.float64]
 

@@ -10,19 +10,23 @@ import h5py
 import nir
 import numpy as np
 
-from spikedeploy.runtime.artifact.batch_axis import without_batch_axis
 from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
 from spikedeploy.runtime.artifact.presets.preset import read_like
 from spikedeploy.runtime.artifact.writers.writer import read_as_written
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
-from spikedeploy.runtime.graph.nesting import flattened
-from spikedeploy.runtime.graph.neurons import NEURONS, discretise, infer_convention, infer_timestep
-from spikedeploy.runtime.graph.numbers import with_floats
+from spikedeploy.runtime.graph.neurons import (
+    NEURONS,
+    SigmaDelta,
+    check_sigma_delta,
+    discretise,
+    infer_convention,
+    infer_timestep,
+)
+from spikedeploy.runtime.graph.normal_form import flattened, with_floats, without_batch_axis
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import check_size
-from spikedeploy.runtime.graph.sigma_delta import SigmaDelta, check_sigma_delta
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 

@@ -15,7 +15,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.artifact.hdf5_limits import budget, check_container, check_file
+from spikedeploy.runtime.artifact.hdf5 import budget, check_container, check_file
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 
 # bytes that a file may unpack to, and more for each of its own: spikes shrink two hundredfold

@@ -58,7 +58,7 @@ class Layer:
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     spiking: False for a readout layer: it never spikes, and its membranes leave the chip instead.
         Its threshold is infinite, or NEVER.
-    graded: whether its neurons are sigma-delta neurons (runtime.graph.sigma_delta): they send
+    graded: whether its neurons are sigma-delta neurons (runtime.graph.neurons): they send
         signed whole numbers of thresholds; the voltage bias is added before the rectification.
     v_reset: (N,) membrane to which a spike resets integrate-and-fire neurons [state units]; the
         compiler refuses all but 0, which some recorded runs have.

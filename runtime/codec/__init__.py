@@ -5,6 +5,5 @@ NumPy float64 is the definition; the torch layers of trainers are tested against
 codec            normaliser, encoder and squashing; ENCODERS is where a new encoder is entered
 delta            events when an observation has moved (send-on-delta)
 population       population coding with Gaussian receptive fields
-rate             rate coding, evenly spaced or random
-xorshift         the random numbers of stochastic encoders
+rate             spikes at a rate, evenly spaced or from random bytes
 """

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.float_model.nodes import build_node
+from spikedeploy.runtime.float_model import build_node
 from spikedeploy.runtime.graph.order import Timing, in_waves, sources
-from spikedeploy.runtime.graph.shapes import multiplications
-from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, POOLS, multiplications
 
 Floats: TypeAlias = NDArray[np.float64]
 # what arrives how many timesteps late, (R, *shape)

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.limits import LayerCore, Limits, SynapticMemory
 from spikedeploy.runtime.design_rules.topology import Population, Projection
-from spikedeploy.runtime.graph.shapes import DENSE
-from spikedeploy.runtime.graph.windows import CONVOLUTIONS
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE
 
 Counts = NDArray[np.int64]
 

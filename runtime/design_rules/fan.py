@@ -9,9 +9,9 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.graph.shapes import DENSE
-from spikedeploy.runtime.graph.windows import (
+from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,
+    DENSE,
     POOLS,
     ConvWindow,
     convolution_window,

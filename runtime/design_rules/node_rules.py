@@ -16,8 +16,7 @@ from spikedeploy.runtime.design_rules.rule import (
 )
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps
-from spikedeploy.runtime.graph.shapes import DENSE
-from spikedeploy.runtime.graph.windows import CONVOLUTIONS, convolution_window
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, convolution_window
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows, count
 from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, by_port
 
 

@@ -26,8 +26,7 @@ from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.floating_point import CubaFloat32
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
-from spikedeploy.runtime.traces.fields import Fields, Integers
-from spikedeploy.runtime.traces.work import Work
+from spikedeploy.runtime.traces.fields import Fields, Integers, Work
 
 Registers: TypeAlias = dict[str, Any]
 _STATE = 1 << 40  # states beyond this are no chip's

@@ -15,9 +15,8 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.families.program_record import program_in
-from spikedeploy.runtime.traces.fields import Fields, Integers, read_json
-from spikedeploy.runtime.traces.trace_file import PROSE, QUANTITIES, TraceFile, nothing_to_compare
-from spikedeploy.runtime.traces.work import Work
+from spikedeploy.runtime.traces.fields import Fields, Integers, Work, read_json
+from spikedeploy.runtime.traces.verify import PROSE, QUANTITIES, TraceFile, nothing_to_compare
 
 _MOST_TIMESTEPS = 1 << 17
 _MOST_EVENTS = 1 << 22

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.neurons import NEURONS, ROUNDING
-from spikedeploy.runtime.graph.windows import CONVOLUTIONS
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS
 
 Edge: TypeAlias = tuple[str, str]
 

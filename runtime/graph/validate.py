@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import CURRENT_BASED, LEAKY, NEURONS, SPIKING
-from spikedeploy.runtime.graph.shapes import DENSE, infer_shapes
-from spikedeploy.runtime.graph.windows import CONVOLUTIONS, POOLS
-from spikedeploy.runtime.metadata import whole_numbers
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, infer_shapes, whole_numbers
 
 # kinds whose fields are all arrays of numbers, except for those that nir derives
 _NUMERIC = (*DENSE, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.float_model.nodes import convolution
+from spikedeploy.runtime.float_model import convolution
 from spikedeploy.runtime.metrics.memory import packed_bytes
 
 _WEIGHTED = (nir.Affine, nir.Linear, nir.Conv1d, nir.Conv2d)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.artifact.hdf5_limits import budget
+from spikedeploy.runtime.artifact.hdf5 import budget
 from spikedeploy.runtime.artifact.nir_data import EXPANSION, FREE, is_nir_data, read_nir_data
 from spikedeploy.runtime.errors import ObservationError
 from spikedeploy.runtime.graph.ports import check_unmasked, ports

@@ -19,7 +19,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.artifact.writers.writer import WRITERS
 from spikedeploy.runtime.convention import Integrator, Reset, Spikes
 from spikedeploy.runtime.errors import SpikedeployError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 
 Changes = dict[str, Any]
 

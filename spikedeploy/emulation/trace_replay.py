@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.runtime.traces.fields import shown, shown_names
-from spikedeploy.runtime.traces.trace_file import Verdict
+from spikedeploy.runtime.traces.verify import Verdict
 from spikedeploy.runtime.traces.verify import verify as verdict_of
 from spikedeploy.user_errors import one_line
 

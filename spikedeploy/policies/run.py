@@ -11,7 +11,7 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import UNCOUNTED, Costs
 from spikedeploy.policies.interface import FLOAT, Candidate
 from spikedeploy.policies.run_record import env_of
-from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.codec.rate import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 

@@ -11,7 +11,7 @@ from spikedeploy.exporters.importers.rewritten import arguments, for_importer
 from spikedeploy.outputs import check_output
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.shipping.export_c import nir_file
 

@@ -44,8 +44,7 @@ from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.errors import ConfigError, TraceError
-from spikedeploy.runtime.traces.trace_file import Verdict
-from spikedeploy.runtime.traces.verify import verify
+from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.export_c import chip_of, nir_file, world_of
 

@@ -12,7 +12,7 @@ from spikedeploy.exporters.importers.visits import visits
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ConventionError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, graph, lif, popsan, spiking_mlp
 
 TORCH = ("norse", "snntorch", "spikingjelly")

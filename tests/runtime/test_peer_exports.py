@@ -10,7 +10,7 @@ import pytest
 
 from lab.peers.exported_networks import CASES, FOLDER, record
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 MODULES = {

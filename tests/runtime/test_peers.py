@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif
 
 pytestmark = pytest.mark.filterwarnings("ignore")

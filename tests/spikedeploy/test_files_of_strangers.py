@@ -23,7 +23,7 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.trainers.distill.config import DistillConfig
 from spikedeploy.trainers.ppo.config import PpoConfig
 from spikedeploy.trainers.resolve import resolve

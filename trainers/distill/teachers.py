@@ -141,7 +141,7 @@ def _from_run(path: str) -> Teacher:
 
 def _from_nir(path: str) -> Teacher:
     from spikedeploy.runtime.artifact.artifact import load
-    from spikedeploy.runtime.float_model.graph import FloatGraph
+    from spikedeploy.runtime.float_model import FloatGraph
 
     artifact = load(path)
     codec, graph = artifact.codec, FloatGraph(artifact)

@@ -8,7 +8,7 @@ gains of 1.
 `action` adds the constant c to each readout. Channels of the encoder carry their own weights, so
 event k of a one-hot code weighs k times as much.
 
-Of a DeltaMlpPolicy the neurons are `sd1`, sigma-delta neurons (runtime.graph.sigma_delta), and the
+Of a DeltaMlpPolicy the neurons are `sd1`, sigma-delta neurons (runtime.graph.neurons), and the
 readout is an I. fc2 weighs each graded spike with the threshold that it counts.
 """
 
@@ -24,7 +24,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.graph.sigma_delta import SigmaDelta
+from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta_mlp import DeltaMlpPolicy
 from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy

@@ -8,7 +8,7 @@
     action = tanh(y + c)
 
 One timestep per control step. What is sent are changes alone, so that numbers which stay cost
-nothing (O'Connor and Welling 2017; runtime.graph.sigma_delta). It is a baseline for the spiking
+nothing (O'Connor and Welling 2017; runtime.graph.neurons). It is a baseline for the spiking
 policies: the same code, and a float network's activations.
 """
 

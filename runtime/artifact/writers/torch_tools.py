@@ -47,7 +47,7 @@ def _translate_snntorch(nodes: Nodes, convention: Convention) -> Convention:
             must(node.v_leak == 0, name, _SNNTORCH_TOOL, "writes v_leak = 0")
             must(node.v_reset == 0, name, _SNNTORCH_TOOL, "writes v_reset = 0")
             nodes[name] = with_gain(_exact(node, convention.dt), convention)
-    # where the threshold is not below 0; reset_delay=False, see runtime.float_model.neurons
+    # where the threshold is not below 0; reset_delay=False, see runtime.float_model
     if convention.reset == "subtract":
         return replace(convention, reset="subtract-ahead")
     # b V is 0 after either: a Leaky fires alike

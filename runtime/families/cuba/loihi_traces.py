@@ -13,9 +13,8 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.quantise import stored
-from spikedeploy.runtime.traces.fields import Fields, Integers
-from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
-from spikedeploy.runtime.traces.work import Work
+from spikedeploy.runtime.traces.fields import Fields, Integers, Work
+from spikedeploy.runtime.traces.verify import PROSE, TraceFile, nothing_to_compare, table_of
 
 _WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
 _EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")

@@ -23,17 +23,16 @@ from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
     WorkedEvent,
     axons,
 )
-from spikedeploy.runtime.traces.fields import Fields, Integers
-from spikedeploy.runtime.traces.trace_file import (
+from spikedeploy.runtime.traces.fields import MOST_NUMBERS, Fields, Integers, Work
+from spikedeploy.runtime.traces.verify import (
     PROSE,
     Verdict,
+    first_difference,
     nothing_to_compare,
     recorded_tables,
     table_of,
     weights_of,
 )
-from spikedeploy.runtime.traces.verify import first_difference
-from spikedeploy.runtime.traces.work import MOST_NUMBERS, Work
 
 _NEURONS = "neurons"  # name of the one layer
 # quantity -> its name in the file, and what it may be

@@ -8,7 +8,7 @@ import numpy as np
 
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import Event, WorkedEvent
 from spikedeploy.runtime.traces.fields import Fields, Integers
-from spikedeploy.runtime.traces.trace_file import Difference
+from spikedeploy.runtime.traces.verify import Difference
 
 _KINDS = ("tref", "axon", "neuron")  # of events in a file
 

@@ -17,17 +17,16 @@ from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.neurons import PartialStep, begin, fires
-from spikedeploy.runtime.traces.fields import Fields, Integers, shown_names
-from spikedeploy.runtime.traces.trace_file import (
+from spikedeploy.runtime.traces.fields import Fields, Integers, Work, shown_names
+from spikedeploy.runtime.traces.verify import (
     PROSE,
     Verdict,
+    first_difference,
     nothing_to_compare,
     recorded_tables,
     table_of,
     weights_of,
 )
-from spikedeploy.runtime.traces.verify import first_difference
-from spikedeploy.runtime.traces.work import Work
 
 _BEGUN = "membrane after fire or leak"
 # quantity -> its name in the file, and what it may be

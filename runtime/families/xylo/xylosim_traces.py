@@ -11,9 +11,8 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
 from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
-from spikedeploy.runtime.traces.fields import Fields, Integers
-from spikedeploy.runtime.traces.trace_file import PROSE, TraceFile, nothing_to_compare, table_of
-from spikedeploy.runtime.traces.work import Work
+from spikedeploy.runtime.traces.fields import Fields, Integers, Work
+from spikedeploy.runtime.traces.verify import PROSE, TraceFile, nothing_to_compare, table_of
 
 _HIDDEN, _OUTPUT = "hidden", "output"
 # layer -> quantity -> its name in the file

@@ -3,8 +3,7 @@ import pytest
 import torch
 
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
-from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.codec.xorshift import Xorshift
+from spikedeploy.runtime.codec.rate import RateEncoder, Xorshift
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record
 from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TorchEncoder

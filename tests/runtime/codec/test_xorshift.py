@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.codec.xorshift import Xorshift, advance, first_states, step
+from spikedeploy.runtime.codec.rate import Xorshift, advance, first_states, step
 
 
 def marsaglia(x):

@@ -12,7 +12,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif
 
 LOIHI = ("loihi1", "loihi1-brian2", "loihi1-nengo", "loihi2")

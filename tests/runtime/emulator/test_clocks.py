@@ -14,7 +14,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, ConventionError, RuleError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import event_driven, popsan
 from tests.readouts import events, network
 

@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ChipError, RuleError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metrics.host_work import host_work
 from tests.networks import chain, cuba
 from tests.readouts import ACTIONS, DT, HIDDEN, INPUTS, KINDS, SLOW, cubali, events, li, network

@@ -19,7 +19,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.cuba.neurons import float_sigma_delta, sigma_delta
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metrics.energy import energy, energy_table
 from spikedeploy.runtime.metrics.host_work import host_work
 from spikedeploy.runtime.metrics.neurobench import neurobench

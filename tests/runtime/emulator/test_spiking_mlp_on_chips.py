@@ -13,7 +13,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import Interpreter, trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, lif, spiking_mlp
 
 FAST = [name for name in CHIPS if "numpy" in chip(name).arithmetic.backends]

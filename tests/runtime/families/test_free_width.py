@@ -18,7 +18,7 @@ from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.equality import check_equal
 from tests.networks import chain, cuba, lif, popsan
 

@@ -17,7 +17,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.readouts import NET_EVENTS, exponent_and_share, range_of
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.float_layers import float_layer
 from tests.networks import chain
 from tests.readouts import DT, INPUTS, cubali, events, network

@@ -8,8 +8,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model.graph import FloatGraph
-from spikedeploy.runtime.float_model.neurons import FloatNeurons
+from spikedeploy.runtime.float_model import FloatGraph, FloatNeurons
 from spikedeploy.runtime.graph.order import order
 from tests.networks import chain, cuba, graph, lif, popsan
 

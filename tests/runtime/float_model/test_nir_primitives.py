@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError, ObservationError, RuleError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import lif
 
 
@@ -114,7 +114,7 @@ def test_many_rows_at_once_equal_each_alone(monkeypatch):
     node = nir.Conv2d((9, 7), np.ones((2, 1, 3, 3)), 1, 1, 1, 1, np.zeros(2))
     x = np.random.default_rng(0).normal(size=(4, 5, 1, 9, 7))
     whole = ran(node, x)
-    monkeypatch.setattr("spikedeploy.runtime.float_model.nodes.CHUNK_VALUES", 1000)
+    monkeypatch.setattr("spikedeploy.runtime.float_model.CHUNK_VALUES", 1000)
     np.testing.assert_allclose(ran(node, x), whole, rtol=0, atol=1e-12)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif
 
 HALVING = lif(1, tau=2e-3, r=2.0)  # V = 0.5 V + x, threshold 1

@@ -18,7 +18,7 @@ from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import concatenate, split
 from spikedeploy.runtime.graph.shapes import infer_shapes
 from tests.networks import chain, graph, lif

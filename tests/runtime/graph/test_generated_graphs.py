@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.order import order
 from tests.networks import cuba, lif
 

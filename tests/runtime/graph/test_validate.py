@@ -18,7 +18,7 @@ from spikedeploy.runtime.errors import (
     ObservationError,
     SpikedeployError,
 )
-from spikedeploy.runtime.float_model.graph import FloatGraph
+from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from spikedeploy.emulation.trace_replay import replay_trace
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import SpikedeployError, TraceError
-from spikedeploy.runtime.traces import fields, work
+from spikedeploy.runtime.traces import fields
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -378,14 +378,14 @@ def test_an_array_of_anything_but_numbers_never_becomes_one(value, lava, file, m
     "trace", ["lava_L_chain_3layers", "xylo_own_aliases", "rtl/spiker_subtract"]
 )
 def test_a_replay_that_would_take_too_long_is_refused(limit, trace, monkeypatch):
-    monkeypatch.setattr(work, f"_MOST_{limit}", 3)
+    monkeypatch.setattr(fields, f"_MOST_{limit}", 3)
     with pytest.raises(TraceError, match=r"replay has .* At most 3 are replayed"):
         verify(GOLDEN / f"{trace}.json")
 
 
 @pytest.mark.parametrize("trace", ["xylo_own_aliases", "rtl/spiker_subtract"])
 def test_what_is_taken_one_by_one_is_part_of_the_work(trace, monkeypatch):
-    monkeypatch.setattr(work, "_MOST_ONE_BY_ONE", 3)
+    monkeypatch.setattr(fields, "_MOST_ONE_BY_ONE", 3)
     with pytest.raises(TraceError, match="axons and aliases"):
         verify(GOLDEN / f"{trace}.json")
 
@@ -393,9 +393,9 @@ def test_what_is_taken_one_by_one_is_part_of_the_work(trace, monkeypatch):
 def test_hidden_neurons_of_xylo_are_one_layer_with_their_recurrent_synapses(monkeypatch):
     path = GOLDEN / "xylo_B_two_syn_bias_rec.json"
     most = 2 * verify(path).steps
-    monkeypatch.setattr(work, "_MOST_TICKS", most)
+    monkeypatch.setattr(fields, "_MOST_TICKS", most)
     assert verify(path).equal
-    monkeypatch.setattr(work, "_MOST_TICKS", most - 1)
+    monkeypatch.setattr(fields, "_MOST_TICKS", most - 1)
     with pytest.raises(TraceError, match=f"has {most} layers times timesteps"):
         verify(path)
 

@@ -42,7 +42,7 @@ def played(observations):
 
 def rasters(path):
     """Spikes of the encoder and of each layer for OBSERVATIONS, from the float graph."""
-    from spikedeploy.runtime.float_model.graph import FloatGraph
+    from spikedeploy.runtime.float_model import FloatGraph
 
     artifact = load(path)
     graph = FloatGraph(artifact)

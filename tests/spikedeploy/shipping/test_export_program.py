@@ -27,10 +27,9 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.families.program_record import program_in
-from spikedeploy.runtime.traces import work
-from spikedeploy.runtime.traces.fields import read_json
+from spikedeploy.runtime.traces import fields
+from spikedeploy.runtime.traces.fields import Work, read_json
 from spikedeploy.runtime.traces.verify import verify
-from spikedeploy.runtime.traces.work import Work
 from spikedeploy.shipping.export_program import export_program
 from tests.networks import popsan
 from tests.paths import ROOT
@@ -370,7 +369,7 @@ def test_a_kit_without_an_episode_or_with_one_too_long_to_be_verified_is_not_wri
     words, message, command, here, monkeypatch
 ):
     save(kits.speck_policy(), here / "net.nir")
-    monkeypatch.setattr(work, "_MOST_ONE_BY_ONE", 100)
+    monkeypatch.setattr(fields, "_MOST_ONE_BY_ONE", 100)
     export = ("export", str(here / "net.nir"), "--to", "program", "--chip", "speck2f", "-o", "kit")
     code, _, err = command(*export, *words)
     assert (code != 0, message in err, (here / "kit").exists()) == (True, True, False), err
