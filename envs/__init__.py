@@ -4,17 +4,14 @@ A hexapod on MuJoCo and karts on pymunk, and what records their episodes. ENVS i
 environments; `make` builds one by its short name or gymnasium id, and likewise those of other
 people: any id that is registered with gymnasium, and targets such as my_module:MyEnv.
 
-hexapod/           a walking robot on rough ground, with and without velocity commands
-kart/              three kinds of kart on tracks, with a LIDAR and a scripted driver
-disturbances/      noise, delays, weak motors and so on, of any environment
-rollout.py         one episode of a controller, recorded and saved
-ghosts.py          compact records of kart episodes, a whole training in small files
-ghost_recorder.py  collects ghosts from environments that are stepped side by side
-archive.py         .npz files, written atomically
-foreign.py         environments of other people, by registered id or module:Class
-adapted.py         those as policies expect them: scaled actions, vectors, success
-finite.py          whether actions and states hold numbers only
-errors.py          EnvError
+hexapod/          a walking robot on rough ground, with and without velocity commands
+kart/             three kinds of kart on tracks, with a LIDAR and a scripted driver
+disturbances.py   noise, delays, weak motors and so on, of any environment
+rollout.py        one episode of a controller, recorded and saved
+ghosts.py         compact records of kart episodes, a whole training in small files
+archive.py        .npz files, written atomically
+foreign.py        environments of other people, as policies expect them
+errors.py         EnvError
 
 A new environment is one file and one line in ENVS.
 """
@@ -104,21 +101,21 @@ ENVS: dict[str, EnvSpec] = {
         EnvSpec(
             "kart-grid",
             "spikedeploy/KartGrid-v0",
-            "spikedeploy.envs.kart.grid:KartGridEnv",
+            "spikedeploy.envs.kart.karts:KartGridEnv",
             "race a kart that is pushed up, down, left and right",
             controls=("random", "gap"),
         ),
         EnvSpec(
             "kart-gazebo",
             "spikedeploy/KartGazebo-v0",
-            "spikedeploy.envs.kart.gazebo:KartGazeboEnv",
+            "spikedeploy.envs.kart.karts:KartGazeboEnv",
             "race a kart that either drives or turns",
             controls=("random", "gap"),
         ),
         EnvSpec(
             "kart-steer",
             "spikedeploy/KartSteer-v0",
-            "spikedeploy.envs.kart.steer:KartSteerEnv",
+            "spikedeploy.envs.kart.karts:KartSteerEnv",
             "race a kart with throttle, brake and steering",
             controls=("random", "gap"),
         ),
@@ -179,7 +176,7 @@ def _own(
 ) -> gymnasium.Env[Any, Any]:
     if not disturb:
         return gymnasium.make(entry.id, **options)
-    from spikedeploy.envs.disturbances.disturbed import disturbed
+    from spikedeploy.envs.disturbances import disturbed
 
     return disturbed(entry.id, entry.target, entry.world, disturb, options)
 
@@ -188,7 +185,7 @@ def _foreign(
     name: str, disturb: Sequence[str], success: str | None, options: dict[str, Any]
 ) -> gymnasium.Env[Any, Any]:
     if disturb:
-        from spikedeploy.envs.disturbances.disturbed import disturbed_foreign
+        from spikedeploy.envs.disturbances import disturbed_foreign
 
         return disturbed_foreign(name, disturb, options, success)
     from spikedeploy.envs.foreign import make_foreign

@@ -7,12 +7,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from spikedeploy.envs.hexapod.disturbances import PushTable, Range
-from spikedeploy.envs.hexapod.env import CONTROL_DT, SMOOTHING, HexapodEnv
-from spikedeploy.envs.hexapod.observation import BODY, LOAD, FloatArray, ObservationEntry, layout
-from spikedeploy.envs.hexapod.reward import command_terms
-from spikedeploy.envs.hexapod.robot import Motion
-from spikedeploy.envs.hexapod.terrain import Field
+from spikedeploy.envs.hexapod.env import (
+    BODY,
+    CONTROL_DT,
+    LOAD,
+    SMOOTHING,
+    FloatArray,
+    HexapodEnv,
+    ObservationEntry,
+    PushTable,
+    Range,
+    command_terms,
+    layout,
+)
+from spikedeploy.envs.hexapod.robot import Field, Motion
 
 _STAND = 0.15  # probability of the command to stand still
 SPEED = (-0.25, 0.45)  # [m/s]

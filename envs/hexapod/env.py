@@ -1,33 +1,212 @@
-"""Hexapod-v0: walk straight ahead over rough ground."""
+"""Hexapod-v0: walk straight ahead over rough ground; observation, reward and random bodies."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.finite import all_finite
+from spikedeploy.envs.errors import EnvError, all_finite
 from spikedeploy.envs.hexapod.camera import Camera, CameraWindow
-from spikedeploy.envs.hexapod.disturbances import Pushes, PushTable, Range, check, sample
-from spikedeploy.envs.hexapod.gait import Gait
-from spikedeploy.envs.hexapod.observation import (
-    BODY,
-    COURSE,
-    LIMIT,
-    LOAD,
-    FloatArray,
-    ObservationEntry,
-    layout,
-    scaling,
+from spikedeploy.envs.hexapod.robot import GRAVITY, STANCE, Field, Gait, Motion, Robot, Terrain
+
+Range = float | tuple[float, float]
+
+
+def sample(value: Range, rng: np.random.Generator) -> float:
+    """Draw uniformly from a pair (low, high), or return a plain number."""
+    if isinstance(value, tuple):
+        return float(rng.uniform(*value))
+    return float(value)
+
+
+def check(name: str, value: object, lowest: float, highest: float) -> Range:
+    """Return an option as numbers; EnvError if it is out of bounds or not a range."""
+    pair = value if isinstance(value, (tuple, list)) else (value, value)
+    numbers = [float(end) for end in pair if isinstance(end, (int, float)) and end is not True]
+    if len(pair) != 2 or len(numbers) != 2 or not lowest <= numbers[0] <= numbers[1] <= highest:
+        raise EnvError(
+            f"option {name}: {value!r} is neither a number from {lowest:g} to {highest:g} "
+            f"nor a pair (low, high) of such numbers in order"
+        )
+    return (numbers[0], numbers[1]) if isinstance(value, (tuple, list)) else numbers[0]
+
+
+@dataclass(frozen=True)
+class PushTable:
+    """Distribution of a task's pushes.
+
+    kick      (low, high) [m/s] change of the torso's horizontal velocity, any direction
+    spin      [rad/s] standard deviation of the change of its yaw rate
+    interval  (shortest, longest) [control steps] from one push to the next
+    """
+
+    kick: tuple[float, float]
+    spin: float
+    interval: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class _Push:
+    """One push: kick (x, y) [m/s] and spin [rad/s]."""
+
+    kick: tuple[float, float]
+    spin: float
+
+
+class Pushes:
+    """Pushes at random intervals; scale 0 switches them off and leaves the schedule as it is."""
+
+    def __init__(self, table: PushTable, scale: float) -> None:
+        self.table = table
+        self.scale = scale
+        self._next = 0
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Draw the time of the first push."""
+        self._next = self._interval(rng)
+
+    def at(self, step: int, rng: np.random.Generator) -> _Push | None:
+        """Return the push due at this control step, if any."""
+        if step < self._next:
+            return None
+        self._next = step + self._interval(rng)
+        speed = self.scale * rng.uniform(*self.table.kick)
+        direction = rng.uniform(-math.pi, math.pi)
+        spin = self.scale * rng.normal(0.0, self.table.spin)
+        return _Push((speed * math.cos(direction), speed * math.sin(direction)), spin)
+
+    def _interval(self, rng: np.random.Generator) -> int:
+        shortest, longest = self.table.interval
+        return int(rng.integers(shortest, longest + 1))
+
+
+FloatArray = NDArray[np.float64]
+
+LIMIT = 10.0  # observations saturate at this magnitude, as sensors do
+
+
+class ObservationEntry(NamedTuple):
+    """Consecutive values of an observation; each is (measured - centre) / spread.
+
+    name    key in the environment's OBSERVATION
+    size    number of values
+    centre  (size,) or one for all [unit of the measurement]
+    spread  (size,) or one for all, so that values are about +-1
+    """
+
+    name: str
+    size: int
+    centre: Sequence[float] | FloatArray | float
+    spread: Sequence[float] | FloatArray | float
+
+
+BODY = (
+    ObservationEntry("height", 1, 0.097, 0.03),  # [m] of the torso above the mean ground around it
+    ObservationEntry("gravity", 3, 0.0, (0.3, 0.3, 1.0)),  # [1] in the body's frame
+    ObservationEntry("heading", 1, 0.0, 1.0),  # [rad] from the course
+    ObservationEntry("velocity", 3, 0.0, 0.5),  # [m/s] in the body's frame
+    ObservationEntry("angular_velocity", 3, 0.0, 1.0),  # [rad/s] in the body's frame
+    ObservationEntry("joints", 18, STANCE, 0.6),  # [rad] leg after leg: coxa, femur, tibia
+    ObservationEntry("joint_velocity", 18, 0.0, 3.0),  # [rad/s]
+    ObservationEntry("previous", 18, 0.0, 1.0),  # [action unit] last filtered command
+    ObservationEntry("contact", 6, 0.0, 1.0),  # [1] feet on the ground
+    ObservationEntry("phase", 2, 0.0, 1.0),  # [1] sine and cosine of the gait
 )
-from spikedeploy.envs.hexapod.reward import course_terms, regularisers
-from spikedeploy.envs.hexapod.robot import GRAVITY, Motion, Robot
-from spikedeploy.envs.hexapod.terrain import Field, Terrain
+COURSE = (
+    ObservationEntry("speed", 1, 0.0, 0.4),  # [m/s] smoothed, along the course
+    ObservationEntry("lateral", 1, 0.0, 1.0),  # [m] off the course, left positive
+    ObservationEntry("lateral_velocity", 1, 0.0, 0.5),  # [m/s]
+)
+LOAD = ObservationEntry("load", 1, 0.0, 24.0)  # [N] all feet together
+
+
+def layout(entries: Sequence[ObservationEntry]) -> dict[str, slice]:
+    """Name of each entry -> its slice of the observation."""
+    slices, end = {}, 0
+    for entry in entries:
+        slices[entry.name] = slice(end, end + entry.size)
+        end += entry.size
+    return slices
+
+
+def scaling(entries: Sequence[ObservationEntry]) -> tuple[FloatArray, FloatArray]:
+    """Centre (obs,) and spread (obs,) of every value."""
+    centres = [np.broadcast_to(entry.centre, entry.size) for entry in entries]
+    spreads = [np.broadcast_to(entry.spread, entry.size) for entry in entries]
+    return np.concatenate(centres).astype(np.float64), np.concatenate(spreads).astype(np.float64)
+
+
+_TARGET_SPEED = 0.40  # [m/s] of Hexapod-v0
+_SPEED_KERNEL = 0.12  # [m/s]
+_TURN_KERNEL = 0.3  # [rad/s]
+
+
+def course_terms(speed: float, heading: float, lateral: float) -> dict[str, float]:
+    """Terms for walking straight: alive, speed, heading, lateral.
+
+    speed    [m/s] smoothed, along the course
+    heading  [rad] from the course
+    lateral  [m] off the course
+    """
+    return {
+        "alive": 1.0,
+        "speed": 3.0 * max(-1.0, 1.0 - abs(speed - _TARGET_SPEED) / _TARGET_SPEED),
+        "heading": -0.5 * min(abs(heading), 1.0),
+        "lateral": -0.5 * min(abs(lateral), 1.0),
+    }
+
+
+def command_terms(speed_error: float, turn_error: float, sideways: float) -> dict[str, float]:
+    """Terms for following commands: alive, speed, turn, sideways.
+
+    speed_error  [m/s] commanded - smoothed
+    turn_error   [rad/s] commanded - smoothed
+    sideways     [m/s] leftward
+    """
+    return {
+        "alive": 1.0,
+        "speed": 2.5 * kernel(speed_error, _SPEED_KERNEL),
+        "turn": 2.0 * kernel(turn_error, _TURN_KERNEL),
+        "sideways": -0.5 * min(abs(sideways), 0.5),
+    }
+
+
+def kernel(error: float, width: float) -> float:
+    """Score in [-1, 1] of a tracking error: 1 at 0, 0 at the width, a quarter as steep beyond."""
+    excess = abs(error) / width
+    # k(e) = 1 - e/s up to s; -(e/s - 1)/4 beyond, at least -1
+    return 1.0 - excess if excess <= 1.0 else max(-1.0, -0.25 * (excess - 1.0))
+
+
+def regularisers(
+    motion: Motion, height: float, crouch: float, change: FloatArray
+) -> dict[str, float]:
+    """Terms that both tasks share: posture, smoothness and power.
+
+    height  [m] of the torso above the mean ground
+    crouch  [m] height below which crouching is penalised
+    change  (18,) change of the action since the last control step
+
+    Power is sampled at the end of the control step, as by a current sensor at 50 Hz.
+    """
+    gx, gy, _ = motion.gravity
+    wx, wy, _ = motion.angular_velocity
+    return {
+        "tilt": -2.0 * (gx * gx + gy * gy),
+        "jerk": -0.02 * float(change @ change),
+        "power": -0.025 * motion.power,
+        "bounce": -0.5 * min(abs(motion.velocity[2]), 1.0),
+        "slip": -0.5 * motion.slip,
+        "wobble": -0.02 * (wx * wx + wy * wy),
+        "crouch": -5.0 * max(0.0, crouch - height),
+    }
+
 
 CONTROL_DT = 0.02  # [s]
 SMOOTHING = 0.1  # weight of the newest value in a smoothed speed or turn rate

@@ -1,4 +1,4 @@
-"""KartEnv: what all karts share, from the episode to observation and reward.
+"""KartEnv: what all karts share, from the episode to observation, reward and stalling.
 
 Lengths are in px, 100 px to a metre, y downwards; angles in rad, 0 to the right, clockwise. A step
 of the environment is one step of the physics, 1/60 s.
@@ -9,22 +9,231 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.corridor import corridor, length_of
-from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
-from spikedeploy.envs.kart.observation import Observer
-from spikedeploy.envs.kart.options import lidar_options, one_of, part, reward_of, steps_of, track_of
-from spikedeploy.envs.kart.reward import ClassicReward, StepOutcome
-from spikedeploy.envs.kart.stall import ClassicLimits, ClassicStallRule, StallRule
-from spikedeploy.envs.kart.track import Track
+from spikedeploy.envs.kart.lidar import CLASSIC_RAYS, Lidar, LidarOptions, Observer
+from spikedeploy.envs.kart.track import Track, corridor, length_of, load
 from spikedeploy.envs.kart.world import KartState, KartWorld
+
+_STALL = 120  # [steps] without progress after which a kart has stalled
+_PROGRESS = 20.0  # [px] by which the remaining path must become shorter to count
+_SLOW = 25.0  # [px/s] below which kart-simulator counts a kart as standing still
+
+
+class StallRule:
+    """Stalled when the remaining path has not become 20 px shorter within 2 s.
+
+    remaining  length of the path at the start [px]
+    """
+
+    def __init__(self, remaining: float) -> None:
+        self._best, self._steps = remaining, 0
+
+    def stalled(self, remaining: float, approach: float, speed: float) -> bool:
+        """Add a step: remaining path [px], decrease of the gate's distance [px], speed [px/s]."""
+        if remaining < self._best - _PROGRESS:
+            self._best, self._steps = remaining, 0
+        else:
+            self._steps += 1
+        return self._steps >= _STALL
+
+
+@dataclass(frozen=True)
+class ClassicLimits:
+    """Limits of kart-simulator's two stall rules.
+
+    still     consecutive steps below 25 px/s, 0 for no limit
+    receding  consecutive steps away from the next gate, 0 for no limit
+    """
+
+    still: int
+    receding: int
+
+
+class ClassicStallRule:
+    """Stalled as in kart-simulator: standing still or moving away from the gate for too long."""
+
+    def __init__(self, limits: ClassicLimits) -> None:
+        self._limits = limits
+        self._still = self._receding = 0
+
+    def stalled(self, remaining: float, approach: float, speed: float) -> bool:
+        """Add a step, as in StallRule."""
+        self._still = self._still + 1 if speed < _SLOW else 0
+        self._receding = self._receding + 1 if approach < 0 else 0
+        still = 0 < self._limits.still <= self._still
+        return still or 0 < self._limits.receding <= self._receding
+
+
+# Weights of the default reward. A lap of big_S is 2,400 px, so that progress earns 24, finishing
+# 10 more, and a crash costs 5.
+_WEIGHTS: Mapping[str, float] = {
+    "progress": 1.0,  # per 100 px that the remaining path became shorter
+    "gate": 0.0,  # per gate
+    "finish": 10.0,  # once
+    "crash": -5.0,  # once, at a wall or for stalling
+    "time": -0.01,  # per step
+}
+
+
+class StepOutcome(NamedTuple):
+    """What happened in one step, as rewards see it.
+
+    gained    decrease of the remaining path [px]
+    approach  decrease of the distance to the midpoint of the next gate [px]
+    gates     number of gates passed
+    since     steps since the last gate
+    finish    whether the last gate was passed
+    failed    whether the kart crashed or stalled
+    speed     [px/s]
+    steering  1 towards the next gate, -1 away from it, 0 none
+    """
+
+    gained: float
+    approach: float
+    gates: int
+    since: int
+    finish: bool
+    failed: bool
+    speed: float
+    steering: int
+
+
+class PathReward:
+    """The default reward, whose progress term is potential-based shaping (Ng et al. 1999).
+
+    The potential is the length of the path through the midpoints of the remaining gates: what
+    driving on gains, driving back loses.
+
+    weights  of each term in WEIGHTS
+    """
+
+    def __init__(self, changes: Mapping[str, float] | None = None) -> None:
+        changes = changes or {}
+        unknown = sorted(changes.keys() - _WEIGHTS.keys())
+        if unknown:
+            raise EnvError(f"reward: unknown term {unknown[0]!r}; known: {', '.join(_WEIGHTS)}")
+        for name, weight in changes.items():
+            if not isinstance(weight, (int, float)) or not math.isfinite(weight):
+                raise EnvError(f"reward: the weight of {name} is {weight!r}, not a finite number")
+        self.weights = {**_WEIGHTS, **changes}
+
+    def terms(self, outcome: StepOutcome) -> dict[str, float]:
+        """Weighted terms of a step."""
+        weights = self.weights
+        return {
+            "progress": weights["progress"] * outcome.gained / 100.0,
+            "gate": weights["gate"] * outcome.gates,
+            "finish": weights["finish"] * outcome.finish,
+            "crash": weights["crash"] * outcome.failed,
+            "time": weights["time"],
+        }
+
+
+@dataclass(frozen=True)
+class ClassicReward:
+    """kart-simulator's terms and weights, each paid once and not as a running total every step.
+
+    pace                         divisor of exp(v / 100) in the progress term
+    backward                     factor of negative progress
+    progress, steer, gate, crash weights
+    finish                       weight, the same in all environments
+    """
+
+    pace: float
+    backward: float
+    progress: float
+    steer: float
+    gate: float
+    crash: float
+    finish: float = 500_000.0
+
+    def terms(self, outcome: StepOutcome) -> dict[str, float]:
+        """Weighted terms of a step."""
+        # p = (d0 - d1) exp(v / 100) / pace
+        p = outcome.approach * math.exp(outcome.speed / 100.0) / self.pace
+        p *= self.backward if p < 0 else 1.0
+        return {
+            "progress": self.progress * p / 80.0,
+            # +1 towards the gate, -2 away from it
+            "steer": 0.1 * self.steer * (outcome.steering if outcome.steering >= 0 else -2),
+            # exp(7 - n / 100) / 3, n steps since the last gate
+            "gate": self.gate * outcome.gates * math.exp(7.0 - outcome.since / 100.0) / 3.0,
+            "finish": self.finish * outcome.finish,
+            "crash": self.crash * outcome.failed,
+        }
+
+
+Reward = PathReward | ClassicReward
+
+
+def one_of(name: str, found: object, allowed: Sequence[object]) -> None:
+    """Raise EnvError unless the value of an option is one of those allowed."""
+    if found not in allowed:
+        raise EnvError(f"{name} {found!r} is unknown; known: {', '.join(map(repr, allowed))}")
+
+
+def steps_of(found: object) -> None:
+    """Raise EnvError unless the value of max_steps is a whole number from 1."""
+    if not isinstance(found, int) or found < 1:
+        raise EnvError(f"max_steps must be a whole number from 1, found {found!r}")
+
+
+def part(name: str, found: object) -> float:
+    """The value of an option above 0 and up to 1; EnvError if it is another."""
+    number = isinstance(found, (int, float)) and not isinstance(found, bool)
+    if not number or not 0.0 < found <= 1.0:  # type: ignore[operator]
+        raise EnvError(f"option {name}: {found!r} is not a number above 0 and up to 1")
+    return float(found)  # type: ignore[arg-type]
+
+
+def track_of(track: str | Path | Track) -> Track:
+    """The track of this name, file or kind; of corridors, which are drawn anew, any one."""
+    if isinstance(track, Track):
+        return track
+    cells = length_of(track) if isinstance(track, str) else None
+    return load(track) if cells is None else corridor(cells, np.random.default_rng(0))
+
+
+def lidar_options(
+    given: LidarOptions | Mapping[str, Any] | None, reach: float, classic: bool
+) -> LidarOptions:
+    """The given options, over those of the preset and the environment's range `reach` [px]."""
+    if isinstance(given, LidarOptions):
+        return given
+    defaults: dict[str, Any] = {"range": reach}
+    if classic:
+        # kart-simulator's rays begin straight behind the kart, and none points ahead
+        defaults |= {"count": CLASSIC_RAYS, "facing": -math.pi}
+    return LidarOptions.of(given or {}, **defaults)
+
+
+def reward_of(reward: str | Mapping[str, float], classic: ClassicReward) -> Reward:
+    """The reward of this name, or with these weights; `classic` is the environment's own."""
+    if isinstance(reward, Mapping):
+        return PathReward(reward)
+    one_of("reward", reward, ("default", "classic"))
+    return classic if reward == "classic" else PathReward()
+
+
+def action_name(action: Any, names: Sequence[str]) -> str:  # noqa: ANN401
+    """Name of a discrete action; EnvError if there is no such action."""
+    index = np.asarray(action)
+    whole = not index.shape and index.dtype.kind in "iu"
+    if not whole or not 0 <= (place := int(index)) < len(names):
+        raise EnvError(
+            f"action {action!r} is none of the {len(names)} of this kart: 0 to {len(names) - 1}, "
+            f"{', '.join(names)}"
+        )
+    return names[place]
+
 
 FloatArray = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Pictures of a kart on its track, for `render`, windows and videos."""
+"""Pictures of a track and of karts on it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,142 @@ import numpy as np
 import pygame
 from numpy.typing import ArrayLike, NDArray
 
-from spikedeploy.envs.kart.scene import PLAIN, Colour, Floats, Scene, scene
-from spikedeploy.envs.kart.track import RADIUS
+from spikedeploy.envs.kart.track import RADIUS, Track
+
+Floats = NDArray[np.float64]
+Colour = tuple[int, int, int]
+
+NIGHT: Colour = (15, 18, 25)  # around the track
+_ROAD: Colour = (31, 37, 50)
+_EDGE: Colour = (20, 24, 33)  # the road's shade along the walls
+WALL: Colour = (214, 222, 236)
+PLAIN: Colour = (64, 74, 96)  # gates that are still ahead
+_MARGIN = 0.035  # of the surface's shorter side
+_FINE = 2  # factor at which the ground is drawn, before it is downscaled
+
+pygame.font.init()
+
+
+class Scene:
+    """A track scaled to fit a surface.
+
+    track    the track drawn
+    size     (width, height) [screen px]
+    scale    [screen px / px]
+    pen      factor on the widths of lines and dots, at most 1
+    ground   surface with walls and road; draw on a copy
+    """
+
+    def __init__(self, track: Track, size: tuple[int, int]) -> None:
+        self.track, self.size = track, size
+        points = np.concatenate((track.walls, track.gates)).reshape(-1, 2)
+        low, high = points.min(axis=0), points.max(axis=0)
+        margin = _MARGIN * min(size) + 4
+        inner = np.array(size) - 2 * margin
+        self.scale = float((inner / np.maximum(high - low, 1.0)).min())
+        self.pen = min(self.scale, 1.0)
+        self._offset = np.array(size) / 2 - self.scale * (low + high) / 2
+        self.ground = self._ground()
+
+    def at(self, points: ArrayLike) -> Floats:
+        """Screen points (…, 2) of points (…, 2) [px] of the track."""
+        found: Floats = np.asarray(points, np.float64) * self.scale + self._offset
+        return found
+
+    def _ground(self) -> pygame.Surface:
+        """Draw road and walls, supersampled so that edges are smooth."""
+        large = pygame.Surface((_FINE * self.size[0], _FINE * self.size[1]))
+        large.fill(NIGHT)
+        width = max(4, round(_FINE * 5.0 * self.pen))
+        road = self._road(large.get_size(), width)
+        if road is not None:
+            large.blit(road.to_surface(setcolor=_ROAD, unsetcolor=NIGHT), (0, 0))
+            self._lines(large, _EDGE, 5 * width, within=road)
+        self._checkers(large)
+        self._lines(large, WALL, width)
+        return pygame.transform.smoothscale(large, self.size)
+
+    def _road(self, size: tuple[int, int], width: int) -> pygame.Mask | None:
+        """The area reachable from the start without crossing a wall or the finish.
+
+        None where it is not bounded by an outer wall.
+        """
+        barriers = pygame.Surface(size)
+        self._lines(barriers, WALL, width)
+        a, b = _FINE * self.at(self.track.gates[-1])
+        thick_line(barriers, WALL, a, b, width)
+        free = pygame.mask.from_threshold(barriers, (0, 0, 0), (1, 1, 1, 255))
+        start = tuple(int(value) for value in _FINE * self.at(self.track.start))
+        road = free.connected_component(start)
+        return None if road.get_at((0, 0)) else road
+
+    def _lines(
+        self,
+        surface: pygame.Surface,
+        colour: Colour,
+        width: int,
+        within: pygame.Mask | None = None,
+    ) -> None:
+        """Draw every wall with round ends, clipped to the mask `within`."""
+        target = surface if within is None else surface.copy()
+        for a, b in _FINE * self.at(self.track.walls):
+            thick_line(target, colour, a, b, width)
+        if within is not None:
+            within.to_surface(surface, setsurface=target, unsetcolor=None)
+
+    def _checkers(self, surface: pygame.Surface) -> None:
+        """Draw the finish as two rows of squares."""
+        a, b = _FINE * self.at(self.track.gates[-1])
+        along = (b - a) / max(float(np.hypot(*(b - a))), 1.0)
+        across = np.array([-along[1], along[0]])
+        side = _FINE * max(5.0, 9.0 * self.pen)
+        count = max(2, round(float(np.hypot(*(b - a))) / side))
+        step = (b - a) / count
+        for column in range(count):
+            for row in (0, 1):
+                corner = a + column * step + (row - 1) * side * across
+                square = [corner, corner + step, corner + step + side * across]
+                square.append(corner + side * across)
+                colour = WALL if (column + row) % 2 else PLAIN
+                pygame.draw.polygon(surface, colour, [tuple(point) for point in square])
+
+
+def thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, width: int) -> None:  # noqa: ANN401
+    """Draw a line with round ends, so that corners are closed."""
+    pygame.draw.line(surface, colour, tuple(a), tuple(b), width)
+    along = b - a
+    length = float(np.hypot(*along))
+    if length > 0:  # pygame ends thick lines along an axis; a quadrangle ends them at a right angle
+        across = np.array([-along[1], along[0]]) / length * width / 2
+        corners = (a + across, b + across, b - across, a - across)
+        pygame.draw.polygon(surface, colour, [tuple(corner) for corner in corners])
+    for end in (a, b):
+        pygame.draw.circle(surface, colour, tuple(end), width / 2)
+
+
+def scene(track: Track, size: tuple[int, int]) -> Scene:
+    """The scene of a track, cached by what the track looks like."""
+    return _scene(_TrackKey(track), size)
+
+
+@lru_cache(maxsize=16)
+def _scene(key: _TrackKey, size: tuple[int, int]) -> Scene:
+    return Scene(key.track, size)
+
+
+class _TrackKey:
+    """A track as cache key: equal to another one with the same geometry."""
+
+    def __init__(self, track: Track) -> None:
+        self.track = track
+        self._geometry = (track.walls.tobytes(), track.gates.tobytes(), track.start.tobytes())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _TrackKey) and self._geometry == other._geometry
+
+    def __hash__(self) -> int:
+        return hash(self._geometry)
+
 
 _SIZE = (720, 720)  # of a picture [screen px]
 
@@ -21,7 +155,7 @@ _HIT: Colour = (242, 114, 123)
 _RAY = (76, 201, 240, 60)
 _TYRE: Colour = (8, 10, 14)
 _HELMET: Colour = (244, 247, 252)
-_FINE = 8  # factor at which a kart is drawn, before it is rotated and downscaled
+_KART_FINE = 8  # factor at which a kart is drawn, before it is rotated and downscaled
 
 
 class _Place(Protocol):
@@ -127,7 +261,7 @@ def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
 @lru_cache(maxsize=4096)
 def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
     """A kart rotated by whole degrees."""
-    scale = size / (2 * RADIUS * _FINE)
+    scale = size / (2 * RADIUS * _KART_FINE)
     sprite = pygame.transform.rotozoom(_large(colour), turn, scale)
     sprite.set_alpha(alpha)
     return sprite
@@ -136,14 +270,14 @@ def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
 @lru_cache(maxsize=64)
 def _large(colour: Colour) -> pygame.Surface:
     """A kart facing right, at FINE times its true size."""
-    side = round(2 * RADIUS * _FINE)
+    side = round(2 * RADIUS * _KART_FINE)
     surface = pygame.Surface((side, side), pygame.SRCALPHA)
     pygame.draw.aacircle(surface, (*colour, 56), (side / 2, side / 2), side / 2 - 1)
 
     def box(x: float, y: float, w: float, h: float, fill: Colour, radius: float = 1.5) -> None:
-        corner = ((x + RADIUS) * _FINE, (y + RADIUS) * _FINE)
-        shape = pygame.Rect(*corner, w * _FINE, h * _FINE)
-        pygame.draw.rect(surface, fill, shape, border_radius=round(radius * _FINE))
+        corner = ((x + RADIUS) * _KART_FINE, (y + RADIUS) * _KART_FINE)
+        shape = pygame.Rect(*corner, w * _KART_FINE, h * _KART_FINE)
+        pygame.draw.rect(surface, fill, shape, border_radius=round(radius * _KART_FINE))
 
     dark = (colour[0] * 5 // 9, colour[1] * 5 // 9, colour[2] * 5 // 9)
     for y in (-13.0, 8.5):
@@ -153,6 +287,6 @@ def _large(colour: Colour) -> pygame.Surface:
     box(7.5, -9.0, 2.5, 18.0, dark)  # front axle
     box(-15.0, -6.5, 24.0, 13.0, colour, 5.0)
     box(6.0, -3.5, 12.0, 7.0, colour, 3.0)
-    pygame.draw.aacircle(surface, dark, (side / 2 - 2 * _FINE, side / 2), 5.4 * _FINE)
-    pygame.draw.aacircle(surface, _HELMET, (side / 2 - 2 * _FINE, side / 2), 4.0 * _FINE)
+    pygame.draw.aacircle(surface, dark, (side / 2 - 2 * _KART_FINE, side / 2), 5.4 * _KART_FINE)
+    pygame.draw.aacircle(surface, _HELMET, (side / 2 - 2 * _KART_FINE, side / 2), 4.0 * _KART_FINE)
     return surface

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from lab.experiments.pareto.costs import INT8, TABLES
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import nested_ratio, stratified
-from spikedeploy.envs.hexapod.observation import BODY, layout
+from spikedeploy.envs.hexapod.env import BODY, layout
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import write_text
 from spikedeploy.policies.onnx import OnnxController

@@ -1,6 +1,6 @@
 """Requests such as `dead-neurons:2` or `lost-spikes=0.03`, read.
 
-The grammar is that of envs.disturbances.disturbed; neither package may import the other.
+The grammar is that of envs.disturbances; neither package may import the other.
 """
 
 from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import Any
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
-from spikedeploy.envs.disturbances.disturbed import disturbances
+from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
 from spikedeploy.pages.comparison import comparison_page

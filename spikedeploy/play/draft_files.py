@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.track import Track
-from spikedeploy.envs.kart.track_file import load, parse
-from spikedeploy.envs.kart.track_rules import check
+from spikedeploy.envs.kart.track import Track, check, load, parse
 from spikedeploy.files import write_text
 from spikedeploy.play.track_draft import Line, Point, TrackDraft
 from spikedeploy.runtime.errors import ConfigError

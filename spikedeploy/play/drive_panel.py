@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pygame
 
-from spikedeploy.envs.adapted import AdaptedEnv
+from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.play.driving_network import MEAN, DrivingNetwork
 from spikedeploy.play.env_picture import is_kart
 from spikedeploy.play.session import Session

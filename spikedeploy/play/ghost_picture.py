@@ -6,8 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pygame
 
-from spikedeploy.envs.kart.picture import draw_kart
-from spikedeploy.envs.kart.scene import Scene
+from spikedeploy.envs.kart.picture import Scene, draw_kart
 from spikedeploy.play.ghost_group import GhostGroup
 from spikedeploy.play.theme import AMBER, CYAN, DIM, GREEN, RED, Colour, write
 

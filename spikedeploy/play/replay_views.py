@@ -12,7 +12,7 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy.envs.ghosts import Ghost, Ghosts
-from spikedeploy.envs.kart.scene import Scene, scene
+from spikedeploy.envs.kart.picture import Scene, scene
 from spikedeploy.envs.kart.track import Track
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.play.env_picture import env_picture

@@ -8,8 +8,7 @@ import numpy as np
 import pygame
 from numpy.typing import ArrayLike, NDArray
 
-from spikedeploy.envs.kart.picture import KART, draw_kart
-from spikedeploy.envs.kart.scene import NIGHT, WALL, thick_line
+from spikedeploy.envs.kart.picture import KART, NIGHT, WALL, draw_kart, thick_line
 from spikedeploy.play.theme import (
     AMBER,
     CYAN,

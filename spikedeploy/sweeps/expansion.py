@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy import envs, zoo
-from spikedeploy.envs.disturbances.disturbed import disturbances
+from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.interface import FLOAT, Candidate, check_fit
 from spikedeploy.policies.registry import BUILT_IN, find

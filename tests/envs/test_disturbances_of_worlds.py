@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.disturbances import DISTURBANCES
-from spikedeploy.envs.disturbances.disturbed import disturbances, kind, kinds_of
+from spikedeploy.envs.disturbances import DISTURBANCES, disturbances, kinds_of
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 
@@ -55,7 +54,7 @@ def test_walkers_and_karts_have_eight_disturbances_or_more():
 
 @pytest.mark.parametrize("name", DISTURBANCES)
 def test_a_kind_has_three_rising_levels_within_its_bounds(name):
-    found = kind(name)
+    found = DISTURBANCES[name]
     lowest, highest = found.bounds
     for levels in found.levels.values():
         assert lowest <= levels[0] < levels[1] < levels[2] <= highest

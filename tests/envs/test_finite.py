@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.envs.finite import all_finite
+from spikedeploy.envs.errors import all_finite
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])

@@ -7,8 +7,8 @@ import pytest
 from gymnasium import spaces
 
 from spikedeploy import envs
-from spikedeploy.envs.adapted import AdaptedEnv
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.rollout import rollout
 from tests import own_env
 from tests.paths import ROOT
@@ -168,7 +168,7 @@ def test_a_time_limit_can_be_given():
 
 
 def test_an_episode_without_an_end_is_refused(monkeypatch):
-    monkeypatch.setattr("spikedeploy.envs.adapted._LONGEST", 5)
+    monkeypatch.setattr("spikedeploy.envs.foreign._LONGEST", 5)
     with pytest.raises(EnvError, match=r"did not end in 5 steps.*max_episode_steps"):
         rollout(envs.make(REACH), Middle(), seed=0)
 

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.ghost_recorder import GhostRecorder
-from spikedeploy.envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.ghosts import Ghost, GhostRecorder, Ghosts
 from spikedeploy.envs.rollout import Rollout
 
 

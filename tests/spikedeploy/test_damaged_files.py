@@ -17,7 +17,7 @@ from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, Ghosts
-from spikedeploy.envs.kart import track_file
+from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies import run_record
 from spikedeploy.policies.onnx import OnnxController

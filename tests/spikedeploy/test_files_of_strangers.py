@@ -12,7 +12,7 @@ from spikedeploy import zoo
 from spikedeploy.emulation.rasters import as_raster, read_rasters
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, Ghosts
-from spikedeploy.envs.kart import track_file
+from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.run_record import settings
 from spikedeploy.runtime.artifact.artifact import load

@@ -14,7 +14,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.envs.adapted import AdaptedEnv
+from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teacher import FloatArray, certain
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.ghost_recorder import POSE, GhostRecorder
+from spikedeploy.envs.ghosts import POSE, GhostRecorder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import EnvBatch, Steps
 from spikedeploy.trainers.metrics import Metrics

@@ -9,8 +9,7 @@ from typing import Any
 
 from lab.experiments.robustness.lineup import Tested, files_of, named, shipped
 from spikedeploy import envs
-from spikedeploy.envs.disturbances.disturbed import LEVELS, kinds_of, row
-from spikedeploy.envs.disturbances.kind import Kind
+from spikedeploy.envs.disturbances import LEVELS, Kind, kinds_of, row
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.runtime.errors import ConfigError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.hexapod.disturbances import Pushes, PushTable, check, sample
+from spikedeploy.envs.hexapod.env import Pushes, PushTable, check, sample
 
 TABLE = PushTable(kick=(0.1, 0.2), spin=0.5, interval=(10, 20))
 

@@ -5,7 +5,7 @@ import pytest
 
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.env import HexapodEnv
-from spikedeploy.envs.hexapod.gait import Gait
+from spikedeploy.envs.hexapod.robot import Gait
 
 STILL = np.zeros(18)
 

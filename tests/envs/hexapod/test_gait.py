@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.gait import JOINTS, LEGS, Gait
+from spikedeploy.envs.hexapod.robot import JOINTS, LEGS, Gait
 
 
 def at(phase):

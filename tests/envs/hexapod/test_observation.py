@@ -1,6 +1,6 @@
 import numpy as np
 
-from spikedeploy.envs.hexapod.observation import (
+from spikedeploy.envs.hexapod.env import (
     BODY,
     COURSE,
     LOAD,

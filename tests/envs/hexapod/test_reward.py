@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.reward import command_terms, course_terms, kernel, regularisers
+from spikedeploy.envs.hexapod.env import command_terms, course_terms, kernel, regularisers
 from spikedeploy.envs.hexapod.robot import Motion
 
 STILL = Motion(

@@ -2,8 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.robot import GRAVITY, STANCE, SUBSTEPS, Robot
-from spikedeploy.envs.hexapod.terrain import Field
+from spikedeploy.envs.hexapod.robot import GRAVITY, STANCE, SUBSTEPS, Field, Robot
 
 FIELD = Field(length=4.0, width=4.0, start=(0.0, 0.0))
 FLAT = {"mass": 1.0, "payload": 0.0, "friction": 0.9, "servo_gain": 1.0}

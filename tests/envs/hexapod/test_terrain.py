@@ -2,8 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.robot import Robot
-from spikedeploy.envs.hexapod.terrain import CEILING, Field, Terrain
+from spikedeploy.envs.hexapod.robot import CEILING, Field, Robot, Terrain
 
 FIELD = Field(length=6.0, width=4.0, start=(-1.0, 0.5))
 

@@ -7,9 +7,8 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.corridor import corridor, length_of
 from spikedeploy.envs.kart.gap import GapDriver
-from spikedeploy.envs.kart.track_rules import check
+from spikedeploy.envs.kart.track import check, corridor, length_of
 
 
 def drawn(count, seeds=range(40)):

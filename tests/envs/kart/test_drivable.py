@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.kart import track_file
-from spikedeploy.envs.kart.track_rules import distances
+from spikedeploy.envs.kart import track as track_file
+from spikedeploy.envs.kart.track import distances
 
 CELL = 6.0  # [px] of the driver's map
 NEAR = 8  # cells ahead that it steers for

@@ -9,10 +9,10 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track_file
+from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.kart.gap import GapDriver
+from spikedeploy.envs.kart.karts import KartSteerEnv
 from spikedeploy.envs.kart.lidar import LidarOptions
-from spikedeploy.envs.kart.steer import KartSteerEnv
 from spikedeploy.envs.kart.track import Track, segments
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")

@@ -7,9 +7,9 @@ import pymunk
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track_file
-from spikedeploy.envs.kart.corridor import corridor
+from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
+from spikedeploy.envs.kart.track import corridor
 
 SQUARE = np.array(
     [[[-100, -100], [100, -100]], [[100, -100], [100, 100]], [[100, 100], [-100, 100]],

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
+from spikedeploy.envs.kart.env import PathReward, StepOutcome
 from spikedeploy.envs.kart.gap import GapDriver
-from spikedeploy.envs.kart.gazebo import KartGazeboEnv
-from spikedeploy.envs.kart.grid import KartGridEnv
-from spikedeploy.envs.kart.reward import PathReward, StepOutcome
-from spikedeploy.envs.kart.steer import KartSteerEnv
+from spikedeploy.envs.kart.karts import KartGazeboEnv, KartGridEnv, KartSteerEnv
 from spikedeploy.envs.kart.track import Track, segments
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")

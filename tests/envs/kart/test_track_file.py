@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track_file
-from spikedeploy.envs.kart.track_rules import distances
+from spikedeploy.envs.kart import track as track_file
+from spikedeploy.envs.kart.track import distances
 
 LANE = {  # a lane 400 px long and 100 px wide, open at its right end, where the finish is
     "name": "lane",

@@ -17,7 +17,7 @@ from lab.experiments.robustness.evaluation import missing, perform, stored
 from lab.experiments.robustness.experiment import experiment
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.rounds import compare_policies
-from spikedeploy.envs.disturbances.disturbed import kinds_of
+from spikedeploy.envs.disturbances import kinds_of
 from spikedeploy.jobs import resumable
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS

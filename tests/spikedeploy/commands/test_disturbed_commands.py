@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from spikedeploy.envs.disturbances.disturbed import kinds_of
+from spikedeploy.envs.disturbances import kinds_of
 from spikedeploy.runtime.faults import FAULTS
 from tests.paths import ROOT
 

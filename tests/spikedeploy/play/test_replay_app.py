@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 
 from spikedeploy import envs
-from spikedeploy.envs.ghost_recorder import GhostRecorder
-from spikedeploy.envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.ghosts import Ghost, GhostRecorder, Ghosts
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir

@@ -7,7 +7,7 @@ import pygame
 import pytest
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.track_file import load
+from spikedeploy.envs.kart.track import load
 from spikedeploy.play import window
 from spikedeploy.play.draft_files import as_text, draft_of, open_draft, save, save_draft
 from spikedeploy.play.track_draft import History, TrackDraft

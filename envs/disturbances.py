@@ -1,0 +1,692 @@
+"""Disturbances: what goes wrong in a world while a policy acts, at levels 1 to 3 or by a number.
+
+`spikedeploy.envs.make(name, disturb=["noise:2", "payload=0.4"])` puts them on an environment, as
+`--disturb` does. They are drawn per episode from its seed, apart from the draws of the environment,
+which stay what they were. Environments of other people have those of observations and commands. A
+new kind is a Kind and a line in DISTURBANCES.
+
+Observations of ours are scaled so that each is about +-1, so a number of noise or bias is in units
+of the scale of each observation, such as 0.5 m/s for a walker's velocity and 0.6 rad for its joints
+(envs.hexapod.env). The scale of other environments is measured: the standard deviation of each
+number over 2,000 control steps of actions drawn uniformly, always the same ones, so that it is of
+the environment and not of a policy, and all policies meet the same noise.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, is_dataclass
+from importlib import import_module
+from typing import Any, ClassVar
+from zlib import crc32
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.foreign import AdaptedEnv, make_foreign
+
+Options = dict[str, Any]
+Defaults = Callable[[str], Any]  # name of an option of the environment -> its default
+Change = Callable[[Options, float, Defaults, str], Options]
+Wrap = Callable[[gymnasium.Env[Any, Any], float], gymnasium.Env[Any, Any]]
+
+HEXAPOD, KART = "hexapod", "kart"  # worlds: folders of envs
+FOREIGN = "foreign"  # environments of other people
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of disturbance; it changes options of an environment, or wraps it.
+
+    meaning  what happens, in a clause
+    unit     of its number
+    levels   world -> numbers of levels 1, 2 and 3; worlds without it are left out
+    bounds   (lowest, highest) number that may be given
+    source   where the levels come from
+    change   options with the disturbance, of (options, number, defaults, world)
+    wrap     the environment with the disturbance, of (environment, number)
+    """
+
+    meaning: str
+    unit: str
+    levels: Mapping[str, tuple[float, float, float]]
+    bounds: tuple[float, float]
+    source: str
+    change: Change | None = None
+    wrap: Wrap | None = None
+
+
+FloatArray = NDArray[np.float64]
+
+_STREAM = 11  # keeps the draws apart from those of environments and policies with the same seed
+
+
+class SeededWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """A wrapper with a generator of its own; a reset without a seed goes on with it.
+
+    STREAM  keeps the draws of kinds of disturbances apart
+    """
+
+    STREAM: ClassVar[str]
+
+    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
+        super().__init__(env)
+        self.number = number
+        self.rng = np.random.default_rng()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode; `_begin` draws what is constant in it."""
+        if seed is not None:
+            self.rng = np.random.default_rng([seed, _STREAM, crc32(self.STREAM.encode())])
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._begin(observation), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:  # noqa: ANN401
+        """A step in which commands or observations are disturbed."""
+        observation, reward, terminated, truncated, info = self.env.step(self._command(action))
+        return self._observed(observation), reward, terminated, truncated, info
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        """The first observation as the policy sees it."""
+        return observation
+
+    def _command(self, action: Any) -> Any:  # noqa: ANN401
+        """The action as it arrives."""
+        return action
+
+    def _observed(self, observation: FloatArray) -> FloatArray:
+        """An observation as the policy sees it."""
+        return observation
+
+
+def columns(env: gymnasium.Env[Any, Any], *without: str) -> NDArray[np.intp]:
+    """Places (k,) of what sensors measure in an observation, without some entries of it.
+
+    Last command, gait phase and the command to follow are the controller's own: nothing that
+    happens to sensors changes them. Of an environment of other people everything is measured.
+    """
+    entries: dict[str, slice] | None = getattr(env.unwrapped, "OBSERVATION", None)
+    if entries is None:
+        return np.arange((env.observation_space.shape or (0,))[0])
+    places = [
+        np.arange(place.start, place.stop)
+        for name, place in entries.items()
+        if name not in (*_OWN, *without)
+    ]
+    return np.concatenate(places)
+
+
+_OWN = ("previous", "phase", "command")
+
+
+_STEPS = 2_000  # [control steps]
+_measured: dict[str, FloatArray] = {}  # by name and options, as every copy of a batch asks
+
+
+def scale(env: gymnasium.Env[Any, Any]) -> FloatArray | float:
+    """The scale (obs,) of an environment of other people; 1 of ours, which are scaled."""
+    world = env.unwrapped
+    if not isinstance(world, AdaptedEnv):
+        return 1.0
+    if world.one_hot:
+        levels = (world.observation_space.shape or (0,))[0]
+        raise EnvError(
+            f"{world.name} observes one of {levels} levels, in which "
+            "there is neither noise nor bias: take dropout or delay"
+        )
+    options = {key: value for key, value in world.given.items() if key != "success"}
+    key = json.dumps([world.name, options], sort_keys=True, default=repr)
+    if key not in _measured:
+        _measured[key] = _spread(make_foreign(world.name, options))
+    return _measured[key]
+
+
+def _spread(env: AdaptedEnv) -> FloatArray:
+    """Standard deviation (obs,) under actions drawn uniformly."""
+    rng, space, episode = np.random.default_rng(0), env.action_space, 0
+    seen = [env.reset(seed=episode)[0]]
+    while len(seen) < _STEPS:
+        action = (
+            int(rng.integers(space.n))
+            if isinstance(space, gymnasium.spaces.Discrete)
+            else rng.uniform(-1.0, 1.0, space.shape)
+        )
+        observation, _, terminated, truncated, _ = env.step(action)
+        seen.append(observation)
+        if terminated or truncated:
+            episode += 1
+            seen.append(env.reset(seed=episode)[0])
+    env.close()
+    spread: FloatArray = np.std(seen, axis=0)
+    return spread
+
+
+class _Sensors(SeededWrapper):
+    """Changes what sensors measure, within the range of each observation."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("lidar",)
+
+    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
+        super().__init__(env, number)
+        self._places = columns(env, *self.WITHOUT)
+        space: Any = env.observation_space
+        self._low, self._high = space.low[self._places], space.high[self._places]
+
+    def _observed(self, observation: FloatArray) -> FloatArray:
+        seen: FloatArray = observation.copy()
+        measured = self._measured(seen[self._places])
+        seen[self._places] = np.minimum(np.maximum(measured, self._low), self._high)
+        return seen
+
+    def _measured(self, values: FloatArray) -> FloatArray:
+        """What the sensors say of the true values (k,)."""
+        raise NotImplementedError
+
+
+class _Errors(_Sensors):
+    """Errors in units of the scale of each observation."""
+
+    WITHOUT = ("lidar", "contact")  # switches have no noise
+
+    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
+        super().__init__(env, number)
+        self._scale = scale(env)
+
+
+class Noise(_Errors):
+    """White Gaussian noise on every measurement, drawn in each control step."""
+
+    STREAM = "noise"
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        return self._observed(observation)
+
+    def _measured(self, values: FloatArray) -> FloatArray:
+        return values + self._scale * self.rng.normal(0.0, self.number, values.shape)
+
+
+class Bias(_Errors):
+    """A constant error of every measurement, drawn in each episode."""
+
+    STREAM = "bias"
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        self._bias = self._scale * self.rng.normal(0.0, self.number, self._places.shape)
+        return self._observed(observation)
+
+    def _measured(self, values: FloatArray) -> FloatArray:
+        return values + self._bias
+
+
+class Dropout(_Sensors):
+    """Measurements that are missing in a control step: the last one that arrived is seen."""
+
+    STREAM = "dropout"
+
+    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
+        super().__init__(env, number)
+        self._apart = not getattr(env.unwrapped, "one_hot", False)  # which is one measurement
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        self._last = observation[self._places]
+        return observation
+
+    def _measured(self, values: FloatArray) -> FloatArray:
+        lost = self.rng.random(values.shape if self._apart else ()) < self.number
+        self._last = np.where(lost, self._last, values)
+        return self._last
+
+
+_SCALES = "standard deviations in units of the scale of each observation"
+NOISE = Kind(
+    meaning="white noise on every measurement, LIDAR and contacts excepted",
+    unit="scale of an observation",
+    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.05, 0.15, 0.4), FOREIGN: (0.05, 0.1, 0.2)},
+    bounds=(0.0, 10.0),
+    source="level 2 of a walker is about the noise that walkers are trained with for robots (Rudin "
+    "et al. 2022: +-0.1 m/s, +-0.2 rad/s, +-0.05 of gravity, uniform); karts, which steer by the "
+    f"LIDAR, are given more; {_SCALES}",
+    wrap=Noise,
+)
+BIAS = Kind(
+    meaning="a constant error of every measurement, LIDAR and contacts excepted",
+    unit="scale of an observation",
+    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.05, 0.15, 0.4), FOREIGN: (0.05, 0.1, 0.2)},
+    bounds=(0.0, 10.0),
+    source=f"as the noise, of which a filter would leave it; {_SCALES}",
+    wrap=Bias,
+)
+DROPOUT = Kind(
+    meaning="measurements that do not arrive: the last one is seen again; LIDAR excepted",
+    unit="probability of each, a control step",
+    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8), FOREIGN: (0.05, 0.2, 0.5)},
+    bounds=(0.0, 1.0),
+    source="chosen: from a bus with a bad contact to one that delivers every other value, or fewer",
+    wrap=Dropout,
+)
+
+
+_LONGEST = 100  # [control steps]
+
+
+def _steps(number: float) -> int:
+    if number != int(number):
+        raise EnvError(f"a delay of {number:g} control steps: give a whole number")
+    return int(number)
+
+
+class LateSensors(SeededWrapper):
+    """What sensors measured some control steps ago; the first observation until then."""
+
+    STREAM = "delay"
+
+    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
+        super().__init__(env, number)
+        self._places, self._delay = columns(env), _steps(number)
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        now = observation[self._places]
+        self._line = deque([now] * (self._delay + 1), self._delay + 1)
+        return observation
+
+    def _observed(self, observation: FloatArray) -> FloatArray:
+        seen: FloatArray = observation.copy()
+        self._line.append(observation[self._places])
+        seen[self._places] = self._line[0]
+        return seen
+
+
+class LateCommands(SeededWrapper):
+    """Commands that take effect some control steps later; until then there is none."""
+
+    STREAM = "command-delay"
+
+    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
+        super().__init__(env, number)
+        self._delay = _steps(number)
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        none = no_command(self.env)
+        self._line = deque([none] * self._delay, self._delay + 1)
+        return observation
+
+    def _command(self, action: Any) -> Any:  # noqa: ANN401
+        self._line.append(np.copy(action) if np.ndim(action) else action)
+        return self._line.popleft()
+
+
+class LostCommands(SeededWrapper):
+    """Commands that are lost: the last one that arrived is held."""
+
+    STREAM = "command-loss"
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        self._held = no_command(self.env)
+        return observation
+
+    def _command(self, action: Any) -> Any:  # noqa: ANN401
+        if self.rng.random() >= self.number:
+            self._held = np.copy(action) if np.ndim(action) else action
+        return self._held
+
+
+def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
+    """No residual of a walker; a kart's first action, which does nothing.
+
+    Of other environments the middle of the bounds, or the first choice.
+    """
+    space = env.action_space
+    return 0 if isinstance(space, gymnasium.spaces.Discrete) else np.zeros(space.shape or ())
+
+
+DELAY = Kind(
+    meaning="measurements that are seen late, the LIDAR's too",
+    unit="control steps",
+    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6), FOREIGN: (1, 2, 3)},
+    bounds=(0, _LONGEST),
+    source="20 to 60 ms of a walker, where Tan et al. 2018 measured 15 to 19 ms and trained with 0 "
+    "to 40; 17 to 100 ms of a kart",
+    wrap=LateSensors,
+)
+COMMAND_DELAY = Kind(
+    meaning="commands that take effect late",
+    unit="control steps",
+    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6), FOREIGN: (1, 2, 3)},
+    bounds=(0, _LONGEST),
+    source="as the delay of measurements",
+    wrap=LateCommands,
+)
+COMMAND_LOSS = Kind(
+    meaning="commands that are lost: the last one that arrived is held",
+    unit="probability of each",
+    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8), FOREIGN: (0.05, 0.2, 0.5)},
+    bounds=(0.0, 1.0),
+    source="chosen, as the dropout of measurements",
+    wrap=LostCommands,
+)
+
+
+_JOINTS, _LEGS = 18, 6
+
+
+class DeadJoint(SeededWrapper):
+    """Some servos hold nothing: only the friction of their gears is left."""
+
+    STREAM = "dead-joint"
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        if self.number != int(self.number):
+            raise EnvError(f"--disturb dead-joint={self.number:g}: give a whole number of joints")
+        dead = self.rng.permutation(_JOINTS)[: int(self.number)]
+        _robot(self).weaken(dead.tolist(), 0.0)
+        return observation
+
+
+class DeadLeg(SeededWrapper):
+    """The three servos of one leg lose power."""
+
+    STREAM = "dead-leg"
+
+    def _begin(self, observation: FloatArray) -> FloatArray:
+        first = 3 * int(self.rng.integers(_LEGS))
+        _robot(self).weaken([first, first + 1, first + 2], 1.0 - self.number)
+        return observation
+
+
+def _robot(wrapper: SeededWrapper) -> Any:  # noqa: ANN401
+    """The environment itself, whose servos can be weakened."""
+    return wrapper.unwrapped
+
+
+DEAD_JOINT = Kind(
+    meaning="joints without power, drawn anew in each episode",
+    unit="joints",
+    levels={HEXAPOD: (1, 2, 3)},
+    bounds=(0, _JOINTS),
+    source="chosen: up to a sixth of the 18 joints",
+    wrap=DeadJoint,
+)
+DEAD_LEG = Kind(
+    meaning="a leg that loses power, drawn anew in each episode",
+    unit="share that is lost",
+    levels={HEXAPOD: (0.5, 0.8, 1.0)},
+    bounds=(0.0, 1.0),
+    source="chosen: level 3 is a leg without power, as in Cully et al. 2015",
+    wrap=DeadLeg,
+)
+
+
+def _moved(option: str, move: Callable[[float, float], float]) -> Change:
+    """What moves an option, or both ends of its range: a function of the end and the number."""
+
+    def change(options: Options, number: float, default: Defaults, world: str) -> Options:
+        value: Any = options[option] if option in options else default(option)
+        if isinstance(value, (tuple, list)):
+            return {**options, option: tuple(move(end, number) for end in value)}
+        return {**options, option: move(value, number)}
+
+    return change
+
+
+def _less(value: float, number: float) -> float:
+    return value * (1.0 - number)
+
+
+def _weaker(options: Options, number: float, default: Defaults, world: str) -> Options:
+    change = _moved("power" if world == KART else "servo_gain", _less)
+    return change(options, number, default, world)
+
+
+WEAKNESS = Kind(
+    meaning="motors that are weaker: servo stiffness and damping, or a kart's power",
+    unit="share that is lost",
+    levels={HEXAPOD: (0.1, 0.2, 0.4), KART: (0.1, 0.2, 0.4)},
+    bounds=(0.0, 0.85),
+    source="motor strength down to 80 % is what Tan et al. 2018 trained for",
+    change=_weaker,
+)
+PAYLOAD = Kind(
+    meaning="a load on the torso",
+    unit="kg",
+    levels={HEXAPOD: (0.25, 0.5, 1.0)},
+    bounds=(0.0, 1.5),
+    source="10, 20 and 40 % of the robot's 2.45 kg; training draws -0.1 to 0.3 kg",
+    change=_moved("payload", lambda end, number: end + number),
+)
+SLOPE = Kind(
+    meaning="ground that rises along the x axis",
+    unit="degrees",
+    levels={HEXAPOD: (3.0, 6.0, 9.0)},
+    bounds=(-25.0, 25.0),
+    source="chosen: 9 degrees are a grade of 16 %",
+    change=_moved("slope", lambda end, number: end + math.radians(number)),
+)
+FRICTION = Kind(
+    meaning="feet that slip: less friction on the ground",
+    unit="share that is lost",
+    levels={HEXAPOD: (0.3, 0.5, 0.7)},
+    bounds=(0.0, 0.95),
+    source="coefficients of 0.39 to 0.7, 0.28 to 0.5 and 0.17 to 0.3, where training draws 0.55 "
+    "to 1: the last is as wet tiles",
+    change=_moved("friction", _less),
+)
+PUSHES = Kind(
+    meaning="harder pushes, at the same times and in the same directions",
+    unit="times as hard",
+    levels={HEXAPOD: (1.5, 2.0, 3.0)},
+    bounds=(0.0, 10.0),
+    source="of kicks of 0.125 to 0.25 m/s (hexapod) and 0.25 to 0.5 m/s (hexapod-command)",
+    change=_moved("pushes", lambda end, number: end * number),
+)
+
+
+def _lidar(field: str) -> Change:
+    """What sets an option of the LIDAR; the others stay as they are given."""
+
+    def change(options: Options, number: float, default: Defaults, world: str) -> Options:
+        given: Any = options.get("lidar") or {}
+        before = asdict(given) if is_dataclass(given) and not isinstance(given, type) else given
+        return {**options, "lidar": {**before, field: number}}
+
+    return change
+
+
+def _slipping(options: Options, number: float, default: Defaults, world: str) -> Options:
+    before: float = options["grip"] if "grip" in options else default("grip")
+    return {**options, "grip": before * (1.0 - number)}
+
+
+LIDAR_NOISE = Kind(
+    meaning="white noise on every distance of the LIDAR",
+    unit="px, standard deviation",
+    levels={KART: (20.0, 50.0, 100.0)},
+    bounds=(0.0, 1000.0),
+    source="6, 14 and 29 % of a range of 350 px: 0.2 to 1 m at 100 px to a metre, far "
+    "above the centimetres of a good LIDAR",
+    change=_lidar("noise"),
+)
+LIDAR_DROPOUT = Kind(
+    meaning="rays of the LIDAR that see no wall",
+    unit="probability of each ray, a control step",
+    levels={KART: (0.05, 0.1, 0.2)},
+    bounds=(0.0, 1.0),
+    source="chosen: dark and shining walls return few pulses",
+    change=_lidar("dropout"),
+)
+GRIP = Kind(
+    meaning="tyres that slip: a change of velocity comes slower",
+    unit="share of each change that is lost, a control step",
+    levels={KART: (0.8, 0.9, 0.95)},
+    bounds=(0.0, 0.99),
+    source="chosen: velocity follows the wheels with time constants of about 75, 158 and 325 ms",
+    change=_slipping,
+)
+
+
+DISTURBANCES: dict[str, Kind] = {
+    "noise": NOISE,
+    "bias": BIAS,
+    "dropout": DROPOUT,
+    "delay": DELAY,
+    "command-delay": COMMAND_DELAY,
+    "command-loss": COMMAND_LOSS,
+    "weakness": WEAKNESS,
+    "dead-joint": DEAD_JOINT,
+    "dead-leg": DEAD_LEG,
+    "payload": PAYLOAD,
+    "slope": SLOPE,
+    "friction": FRICTION,
+    "pushes": PUSHES,
+    "lidar-noise": LIDAR_NOISE,
+    "lidar-dropout": LIDAR_DROPOUT,
+    "grip": GRIP,
+}
+
+
+LEVELS = (1, 2, 3)
+
+
+def kinds_of(world: str) -> dict[str, Kind]:
+    """The kinds that a world has, by name."""
+    return {name: kind for name, kind in DISTURBANCES.items() if row(world) in kind.levels}
+
+
+def row(world: str) -> str:
+    """The key of a world in Kind.levels: its folder, or FOREIGN."""
+    return world if world in (HEXAPOD, KART) else FOREIGN
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A disturbance as it was asked for.
+
+    name    key of DISTURBANCES
+    number  of its unit
+    text    as the command line takes it
+    """
+
+    name: str
+    number: float
+    text: str
+
+    @property
+    def kind(self) -> Kind:
+        """What it is."""
+        return DISTURBANCES[self.name]
+
+
+def disturbances(texts: Sequence[str], world: str) -> list[Disturbance]:
+    """The requests `name:level` and `name=number`, read; those of level 0 are left out.
+
+    EnvError names what the world has, where it does not have one of them.
+    """
+    if isinstance(texts, str):
+        raise EnvError(f"disturb: {texts!r} is no list; write ['{texts}']")
+    found = [_read(text, world) for text in texts]
+    names = [each.name for each in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise EnvError(f"--disturb {twice[0]} is given twice: give each once")
+    return [each for each in found if each.text.partition(":")[2] != "0"]
+
+
+def _read(text: str, world: str) -> Disturbance:
+    name, level, given = _parts(text)
+    found = kinds_of(world)
+    if name not in found:
+        raise EnvError(f"--disturb {text}: {world} has no {name!r}; it has {', '.join(found)}")
+    if level:
+        numbers = (0.0, *found[name].levels[row(world)])
+        if given not in map(str, range(len(numbers))):
+            raise EnvError(
+                f"--disturb {text}: {given!r} is no level from 0 to {LEVELS[-1]}; "
+                f"a number is written {name}={given}"
+            )
+        return Disturbance(name, numbers[int(given)], text)
+    return Disturbance(name, _number(text, given, found[name]), text)
+
+
+def _parts(text: str) -> tuple[str, bool, str]:
+    """Name, whether a level follows, and what follows."""
+    name, colon, level = text.partition(":")
+    if colon:
+        return name, True, level
+    name, equals, number = text.partition("=")
+    if not equals:
+        raise EnvError(f"--disturb takes name:level or name=number, as in noise:2; got {text!r}")
+    return name, False, number
+
+
+def _number(text: str, given: str, of: Kind) -> float:
+    lowest, highest = of.bounds
+    try:
+        number = float(given)
+    except ValueError:
+        number = float("nan")
+    if not lowest <= number <= highest:
+        raise EnvError(
+            f"--disturb {text}: {given!r} is not a number from {lowest:g} to {highest:g} "
+            f"[{of.unit}]"
+        )
+    return number
+
+
+class Disturbed(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment with its disturbances; `given` are the options that make it again."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any], given: Mapping[str, Any]) -> None:
+        super().__init__(env)
+        self.given = given
+
+
+def disturbed(
+    id_: str, target: str, world: str, texts: Sequence[str], options: Mapping[str, Any]
+) -> gymnasium.Env[Any, Any]:
+    """The environment with this id and its options, disturbed.
+
+    target  "module:class" of it
+    world   folder of envs that it stands in
+    """
+    found = disturbances(texts, world)
+    if not found:
+        return gymnasium.make(id_, **options)
+    changed: Options = dict(options)
+    for each in found:
+        if each.kind.change is not None:
+            changed = each.kind.change(changed, each.number, lambda o: _default(target, o), world)
+    return _wrapped(gymnasium.make(id_, **changed), found, options)
+
+
+def disturbed_foreign(
+    name: str, texts: Sequence[str], options: Mapping[str, Any], success: str | None = None
+) -> gymnasium.Env[Any, Any]:
+    """The environment of somebody else, disturbed in what is observed and commanded."""
+    env = make_foreign(name, options, success)
+    found = disturbances(texts, name)
+    return _wrapped(env, found, env.given) if found else env
+
+
+def _wrapped(
+    env: gymnasium.Env[Any, Any], found: Sequence[Disturbance], options: Mapping[str, Any]
+) -> Disturbed:
+    for each in found:
+        if each.kind.wrap is not None:
+            env = each.kind.wrap(env, each.number)
+    return Disturbed(env, {**options, "disturb": [each.text for each in found]})
+
+
+def _default(target: str, option: str) -> Any:  # noqa: ANN401
+    """Default of an option of the class, or of the class above that has it."""
+    module, _, name = target.partition(":")
+    for each in getattr(import_module(module), name).__mro__:
+        parameter = inspect.signature(each.__init__).parameters.get(option)
+        if parameter is not None:
+            return parameter.default
+    raise EnvError(f"{name} has no option {option!r}")
